@@ -1,0 +1,30 @@
+"""The Typer application: one `error: …` line for what a user can mend, a traceback for what is a bug."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from vo.errors import VoError
+
+
+class _Group(TyperGroup):
+    """Turns a `VoError` of any command into one line on stderr and exit status 1."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except VoError as error:
+            typer.echo(f"error: {error}", err=True)
+            raise typer.Exit(1) from error
+
+
+app = typer.Typer(
+    cls=_Group,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Visual odometry: a camera's path, with its uncertainty, from images.",
+)

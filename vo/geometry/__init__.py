@@ -1,0 +1,1 @@
+"""Cameras, rigid motion and multi-view geometry on plain arrays."""

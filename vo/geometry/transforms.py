@@ -1,0 +1,138 @@
+"""Rigid motion SE(3) as (4, 4) arrays, its tangent vectors (rx ry rz tx ty tz) and quaternions xyzw."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.types import Floats
+
+
+def make_transform(rotation: Floats, translation: Floats) -> Floats:
+    """A (4, 4) transform from a (3, 3) rotation and a translation of three numbers."""
+    transform = np.eye(4)
+    transform[:3, :3] = rotation
+    transform[:3, 3] = np.asarray(translation).reshape(3)
+    return transform
+
+
+def inverse(a_from_b: Floats) -> Floats:
+    """b_from_a of one (4, 4) or many (..., 4, 4) transforms."""
+    result = np.zeros_like(a_from_b)
+    rotation = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -(rotation @ a_from_b[..., :3, 3, None])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def transform_points(a_from_b: Floats, points: Floats) -> Floats:
+    """Carry (N, 3) points from frame b to frame a."""
+    return np.asarray(points @ a_from_b[:3, :3].T + a_from_b[:3, 3])
+
+
+def skew(vector: Floats) -> Floats:
+    """The (3, 3) matrix of the cross product with `vector`."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def so3_exp(rotvec: Floats) -> Floats:
+    """Rotation matrix of a rotation vector in radians (Rodrigues)."""
+    angle = float(np.linalg.norm(rotvec))
+    k = skew(rotvec)
+    if angle < 1e-8:
+        return np.asarray(np.eye(3) + k + 0.5 * k @ k)
+    return np.asarray(np.eye(3) + (np.sin(angle) / angle) * k + ((1.0 - np.cos(angle)) / angle**2) * k @ k)
+
+
+def so3_log(rotation: Floats) -> Floats:
+    """Rotation vector in radians of a (3, 3) rotation, its angle in [0, pi]."""
+    quat = quat_xyzw_from_rotation(rotation)
+    if quat[3] < 0:
+        quat = -quat
+    sine = float(np.linalg.norm(quat[:3]))
+    if sine < 1e-12:
+        return np.asarray(2.0 * quat[:3])
+    return np.asarray(quat[:3] * (2.0 * np.arctan2(sine, quat[3]) / sine))
+
+
+def se3_exp(tangent: Floats) -> Floats:
+    """Transform of a tangent vector (rx ry rz tx ty tz).
+
+    Source: Barfoot, State Estimation for Robotics, 2017, eq. 7.33 and 7.37.
+    """
+    return make_transform(so3_exp(tangent[:3]), _left_jacobian(tangent[:3]) @ tangent[3:])
+
+
+def se3_log(transform: Floats) -> Floats:
+    """Tangent vector (rx ry rz tx ty tz) of a transform; the inverse of `se3_exp`."""
+    rotvec = so3_log(transform[:3, :3])
+    return np.concatenate([rotvec, np.linalg.solve(_left_jacobian(rotvec), transform[:3, 3])])
+
+
+def adjoint(a_from_b: Floats) -> Floats:
+    """The (6, 6) matrix with exp(adjoint @ xi) = a_from_b @ exp(xi) @ b_from_a, rotation first."""
+    rotation = a_from_b[:3, :3]
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = rotation
+    result[3:, :3] = skew(a_from_b[:3, 3]) @ rotation
+    return result
+
+
+def interpolate(first: Floats, second: Floats, share: float) -> Floats:
+    """The pose at `share` (0 gives first, 1 gives second) on the SE(3) geodesic between two poses."""
+    return np.asarray(first @ se3_exp(share * se3_log(inverse(first) @ second)))
+
+
+def orthonormalised(transform: Floats) -> Floats:
+    """The same transform with its rotation made exactly orthonormal (nearest by SVD)."""
+    u, _, vt = np.linalg.svd(transform[:3, :3])
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return make_transform(rotation, transform[:3, 3])
+
+
+def rotation_angle(rotation: Floats) -> float:
+    """Angle of a (3, 3) rotation in radians."""
+    return float(np.linalg.norm(so3_log(rotation)))
+
+
+def rotation_from_quat_xyzw(quat_xyzw: Floats) -> Floats:
+    """(..., 3, 3) rotations of (..., 4) quaternions; they need not be of unit length."""
+    x, y, z, w = np.moveaxis(quat_xyzw / np.linalg.norm(quat_xyzw, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_xyzw_from_rotation(rotation: Floats) -> Floats:
+    """Unit quaternion of one (3, 3) rotation (Shepperd 1978: the largest component first)."""
+    m = rotation
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    candidates = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
+    i = int(np.argmax(candidates))
+    quat = np.empty(4)
+    if i == 3:
+        quat[3] = 1.0 + trace
+        quat[0] = m[2, 1] - m[1, 2]
+        quat[1] = m[0, 2] - m[2, 0]
+        quat[2] = m[1, 0] - m[0, 1]
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        quat[i] = 1.0 - trace + 2.0 * m[i, i]
+        quat[j] = m[j, i] + m[i, j]
+        quat[k] = m[k, i] + m[i, k]
+        quat[3] = m[k, j] - m[j, k]
+    return np.asarray(quat / np.linalg.norm(quat))
+
+
+def _left_jacobian(rotvec: Floats) -> Floats:
+    angle = float(np.linalg.norm(rotvec))
+    k = skew(rotvec)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + 0.5 * k + k @ k / 6.0)
+    return np.asarray(
+        np.eye(3) + ((1.0 - np.cos(angle)) / angle**2) * k + ((angle - np.sin(angle)) / angle**3) * k @ k
+    )

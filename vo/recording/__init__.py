@@ -1,0 +1,1 @@
+"""Recorders: what a run shows to people while it goes on."""

@@ -1,0 +1,1 @@
+"""Recordings on disk, as frames in time order."""

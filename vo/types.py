@@ -1,0 +1,245 @@
+"""The records that rooms hand to each other.
+
+Conventions, everywhere: a transform `a_from_b` takes coordinates in frame b to frame a and is a (4, 4) float64
+array; frames are `world`, `cam0`, `cam1` (x right, y down, z forward); pixels are (u, v) with the centre of the
+top-left pixel at (0, 0); lengths in metres (mono: in units of the map), angles in radians, time in integer
+nanoseconds; points are rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Bools = NDArray[np.bool_]
+
+DistortionModel = Literal["none", "radtan", "equidistant"]
+Mode = Literal["auto", "mono", "stereo"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with lens distortion.
+
+    Attributes:
+        width: image width in pixels.
+        height: image height in pixels.
+        fx: focal length in pixels, along u.
+        fy: focal length in pixels, along v.
+        cx: principal point, u.
+        cy: principal point, v.
+        distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant` (Kannala-Brandt, k1..k4,
+            OpenCV's fisheye) or `none`.
+        distortion: its 0, 4, 5 or 8 coefficients.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion_model: DistortionModel = "none"
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def matrix(self) -> Floats:
+        """The (3, 3) matrix K of the ideal pinhole camera."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether pixels differ from those of the ideal pinhole camera."""
+        return self.distortion_model == "equidistant" or any(c != 0.0 for c in self.distortion)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """One camera, or two with the transform between them."""
+
+    cam0: Camera
+    cam1: Camera | None = None
+    cam1_from_cam0: Floats | None = None
+
+    @property
+    def is_stereo(self) -> bool:
+        """Whether there are two cameras."""
+        return self.cam1 is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What the cameras saw at one moment.
+
+    Attributes:
+        index: number of the frame in its source, from 0, counting every frame (also those skipped).
+        stamp_ns: time of image0 in nanoseconds.
+        image0: (H, W) uint8, grey, as recorded (distorted, unrectified).
+        image1: the same of cam1, or None in mono and where the partner is missing.
+    """
+
+    index: int
+    stamp_ns: int
+    image0: Bytes
+    image1: Bytes | None = None
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A frame that a source could not hand out, and why."""
+
+    index: int
+    stamp_ns: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses in time.
+
+    Attributes:
+        stamps_ns: (N,) int64, increasing.
+        world_from_cam: (N, 4, 4) float64.
+    """
+
+    stamps_ns: Ints
+    world_from_cam: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def positions(self) -> Floats:
+        """(N, 3) camera centres in the world."""
+        return np.asarray(self.world_from_cam[:, :3, 3], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Image features as a struct of arrays; row i of each belongs together.
+
+    Attributes:
+        xy: (N, 2) float32 pixels at full resolution.
+        octave: (N,) int32 pyramid level.
+        angle: (N,) float32 orientation in radians.
+        response: (N,) float32 corner strength, comparable within one image.
+        descriptor: (N, 32) uint8, 256 bits.
+    """
+
+    xy: Floats32
+    octave: NDArray[np.int32]
+    angle: Floats32
+    response: Floats32
+    descriptor: Bytes
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+class State(StrEnum):
+    """What the odometry is doing."""
+
+    STARTING = "starting"
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+class FeatureState:
+    """Codes of `View.feature_state`."""
+
+    NEW = 0
+    TRACKED = 1
+    REJECTED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What can be shown of one tracked frame.
+
+    Attributes:
+        image0: the image that was tracked: rectified in stereo, as recorded in mono.
+        image1: its rectified partner, or None.
+        xy: (N, 2) float32 pixels of the features in image0.
+        feature_state: (N,) uint8, codes of `FeatureState`.
+        previous_xy: (N, 2) float32 where the feature's landmark was in the previous frame, NaN if it was not.
+        camera_matrix: (3, 3) of image0 as an ideal pinhole camera.
+    """
+
+    image0: Bytes
+    image1: Bytes | None
+    xy: Floats32
+    feature_state: Bytes
+    previous_xy: Floats32
+    camera_matrix: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframePose:
+    """A keyframe's pose after smoothing.
+
+    Attributes:
+        frame_index: number of its frame in the source.
+        stamp_ns: its time.
+        segment: number of its segment, from 0.
+        world_from_cam0: (4, 4).
+        covariance: (6, 6) of the tangent (rx ry rz tx ty tz), rad and m, in the cam0 frame:
+            true = world_from_cam0 @ exp(xi); None where the smoother has not given one.
+    """
+
+    frame_index: int
+    stamp_ns: int
+    segment: int
+    world_from_cam0: Floats
+    covariance: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points of the map: ids (M,) and positions in the world (M, 3)."""
+
+    ids: Ints
+    xyz: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the odometry says after one frame.
+
+    Attributes:
+        frame_index: number of the frame in its source.
+        stamp_ns: its time.
+        state: what the odometry is doing.
+        reason: why it is lost or still starting; empty when tracking.
+        segment: number of the segment, from 0; a new one begins after each loss.
+        world_from_cam0: (4, 4) pose as known now (causal), or None where there is none.
+        is_keyframe: whether this frame became a keyframe.
+        matches: map landmarks matched in this frame.
+        inliers: those that agree with the pose.
+        keyframes: keyframes whose pose was smoothed in this step.
+        view: what can be shown.
+        landmarks: the local map, given with keyframes, else None.
+        stage_ms: wall time by stage in milliseconds.
+    """
+
+    frame_index: int
+    stamp_ns: int
+    state: State
+    reason: str
+    segment: int
+    world_from_cam0: Floats | None
+    is_keyframe: bool
+    matches: int
+    inliers: int
+    keyframes: tuple[KeyframePose, ...]
+    view: View
+    landmarks: Landmarks | None
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
