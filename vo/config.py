@@ -1,7 +1,7 @@
-"""Settings: one frozen section per room, merged from defaults, a YAML file and `section.key=value` overrides.
+"""Settings: one frozen section per room, merged from defaults, a YAML file and overrides.
 
-Precedence, weakest first: the defaults below, the preset or file, the overrides. A key that does not exist is an
-error that names the nearest one.
+Precedence, weakest first: the defaults below, the preset or file, the overrides
+(`section.key=value`). A key that does not exist is an error that names the nearest one.
 """
 
 from __future__ import annotations
@@ -118,7 +118,9 @@ def _validate(merged: Mapping[str, Any], origin: str) -> Config:
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
             known = list(_keys(Config))
-            raise ConfigError(f"unknown setting '{key}' in {origin}{_nearest(key, known)}") from error
+            raise ConfigError(
+                f"unknown setting '{key}' in {origin}{_nearest(key, known)}"
+            ) from error
         raise ConfigError(
             f"setting '{key}' in {origin}: {first['msg']} (found {first['input']!r})"
         ) from error

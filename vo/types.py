@@ -1,9 +1,9 @@
 """The records that rooms hand to each other.
 
-Conventions, everywhere: a transform `a_from_b` takes coordinates in frame b to frame a and is a (4, 4) float64
-array; frames are `world`, `cam0`, `cam1` (x right, y down, z forward); pixels are (u, v) with the centre of the
-top-left pixel at (0, 0); lengths in metres (mono: in units of the map), angles in radians, time in integer
-nanoseconds; points are rows.
+Conventions, everywhere: a transform `a_from_b` takes coordinates in frame b to frame a and is a
+(4, 4) float64 array; frames are `world`, `cam0`, `cam1` (x right, y down, z forward); pixels are
+(u, v) with the centre of the top-left pixel at (0, 0); lengths in metres (mono: in units of the
+map), angles in radians, time in integer nanoseconds; points are rows.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Camera:
         fy: focal length in pixels, along v.
         cx: principal point, u.
         cy: principal point, v.
-        distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant` (Kannala-Brandt, k1..k4,
-            OpenCV's fisheye) or `none`.
+        distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant`
+            (Kannala-Brandt, k1..k4, OpenCV's fisheye) or `none`.
         distortion: its 0, 4, 5 or 8 coefficients.
     """
 
@@ -170,7 +170,7 @@ class View:
         image1: its rectified partner, or None.
         xy: (N, 2) float32 pixels of the features in image0.
         feature_state: (N,) uint8, codes of `FeatureState`.
-        previous_xy: (N, 2) float32 where the feature's landmark was in the previous frame, NaN if it was not.
+        previous_xy: (N, 2) float32 where the feature's landmark was in the previous frame, or NaN.
         camera_matrix: (3, 3) of image0 as an ideal pinhole camera.
     """
 

@@ -1,4 +1,4 @@
-"""The Typer application: one `error: …` line for what a user can mend, a traceback for what is a bug."""
+"""The Typer application: one `error: …` line for what a user can mend, a traceback for bugs."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def distort(camera: Camera, rays: Floats) -> Floats:
 
 
 def normalise(camera: Camera, pixels: Floats) -> Floats:
-    """Normalised image points (N, 2) (x/z, y/z) of distorted pixels (N, 2): the inverse of `distort`."""
+    """Normalised image points (N, 2) (x/z, y/z) of pixels (N, 2): the inverse of `distort`."""
     pixels = np.asarray(pixels, dtype=np.float64)
     if len(pixels) == 0:
         return np.empty((0, 2))
@@ -47,5 +47,5 @@ def normalise(camera: Camera, pixels: Floats) -> Floats:
 
 
 def undistort_pixels(camera: Camera, pixels: Floats) -> Floats:
-    """Pixels (N, 2) of the ideal pinhole camera with the same matrix, for distorted pixels (N, 2)."""
+    """Pixels (N, 2) of the ideal pinhole camera with the same matrix, for distorted (N, 2)."""
     return np.asarray(normalise(camera, pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy))

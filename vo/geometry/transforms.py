@@ -1,4 +1,4 @@
-"""Rigid motion SE(3) as (4, 4) arrays, its tangent vectors (rx ry rz tx ty tz) and quaternions xyzw."""
+"""Rigid motion SE(3) as (4, 4) arrays, its tangent (rx ry rz tx ty tz) and quaternions xyzw."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def so3_exp(rotvec: Floats) -> Floats:
     k = skew(rotvec)
     if angle < 1e-8:
         return np.asarray(np.eye(3) + k + 0.5 * k @ k)
-    return np.asarray(np.eye(3) + (np.sin(angle) / angle) * k + ((1.0 - np.cos(angle)) / angle**2) * k @ k)
+    return np.asarray(
+        np.eye(3) + (np.sin(angle) / angle) * k + ((1.0 - np.cos(angle)) / angle**2) * k @ k
+    )
 
 
 def so3_log(rotation: Floats) -> Floats:
@@ -80,7 +82,7 @@ def adjoint(a_from_b: Floats) -> Floats:
 
 
 def interpolate(first: Floats, second: Floats, share: float) -> Floats:
-    """The pose at `share` (0 gives first, 1 gives second) on the SE(3) geodesic between two poses."""
+    """The pose at `share` (0 is first, 1 is second) on the SE(3) geodesic between two poses."""
     return np.asarray(first @ se3_exp(share * se3_log(inverse(first) @ second)))
 
 
@@ -134,5 +136,7 @@ def _left_jacobian(rotvec: Floats) -> Floats:
     if angle < 1e-6:
         return np.asarray(np.eye(3) + 0.5 * k + k @ k / 6.0)
     return np.asarray(
-        np.eye(3) + ((1.0 - np.cos(angle)) / angle**2) * k + ((angle - np.sin(angle)) / angle**3) * k @ k
+        np.eye(3)
+        + ((1.0 - np.cos(angle)) / angle**2) * k
+        + ((angle - np.sin(angle)) / angle**3) * k @ k
     )

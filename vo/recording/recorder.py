@@ -17,7 +17,7 @@ class Recorder(Protocol):
         """After each frame."""
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """After the last frame (also of an interrupted run), with both whole paths; closes the recording."""
+        """After the last frame, also of an interrupted run, with both whole paths; closes."""
 
 
 class NullRecorder:

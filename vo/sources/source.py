@@ -32,5 +32,8 @@ class Source(Protocol):
         ...
 
     def frames(self, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
-        """Read frames start, start + stride, … below end; those that cannot be read are warned of and skipped."""
+        """Read frames start, start + stride, … below end.
+
+        Those that cannot be read are warned of, noted in `skipped` and left out.
+        """
         ...
