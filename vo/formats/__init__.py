@@ -1,0 +1,1 @@
+"""How trajectories, calibrations and messages look on disk."""
