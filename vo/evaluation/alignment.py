@@ -1,0 +1,120 @@
+"""Laying an estimate onto the truth: which transform, why that one, and the transform itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from vo.errors import EvaluationError
+from vo.geometry.similarity import Similarity, line_direction, umeyama
+from vo.geometry.transforms import skew, so3_exp
+from vo.types import Floats, Mode
+
+AlignMethod = Literal["auto", "none", "se3", "sim3", "scale"]
+AlignKind = Literal["none", "se3", "sim3", "scale"]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How an estimate was laid onto the reference.
+
+    Attributes:
+        kind: what was free: nothing, rotation and translation, these and scale, or scale alone.
+        reason: why that kind, in a few words.
+        reference_from_estimate: what was applied.
+        best_scale: factor that would bring the estimate to the reference's size (that of the best
+            similarity), applied or not; None where it cannot be told.
+    """
+
+    kind: AlignKind
+    reason: str
+    reference_from_estimate: Similarity
+    best_scale: float | None
+
+    @property
+    def scale_error_percent(self) -> float | None:
+        """How much larger the estimate is than the truth; None where the scale was aligned."""
+        if self.kind in ("sim3", "scale") or not self.best_scale:
+            return None
+        return 100.0 * (1.0 / self.best_scale - 1.0)
+
+
+def choose_alignment(align: AlignMethod, mode: Mode) -> tuple[AlignKind, str]:
+    """The kind of alignment and the reason for it; mono has no scale of its own."""
+    if align != "auto":
+        return align, "as asked"
+    if mode == "mono":
+        return "sim3", "auto: the estimate is mono, its scale is free"
+    if mode == "stereo":
+        return "se3", "auto: the estimate is stereo, its scale counts"
+    return "se3", "auto: nothing says that the estimate is mono"
+
+
+def align_poses(
+    estimate: Floats, reference: Floats, *, align: AlignMethod = "auto", mode: Mode = "auto"
+) -> Alignment:
+    """Find the alignment of matched poses, each (N, 4, 4) world_from_cam.
+
+    Raises:
+        EvaluationError: too few poses, or none of the motion that an alignment needs.
+    """
+    kind, reason = choose_alignment(align, mode)
+    similarity = _similarity(estimate, reference, with_scale=True, kind=kind)
+    best_scale = None if similarity is None else similarity.scale
+    if kind == "none" or similarity is None:
+        applied = Similarity(1.0, np.eye(3), np.zeros(3))
+    elif kind == "scale":
+        applied = Similarity(similarity.scale, np.eye(3), np.zeros(3))
+    elif kind == "sim3":
+        applied = similarity
+    else:
+        applied = _without_scale(similarity, estimate, reference)
+    return Alignment(kind, reason, applied, best_scale)
+
+
+def _similarity(
+    estimate: Floats, reference: Floats, *, with_scale: bool, kind: AlignKind
+) -> Similarity | None:
+    """The best similarity; None where there is none and nobody asked for one."""
+    source, target = estimate[:, :3, 3], reference[:, :3, 3]
+    try:
+        similarity = umeyama(source, target, with_scale=with_scale)
+        if similarity.scale <= 0.0:
+            raise ValueError("the best scale is not positive")
+    except ValueError as error:
+        if kind == "none":
+            return None
+        raise EvaluationError(
+            f"{len(source)} matched poses cannot be aligned ({kind}): {error}; "
+            "compare a longer stretch or use --align none"
+        ) from error
+    return _with_line_settled(similarity, estimate, reference)
+
+
+def _without_scale(similarity: Similarity, estimate: Floats, reference: Floats) -> Similarity:
+    """The best rigid motion: the same rotation (Umeyama's eq. 40 has no scale in it)."""
+    mean_estimate, mean_reference = (
+        estimate[:, :3, 3].mean(axis=0),
+        reference[:, :3, 3].mean(axis=0),
+    )
+    translation = mean_reference - similarity.rotation @ mean_estimate
+    return Similarity(1.0, similarity.rotation, translation, similarity.is_on_line)
+
+
+def _with_line_settled(similarity: Similarity, estimate: Floats, reference: Floats) -> Similarity:
+    """On a straight path let the cameras' directions settle the rotation about the line.
+
+    Maximises trace(R(angle) M) with M the sum of R R_estimate R_reference^T over the poses.
+    """
+    if not similarity.is_on_line:
+        return similarity
+    axis = line_direction(reference[:, :3, 3])
+    turned = similarity.rotation @ estimate[:, :3, :3]
+    total = np.einsum("nij,nkj->ik", turned, reference[:, :3, :3])
+    sine, cosine = np.trace(skew(axis) @ total), np.trace(total) - axis @ total @ axis
+    rotation = so3_exp(axis * np.arctan2(sine, cosine)) @ similarity.rotation
+    centre = estimate[:, :3, 3].mean(axis=0)
+    translation = reference[:, :3, 3].mean(axis=0) - similarity.scale * rotation @ centre
+    return Similarity(similarity.scale, rotation, translation, is_on_line=True)
