@@ -1,0 +1,6 @@
+"""Calibration files of several kinds, read as one `Calibration` and checked for sense."""
+
+from vo.formats.calibration.document import Calibration, ImageSize
+from vo.formats.calibration.registry import FORMATS, read_calibration
+
+__all__ = ["FORMATS", "Calibration", "ImageSize", "read_calibration"]

@@ -1,0 +1,57 @@
+"""EuRoC's `sensor.yaml`, a file per camera; that of cam1 is looked for beside that of cam0."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vo.errors import CalibrationError
+from vo.formats.calibration.checks import check_baseline, make_camera, make_transform
+from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
+from vo.geometry.transforms import inverse
+from vo.types import Camera, Floats, Rig
+
+
+def recognises(document: Document) -> bool:
+    """Whether the file describes one camera mounted on a body."""
+    return "T_BS" in document.data or "distortion_coefficients" in document.data
+
+
+def read(document: Document, image_size: ImageSize | None) -> Calibration:
+    """Read the camera and, where `../cam1/sensor.yaml` stands beside `cam0`, its partner.
+
+    Raises:
+        CalibrationError: what a file says cannot be true.
+    """
+    cam0 = _camera(document)
+    body_from_cam0 = _body_from_camera(document)
+    partner = _partner(document.path)
+    if partner is None:
+        return Calibration(Rig(cam0), body_from_cam0)
+    other = load_document(partner)
+    cam1_from_cam0 = inverse(_body_from_camera(other)) @ body_from_cam0
+    check_baseline(f"{partner}: T_BS", cam1_from_cam0)
+    return Calibration(Rig(cam0, _camera(other), cam1_from_cam0), body_from_cam0)
+
+
+def _partner(path: Path) -> Path | None:
+    partner = path.resolve().parent.parent / "cam1" / path.name
+    is_left = path.resolve().parent.name == "cam0"
+    return partner if is_left and partner.is_file() else None
+
+
+def _camera(document: Document) -> Camera:
+    data = document.data
+    return make_camera(
+        str(document.path),
+        model=data.get("camera_model"),
+        resolution=data.get("resolution"),
+        intrinsics=data.get("intrinsics"),
+        distortion_model=data.get("distortion_model"),
+        distortion=data.get("distortion_coefficients"),
+    )
+
+
+def _body_from_camera(document: Document) -> Floats:
+    if "T_BS" not in document.data:
+        raise CalibrationError(f"{document.path}: T_BS is missing; it says where the camera is")
+    return make_transform(f"{document.path}: T_BS", document.data["T_BS"])

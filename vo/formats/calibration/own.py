@@ -1,0 +1,89 @@
+"""Our own calibration file, as docs/calibration.md describes it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from vo.errors import CalibrationError
+from vo.formats.calibration.checks import (
+    check_baseline,
+    make_camera,
+    make_number,
+    make_transform,
+)
+from vo.formats.calibration.document import Calibration, Document, ImageSize
+from vo.geometry.transforms import make_transform as rigid
+from vo.types import Camera, Floats, Rig
+
+_TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m")
+_CAMERA_KEYS = ("model", "resolution", "intrinsics", "distortion_model", "distortion")
+
+
+def recognises(document: Document) -> bool:
+    """Whether there is a section cam0, which no kind that was asked before has claimed."""
+    return "cam0" in document.data
+
+
+def read(document: Document, image_size: ImageSize | None) -> Calibration:
+    """Read one or two cameras.
+
+    Raises:
+        CalibrationError: what the file says cannot be true.
+    """
+    _check_keys(str(document.path), document.data, _TOP_KEYS)
+    cam0 = _camera(document, "cam0")
+    if "cam1" not in document.data and "baseline_m" not in document.data:
+        return Calibration(Rig(cam0))
+    # A rectified pair has twice the same camera, so that it need not be written twice.
+    cam1 = _camera(document, "cam1") if "cam1" in document.data else cam0
+    return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)))
+
+
+def _camera(document: Document, name: str) -> Camera:
+    where = f"{document.path}: {name}"
+    section = document.section(name)
+    _check_keys(where, section, _CAMERA_KEYS)
+    return make_camera(
+        where,
+        model=section.get("model", "pinhole"),
+        resolution=section.get("resolution"),
+        intrinsics=section.get("intrinsics"),
+        distortion_model=section.get("distortion_model"),
+        distortion=section.get("distortion"),
+    )
+
+
+def _cam1_from_cam0(document: Document) -> Floats:
+    data = document.data
+    if ("cam1_from_cam0" in data) == ("baseline_m" in data):
+        raise CalibrationError(
+            f"{document.path}: give either cam1_from_cam0 (a 4x4 transform) or baseline_m "
+            "(a rectified pair)"
+        )
+    if "cam1_from_cam0" in data:
+        where = f"{document.path}: cam1_from_cam0"
+        cam1_from_cam0 = make_transform(where, data["cam1_from_cam0"])
+    else:
+        where = f"{document.path}: baseline_m"
+        baseline_m = make_number(where, data["baseline_m"])
+        if baseline_m < 0:
+            raise CalibrationError(
+                f"{where} is {baseline_m:g}; it must be above 0, with cam1 right of cam0"
+            )
+        # Points move left in a camera to the right.
+        cam1_from_cam0 = rigid(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
+    check_baseline(where, cam1_from_cam0)
+    return cam1_from_cam0
+
+
+def _check_keys(where: str, data: Mapping[str, Any], known: Iterable[str]) -> None:
+    known = list(known)
+    for key in data:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.3)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+            raise CalibrationError(f"{where}: unknown key '{key}'; {hint}")

@@ -1,0 +1,150 @@
+"""From the lists that a format gathered to a source: size, calibration, mode, pairs, truth."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from vo.errors import CalibrationError, SourceError, VoError
+from vo.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.sources.images import depth_bits_of, read_grey
+from vo.sources.listing import Shot
+from vo.sources.pairing import pair_by_stamp
+from vo.sources.sequence import ImageSequence
+from vo.types import Camera, Mode, Rig, Trajectory
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What a format found in a folder.
+
+    Attributes:
+        name: short name of the recording.
+        format: name of the format in the registry.
+        left: the images of cam0, stamps increasing.
+        right: those of cam1, stamps increasing; None where there are none.
+        calibrate: reads the calibration, given the size of the images.
+        read_truth: reads the poses of cam0, or gives None; it may fail.
+    """
+
+    name: str
+    format: str
+    left: Sequence[Shot]
+    right: Sequence[Shot] | None
+    calibrate: Callable[[ImageSize], Calibration]
+    read_truth: Callable[[Calibration], Trajectory | None]
+
+
+def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
+    """Check that images and calibration fit together and make a source of them.
+
+    Raises:
+        SourceError: no image can be read, or `mode` is stereo and there is no right camera.
+        CalibrationError: the calibration is missing, wrong, or for images of another size.
+    """
+    size = _first_size(gathered.left)
+    calibration = gathered.calibrate(size)
+    _check_size(calibration.rig.cam0, size, gathered.left[0].path.parent)
+    rig = _choose_rig(gathered, calibration.rig, mode)
+    partners = _pair(gathered, rig, mode)
+    return ImageSequence(
+        name=gathered.name,
+        format=gathered.format,
+        rig=rig if partners else Rig(rig.cam0),
+        ground_truth=_truth(gathered, calibration),
+        left=gathered.left,
+        right=partners,
+        depth_bits=depth_bits_of([shot.path for shot in gathered.left]),
+    )
+
+
+def find_calibration(
+    chosen: Path | None, candidates: Sequence[Path]
+) -> Callable[[ImageSize], Calibration]:
+    """A reader of the file that the user chose, or of the first candidate that exists."""
+
+    def read(size: ImageSize) -> Calibration:
+        existing = [path for path in candidates if path.is_file()]
+        if chosen is None and not existing:
+            looked_for = ", ".join(str(path) for path in candidates)
+            raise CalibrationError(
+                f"no calibration found; looked for {looked_for}; give one with --calibration FILE "
+                "(docs/calibration.md shows what it looks like)"
+            )
+        return read_calibration(chosen or existing[0], size)
+
+    return read
+
+
+def first_existing(candidates: Sequence[Path]) -> Path | None:
+    """The first of some files that exists."""
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _first_size(shots: Sequence[Shot]) -> ImageSize:
+    """Width and height of the first image that can be read."""
+    reason = ""
+    for shot in shots:
+        try:
+            height, width = read_grey(shot.path).shape
+        except SourceError as error:
+            reason = reason or str(error)
+            continue
+        return width, height
+    raise SourceError(f"none of {len(shots)} images can be read; the first: {reason}")
+
+
+def _check_size(camera: Camera, size: ImageSize, where: Path) -> None:
+    if (camera.width, camera.height) != size:
+        raise CalibrationError(
+            f"images in {where} are {size[0]}x{size[1]}, but the calibration is for "
+            f"{camera.width}x{camera.height}; give the calibration of these very images"
+        )
+
+
+def _choose_rig(gathered: Gathered, rig: Rig, mode: Mode) -> Rig:
+    """The rig with cam1 only if it is wanted, has images and is calibrated."""
+    if mode == "mono":
+        return Rig(rig.cam0)
+    if not gathered.right:
+        if mode == "stereo":
+            raise SourceError(
+                f"{gathered.name} has no images of a right camera; use --mode mono or add them"
+            )
+        return Rig(rig.cam0)
+    if rig.cam1 is None:
+        if mode == "stereo":
+            raise CalibrationError(
+                f"the calibration of {gathered.name} has no right camera; add cam1 or use "
+                "--mode mono"
+            )
+        _log.warning("%s: right images not used, as cam1 is not calibrated", gathered.name)
+        return Rig(rig.cam0)
+    _check_size(rig.cam1, _first_size(gathered.right), gathered.right[0].path.parent)
+    return rig
+
+
+def _pair(gathered: Gathered, rig: Rig, mode: Mode) -> list[Path | None] | None:
+    if rig.cam1 is None or not gathered.right:
+        return None
+    partners = pair_by_stamp(gathered.left, gathered.right)
+    if any(partners):
+        return partners
+    message = f"{gathered.name}: no left image has a right one close enough in time"
+    if mode == "stereo":
+        raise SourceError(f"{message}; check the stamps or use --mode mono")
+    _log.warning("%s; only the left camera is used", message)
+    return None
+
+
+def _truth(gathered: Gathered, calibration: Calibration) -> Trajectory | None:
+    """The ground truth; a broken one is warned of, as the run does not need it."""
+    try:
+        return gathered.read_truth(calibration)
+    except (VoError, OSError, ValueError) as error:
+        _log.warning("ground truth not used: %s", error)
+        return None

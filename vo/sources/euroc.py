@@ -1,0 +1,81 @@
+"""EuRoC MAV layout: cam0/data.csv and cam0/data/, with mav0/ above or without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from vo.errors import SourceError, VoError
+from vo.formats.calibration import Calibration, read_calibration
+from vo.formats.trajectory import read_euroc, read_tum
+from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.listing import Shot, list_images, shots_from_names, shots_from_table, whole_ns
+from vo.sources.source import Source
+from vo.types import Floats, Mode, Trajectory
+
+_TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
+
+
+def open_euroc(path: Path, calibration: Path | None, mode: Mode) -> Source:
+    """Open a recording folder or the mav0 in it.
+
+    Raises:
+        SourceError: images or stamps are missing or do not fit together.
+        CalibrationError: there is no calibration, or it is wrong.
+    """
+    path = path.resolve()
+    root = path / "mav0" if (path / "mav0").is_dir() else path
+    top = root.parent if root.name == "mav0" else root
+    gathered = Gathered(
+        name=top.name,
+        format="euroc",
+        left=_shots(root / "cam0"),
+        right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
+        calibrate=find_calibration(calibration, _calibration_files(root, top)),
+        read_truth=lambda known: _truth(root, top, known),
+    )
+    return assemble(gathered, mode)
+
+
+def _shots(camera: Path) -> list[Shot]:
+    table, folder = camera / "data.csv", camera / "data"
+    if table.is_file():
+        return shots_from_table(table, folder, ",", whole_ns)
+    shots = shots_from_names(list_images(folder))
+    if shots is None:
+        raise SourceError(f"{table} is missing and the names in {folder} are no stamps")
+    return shots
+
+
+def _calibration_files(root: Path, top: Path) -> list[Path]:
+    files = [root / "cam0" / "sensor.yaml"]
+    folders = dict.fromkeys([root, top, top.parent])
+    files += [folder / "camchain.yaml" for folder in folders]
+    return [*files, root / "calibration.yaml", top / "calibration.yaml"]
+
+
+def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None:
+    """The body's poses carried to cam0, or else `groundtruth.tum`, which is of cam0."""
+    body = first_existing([root / folder / "data.csv" for folder in _TRUTH_FOLDERS])
+    body_from_cam0 = _body_from_cam0(root, calibration)
+    if body is not None and body_from_cam0 is not None:
+        truth = read_euroc(body)
+        return replace(truth, world_from_cam=truth.world_from_cam @ body_from_cam0)
+    camera = first_existing([top / "groundtruth.tum", root / "groundtruth.tum"])
+    if camera is not None:
+        return read_tum(camera)
+    if body is not None:
+        raise SourceError(
+            f"{body} has poses of the body, but no calibration says where cam0 is on it"
+        )
+    return None
+
+
+def _body_from_cam0(root: Path, calibration: Calibration) -> Floats | None:
+    """Where cam0 is on the body; a chosen calibration need not say, then sensor.yaml may."""
+    if calibration.body_from_cam0 is not None:
+        return calibration.body_from_cam0
+    try:
+        return read_calibration(root / "cam0" / "sensor.yaml").body_from_cam0
+    except VoError:
+        return None

@@ -1,0 +1,79 @@
+"""A plain folder of images, or one with left/ and right/."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from vo.errors import SourceError
+from vo.formats.trajectory import read_tum
+from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.listing import Shot, list_images, shots_from_names, shots_from_times
+from vo.sources.pairing import stamped_like
+from vo.sources.source import Source
+from vo.types import Mode, Trajectory
+
+_log = logging.getLogger(__name__)
+
+_ASSUMED_INTERVAL_NS = 100_000_000
+_TIMES_FILES = ("times.txt", "timestamps.txt")
+
+
+def open_folder(path: Path, calibration: Path | None, mode: Mode) -> Source:
+    """Open images by natural order of their names.
+
+    Stamps come from times.txt or timestamps.txt (seconds, a line per image), or else from the file
+    names, or else are made up at 10 frames per second, with a warning.
+
+    Raises:
+        SourceError: images are missing or do not fit the stamps.
+        CalibrationError: there is no calibration, or it is wrong.
+    """
+    is_pair = (path / "left").is_dir()
+    left_folder = path / "left" if is_pair else path
+    left, named = _left(path, left_folder)
+    gathered = Gathered(
+        name=path.resolve().name,
+        format="folder",
+        left=left,
+        right=_right(path / "right", left, named) if is_pair else None,
+        calibrate=find_calibration(
+            calibration, [path / "calibration.yaml", path.parent / "calibration.yaml"]
+        ),
+        read_truth=lambda _: _truth(path),
+    )
+    return assemble(gathered, mode)
+
+
+def _left(path: Path, folder: Path) -> tuple[list[Shot], bool]:
+    """The left images, and whether their stamps are in their names."""
+    images = list_images(folder)
+    times = first_existing([place / name for place in (path, folder) for name in _TIMES_FILES])
+    if times is not None:
+        return shots_from_times(times, images), False
+    shots = shots_from_names(images)
+    if shots is not None:
+        return shots, True
+    _log.warning(
+        "%s has no %s and no stamps in its file names: 10 frames per second are assumed",
+        path,
+        " or ".join(_TIMES_FILES),
+    )
+    return [
+        Shot(i * _ASSUMED_INTERVAL_NS, image, f"file {image}") for i, image in enumerate(images)
+    ], False
+
+
+def _right(folder: Path, left: list[Shot], named: bool) -> list[Shot] | None:
+    """The right images: with stamps of their own if the left ones have theirs in their names."""
+    try:
+        images = list_images(folder)
+    except SourceError:
+        return None
+    own = shots_from_names(images) if named else None
+    return stamped_like(left, images) if own is None else own
+
+
+def _truth(path: Path) -> Trajectory | None:
+    file = first_existing([path / "groundtruth.tum", path / "groundtruth.txt"])
+    return None if file is None else read_tum(file)

@@ -1,0 +1,118 @@
+"""Reads image files as grey 8-bit arrays and knows a damaged file when it sees one."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.errors import SourceError
+from vo.types import Bytes
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+_JPEG_END = b"\xff\xd9"
+_JPEG_SCAN = 0xDA
+_DEPTHS = (8, 10, 12, 14, 16)
+
+
+def read_grey(path: Path, depth_bits: int = 16) -> Bytes:
+    """Read an image as (H, W) uint8.
+
+    Args:
+        path: the file.
+        depth_bits: for files of 16 bits per pixel, how many of them the camera uses; the upper 8
+            of these are kept.
+
+    Raises:
+        SourceError: the file is missing, damaged, cut off or no image.
+    """
+    image = _decode(path)
+    if image.dtype == np.uint8:
+        return np.asarray(image, dtype=np.uint8)
+    return np.asarray(np.minimum(image >> (depth_bits - 8), 255), dtype=np.uint8)
+
+
+def depth_bits_of(paths: Sequence[Path]) -> int:
+    """How many bits a camera uses: 8, 10, 12, 14 or 16, whichever holds the brightest pixel.
+
+    One figure for a whole recording, so that brightness stays comparable from image to image.
+
+    Args:
+        paths: images of the recording; five of them, evenly spread, are looked at unless the
+            first has 8 bits. Those that cannot be read are left out.
+    """
+    brightest = 0
+    for path in paths[:: max(1, len(paths) // 5)]:
+        try:
+            image = _decode(path)
+        except SourceError:
+            continue
+        if image.dtype == np.uint8:
+            return 8
+        brightest = max(brightest, int(image.max()))
+    return next(bits for bits in _DEPTHS if brightest < 2**bits)
+
+
+def _decode(path: Path) -> NDArray[np.unsignedinteger]:
+    """The (H, W) image as stored, colour turned to grey, 8 or 16 bits."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise SourceError(f"image {path} does not exist") from error
+    except OSError as error:
+        raise SourceError(f"image {path} cannot be read: {error.strerror or error}") from error
+    if not data:
+        raise SourceError(f"image {path} is empty")
+    # OpenCV fills what is missing of a cut-off JPEG with grey and says nothing to the caller.
+    if not is_complete(data):
+        raise SourceError(f"image {path} is cut off or damaged ({len(data)} bytes)")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_ANYDEPTH)
+    except cv2.error as error:
+        raise SourceError(f"image {path} cannot be decoded: {error.err}") from error
+    if image is None:
+        raise SourceError(f"image {path} cannot be decoded; it is damaged or no image")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise SourceError(f"image {path} has {image.dtype} pixels; 8 or 16 bits are understood")
+    return cast("NDArray[np.unsignedinteger]", image)
+
+
+def is_complete(data: bytes) -> bool:
+    """Whether a PNG or JPEG file reaches its end mark undamaged; True for other formats."""
+    if data.startswith(_PNG):
+        return _png_is_complete(data)
+    if data.startswith(_JPEG):
+        return _jpeg_is_complete(data)
+    return True
+
+
+def _png_is_complete(data: bytes) -> bool:
+    """Walk the chunks (length, type, content, CRC) to IEND."""
+    position = len(_PNG)
+    while position + 12 <= len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        end = position + 8 + length
+        kind = data[position + 4 : position + 8]
+        crc = int.from_bytes(data[end : end + 4], "big")
+        if end + 4 > len(data) or zlib.crc32(memoryview(data)[position + 4 : end]) != crc:
+            return False
+        if kind == b"IEND":
+            return True
+        position = end + 4
+    return False
+
+
+def _jpeg_is_complete(data: bytes) -> bool:
+    """Walk the segments to the first scan, past any thumbnail, and look for the end from there."""
+    position = len(_JPEG)
+    while position + 4 <= len(data) and data[position] == 0xFF:
+        if data[position + 1] == _JPEG_SCAN:
+            return data.find(_JPEG_END, position) >= 0
+        position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+    return False

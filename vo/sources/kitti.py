@@ -1,0 +1,85 @@
+"""KITTI odometry: image_0/ image_1/ calib.txt times.txt poses.txt, or the colour pair 2 and 3."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from vo.errors import SourceError
+from vo.formats.calibration import Calibration, ImageSize, kitti, read_calibration
+from vo.formats.calibration.document import load_document
+from vo.formats.trajectory import read_kitti
+from vo.sources.assembly import Gathered, assemble, find_calibration
+from vo.sources.listing import Shot, list_images, shots_from_times
+from vo.sources.pairing import stamped_like
+from vo.sources.source import Source
+from vo.types import Mode, Trajectory
+
+_log = logging.getLogger(__name__)
+
+_PAIRS = {("image_0", "image_1"): ("P0", "P1"), ("image_2", "image_3"): ("P2", "P3")}
+
+
+def open_kitti(path: Path, calibration: Path | None, mode: Mode) -> Source:
+    """Open a sequence folder; the right camera, calib.txt and poses.txt may be missing.
+
+    Raises:
+        SourceError: images or times.txt are missing or do not fit together.
+        CalibrationError: there is no calibration, or it is wrong.
+    """
+    folders, matrices = next(
+        (pair for pair in _PAIRS.items() if (path / pair[0][0]).is_dir()),
+        (("image_0", "image_1"), ("P0", "P1")),
+    )
+    left = shots_from_times(path / "times.txt", list_images(path / folders[0]))
+    gathered = Gathered(
+        name=path.resolve().name,
+        format="kitti",
+        left=left,
+        right=_right(path / folders[1], left),
+        calibrate=lambda size: _calibration(path, calibration, matrices, size),
+        read_truth=lambda known: _truth(path / "poses.txt", left, known),
+    )
+    return assemble(gathered, mode)
+
+
+def _right(folder: Path, left: list[Shot]) -> list[Shot] | None:
+    try:
+        images = list_images(folder)
+    except SourceError:
+        return None
+    return stamped_like(left, images)
+
+
+def _calibration(
+    path: Path, chosen: Path | None, matrices: tuple[str, str], size: ImageSize
+) -> Calibration:
+    file = path / "calib.txt"
+    if chosen is None and file.is_file():
+        document = load_document(file)
+        if kitti.recognises(document):
+            return kitti.read(document, size, matrices)
+        return read_calibration(file, size)
+    return find_calibration(chosen, [file, path / "calibration.yaml"])(size)
+
+
+def _truth(poses: Path, left: list[Shot], calibration: Calibration) -> Trajectory | None:
+    """The poses, which are of KITTI's grey left camera, as those of the left camera in use."""
+    if not poses.is_file():
+        return None
+    rows = read_kitti(poses).world_from_cam
+    count = min(len(rows), len(left))
+    if len(rows) != len(left):
+        _log.warning(
+            "%s has %d poses for %d images; the first %d are used",
+            poses,
+            len(rows),
+            len(left),
+            count,
+        )
+    stamps_ns = np.array([shot.stamp_ns for shot in left[:count]], dtype=np.int64)
+    body_from_cam0 = calibration.body_from_cam0
+    world_from_cam = rows[:count] if body_from_cam0 is None else rows[:count] @ body_from_cam0
+    return Trajectory(stamps_ns, world_from_cam)

@@ -1,0 +1,222 @@
+"""Lists of images with their stamps, from folders, tables and file names."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from vo.errors import SourceError
+from vo.formats.trajectory import stamp_ns_from_seconds
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
+
+_NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+_SHORTEST_INTERVAL_NS = 2_000_000
+_LONGEST_INTERVAL_NS = 20_000_000_000
+_SMALLEST_STAMP = 1_000_000_000  # whole numbers below are counters, not times
+_LARGEST_NS = 2**63 - 1
+
+
+class Line(NamedTuple):
+    """A line of a text file and where it stands, for messages."""
+
+    place: str
+    text: str
+
+
+class Shot(NamedTuple):
+    """One image of one camera.
+
+    Attributes:
+        stamp_ns: when it was taken, in nanoseconds.
+        path: its file.
+        place: where the stamp was read, for messages.
+    """
+
+    stamp_ns: int
+    path: Path
+    place: str
+
+
+def read_lines(path: Path) -> list[Line]:
+    """The lines that hold data: no blank ones, no comments, no heading that names a timestamp.
+
+    Raises:
+        SourceError: the file is missing, not text, or holds no data.
+    """
+    try:
+        texts = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError as error:
+        raise SourceError(f"{path} is missing; it gives the images their stamps") from error
+    except UnicodeDecodeError as error:
+        raise SourceError(f"{path} is not text") from error
+    except OSError as error:
+        raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
+    numbered = ((number, text.strip()) for number, text in enumerate(texts, start=1))
+    lines = [Line(f"{path}:{n}", text) for n, text in numbered if text and text[0] != "#"]
+    if lines and lines[0].text.lower().startswith("timestamp"):
+        lines = lines[1:]
+    if not lines:
+        raise SourceError(f"{path} holds no data; it must have a line per image")
+    return lines
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The images of a folder by natural order of their names (frame2 before frame10).
+
+    Raises:
+        SourceError: the folder is missing or holds no image.
+    """
+    if not folder.is_dir():
+        raise SourceError(f"folder {folder} does not exist; images are looked for there")
+    paths = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+    if not paths:
+        raise SourceError(f"folder {folder} holds no images ({' '.join(IMAGE_SUFFIXES)})")
+    return sorted(paths, key=natural_key)
+
+
+def natural_key(path: Path) -> list[tuple[int, str]]:
+    """A key that sorts names with their numbers by value."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(int(part), "") if i % 2 else (0, part) for i, part in enumerate(parts)]
+
+
+def shots_from_table(
+    table: Path, folder: Path, separator: str | None, stamp_ns: Callable[[str], int]
+) -> list[Shot]:
+    """Read lines of a stamp and a file name.
+
+    Args:
+        table: the text file.
+        folder: what the file names are relative to.
+        separator: what stands between stamp and name; None for white space.
+        stamp_ns: reads a stamp; raises ValueError where it cannot.
+
+    Raises:
+        SourceError: a line cannot be read, time does not go on, or none of the files exists.
+    """
+    shots = []
+    for place, text in read_lines(table):
+        fields = [field.strip() for field in text.split(separator, 1)]
+        if len(fields) != 2 or not fields[1]:
+            raise SourceError(f"{place}: '{text}' is not a stamp and a file name")
+        shots.append(Shot(_parse(place, fields[0], stamp_ns), folder / fields[1], place))
+    check_increasing(shots)
+    if not any(shot.path.is_file() for shot in shots):
+        raise SourceError(
+            f"none of the {len(shots)} images named in {table} exists; the first would be "
+            f"{shots[0].path}"
+        )
+    return shots
+
+
+def shots_from_times(times: Path, images: Sequence[Path]) -> list[Shot]:
+    """Give each image the stamp of its line: seconds, or nanoseconds if written without a point.
+
+    Raises:
+        SourceError: the counts differ, a line cannot be read, or time does not go on.
+    """
+    lines = read_lines(times)
+    if len(lines) != len(images):
+        raise SourceError(
+            f"{images[0].parent} has {len(images)} images but {times} has {len(lines)} stamps; "
+            "there must be one line per image"
+        )
+    pairs = zip(lines, images, strict=True)
+    shots = [Shot(_parse(p, text, _seconds_or_ns), image, p) for (p, text), image in pairs]
+    check_increasing(shots)
+    return shots
+
+
+def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
+    """Take stamps from file names that end in a time; None if these do not look like times.
+
+    Seconds are written with a point; whole numbers from 10^9 up count as nanoseconds, micro-,
+    milliseconds or seconds, whichever first gives a plausible interval between images.
+
+    Raises:
+        SourceError: two images have the same stamp.
+    """
+    numbers = [_last_number(path) for path in images]
+    if len(images) < 2 or not all(numbers):
+        return None
+    stamps_ns = _stamps_of_numbers(numbers)
+    if stamps_ns is None or max(stamps_ns) > _LARGEST_NS:
+        return None
+    shots = [Shot(s, p, f"file {p}") for s, p in zip(stamps_ns, images, strict=True)]
+    shots.sort(key=lambda shot: shot.stamp_ns)
+    check_increasing(shots)
+    return shots
+
+
+def whole_ns(text: str) -> int:
+    """A stamp in whole nanoseconds.
+
+    Raises:
+        ValueError: the text is something else.
+    """
+    if not text.isascii() or not text.isdigit():
+        raise ValueError(f"'{text}' is not a whole number of nanoseconds")
+    return int(text)
+
+
+def check_increasing(shots: Sequence[Shot]) -> None:
+    """Refuse stamps that stand still or go back.
+
+    Raises:
+        SourceError: naming the first two.
+    """
+    for before, after in zip(shots, shots[1:], strict=False):
+        if after.stamp_ns <= before.stamp_ns:
+            raise SourceError(
+                f"{after.place}: stamp {after.stamp_ns} ns does not come after "
+                f"{before.stamp_ns} ns of the image before; sort the images by time and remove "
+                "repeated ones"
+            )
+
+
+def _parse(place: str, text: str, stamp_ns: Callable[[str], int]) -> int:
+    try:
+        stamp = stamp_ns(text)
+    except ValueError as error:
+        raise SourceError(f"{place}: stamp {error}") from error
+    if abs(stamp) > _LARGEST_NS:
+        raise SourceError(f"{place}: stamp {text} is too large for a time")
+    return stamp
+
+
+def _seconds_or_ns(text: str) -> int:
+    # Twelve digits of seconds would be 3,000 years and more.
+    return int(text) if text.isdigit() and len(text) >= 12 else stamp_ns_from_seconds(text)
+
+
+def _last_number(path: Path) -> str:
+    found = re.search(r"\d+(\.\d+)?$", path.stem)
+    return found.group() if found else ""
+
+
+def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
+    if any("." in number for number in numbers):
+        units = ["s"]
+    elif min(int(number) for number in numbers) >= _SMALLEST_STAMP:
+        units = list(_NS_PER_UNIT)
+    else:
+        return None
+    for unit in units:
+        if unit == "s":
+            stamps = [stamp_ns_from_seconds(number) for number in numbers]
+        else:
+            stamps = [int(number) * _NS_PER_UNIT[unit] for number in numbers]
+        if _SHORTEST_INTERVAL_NS <= median_interval_ns(stamps) <= _LONGEST_INTERVAL_NS:
+            return stamps
+    return None
+
+
+def median_interval_ns(stamps_ns: Sequence[int]) -> int:
+    """The median time between neighbours in time; 0 where there are fewer than two."""
+    ordered = sorted(stamps_ns)
+    steps = [b - a for a, b in zip(ordered, ordered[1:], strict=False)]
+    return int(statistics.median_low(steps)) if steps else 0

@@ -1,0 +1,98 @@
+"""The known formats, and the way from a path to a source."""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, cast
+
+from vo.errors import SourceError
+from vo.sources.listing import IMAGE_SUFFIXES
+from vo.sources.source import Source
+from vo.types import Mode
+
+Opener = Callable[[Path, Path | None, Mode], Source]
+
+
+class Format(NamedTuple):
+    """How to open a format and how to know it.
+
+    Attributes:
+        opener: `module:function` of an `Opener`, imported when it is needed.
+        inside: names or patterns of which a folder of this format holds at least one.
+        suffixes: of single files of this format.
+    """
+
+    opener: str
+    inside: tuple[str, ...] = ()
+    suffixes: tuple[str, ...] = ()
+
+
+FORMATS: dict[str, Format] = {
+    "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
+    "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
+    "tum": Format("vo.sources.tum:open_tum", ("rgb.txt",)),
+    "folder": Format("vo.sources.folder:open_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))),
+}
+"""Asked in this order; the first that knows the path has it."""
+
+
+def open_source(
+    path: Path | str,
+    *,
+    format: str | None = None,
+    calibration: Path | str | None = None,
+    mode: Mode = "auto",
+) -> Source:
+    """Open a recording.
+
+    Args:
+        path: folder or file of the recording.
+        format: a key of `FORMATS`; by default found out from the path.
+        calibration: file that overrides the recording's own calibration.
+        mode: `mono` ignores the right camera, `stereo` insists on it, `auto` uses it if there is
+            one with a calibration.
+
+    Raises:
+        SourceError: the recording is missing, empty, damaged or of no known format.
+        CalibrationError: its calibration is missing or cannot be true.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise SourceError(f"{path} does not exist; give the folder of a recording")
+    name = detect_format(path) if format is None else format
+    if name not in FORMATS:
+        raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")
+    return _load(FORMATS[name].opener)(
+        path, None if calibration is None else Path(calibration), mode
+    )
+
+
+def detect_format(path: Path) -> str:
+    """The name of the first format that knows the path.
+
+    Raises:
+        SourceError: none does.
+    """
+    names = [entry.name.lower() for entry in path.iterdir()] if path.is_dir() else []
+    for name, known in FORMATS.items():
+        if any(fnmatch.filter(names, pattern) for pattern in known.inside):
+            return name
+        if path.is_file() and path.suffix.lower() in known.suffixes:
+            return name
+    if path.is_file():
+        raise SourceError(f"{path} is a file of no known kind; give the folder of a recording")
+    looked_for = ", ".join(
+        f"{known.inside[0]} ({n})" for n, known in FORMATS.items() if known.inside
+    )
+    raise SourceError(
+        f"folder {path} holds no images and no recording of a known format; looked for "
+        f"{looked_for} and images ({' '.join(IMAGE_SUFFIXES)})"
+    )
+
+
+def _load(opener: str) -> Opener:
+    module, _, function = opener.partition(":")
+    return cast(Opener, getattr(importlib.import_module(module), function))

@@ -1,0 +1,127 @@
+"""A source of images listed beforehand and read one by one, when they are asked for."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from vo.errors import SourceError
+from vo.sources.images import read_grey
+from vo.sources.listing import Shot
+from vo.types import Bytes, Camera, Frame, Rig, Skipped, Trajectory
+
+_log = logging.getLogger(__name__)
+
+
+class ImageSequence:
+    """The `Source` of every format that keeps its images in files of their own.
+
+    Attributes:
+        name: short name for titles and file names.
+        format: name of the format in the registry.
+        rig: the cameras, cam1 only if the frames have an image1.
+        ground_truth: true poses of cam0, or None where the recording has none.
+        skipped: frames that the newest call of `frames` could not hand out so far, and why.
+        unpaired: frames that it handed out without their image1 so far, in stereo.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        format: str,
+        rig: Rig,
+        ground_truth: Trajectory | None,
+        left: Sequence[Shot],
+        right: Sequence[Path | None] | None = None,
+        depth_bits: int = 16,
+    ) -> None:
+        """Take the lists that a format has gathered.
+
+        Args:
+            name: short name for titles and file names.
+            format: name of the format in the registry.
+            rig: the cameras.
+            ground_truth: true poses of cam0.
+            left: the images of cam0 in time order.
+            right: the partner of each, None where it is missing; None altogether in mono.
+            depth_bits: how many bits the camera uses, for files with 16 bits per pixel.
+        """
+        self.name = name
+        self.format = format
+        self.rig = rig
+        self.ground_truth = ground_truth
+        self.skipped: list[Skipped] = []
+        self.unpaired = 0
+        self._left = list(left)
+        self._right = None if right is None else list(right)
+        self._depth_bits = depth_bits
+
+    def __len__(self) -> int:
+        """Number of frames before slicing, those that cannot be read included."""
+        return len(self._left)
+
+    def frames(self, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
+        """Read frames start, start + stride, … below end.
+
+        Those that cannot be read are warned of, noted in `skipped` and left out.
+
+        Raises:
+            SourceError: the numbers choose no frame.
+        """
+        numbers = choose_frames(len(self), start, end, stride)
+        return self._read(numbers)
+
+    def _read(self, numbers: range) -> Iterator[Frame]:
+        self.skipped = []
+        self.unpaired = 0
+        for index in numbers:
+            shot = self._left[index]
+            try:
+                image0 = self._image(shot.path, self.rig.cam0)
+            except SourceError as error:
+                _log.warning("frame %d skipped: %s", index, error)
+                self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
+                continue
+            image1 = self._partner(index)
+            if image1 is None and self.rig.is_stereo:
+                self.unpaired += 1
+            yield Frame(index, shot.stamp_ns, image0, image1)
+
+    def _partner(self, index: int) -> Bytes | None:
+        path = None if self._right is None else self._right[index]
+        if path is None or self.rig.cam1 is None:
+            return None
+        try:
+            return self._image(path, self.rig.cam1)
+        except SourceError as error:
+            _log.warning("frame %d used without its right image: %s", index, error)
+            return None
+
+    def _image(self, path: Path, camera: Camera) -> Bytes:
+        image = read_grey(path, self._depth_bits)
+        height, width = image.shape
+        if (width, height) != (camera.width, camera.height):
+            raise SourceError(
+                f"image {path} is {width}x{height}, but the camera gives "
+                f"{camera.width}x{camera.height}"
+            )
+        return image
+
+
+def choose_frames(length: int, start: int, end: int | None, stride: int) -> range:
+    """The frame numbers start, start + stride, … below end and `length`.
+
+    Raises:
+        SourceError: a number is negative, the stride not positive, or none is left.
+    """
+    if stride < 1:
+        raise SourceError(f"stride is {stride}; it must be 1 or more")
+    if start < 0 or (end is not None and end < 0):
+        raise SourceError(f"start is {start} and end {end}; frame numbers begin at 0")
+    if start >= length:
+        raise SourceError(f"start is {start}, but the recording has only {length} frames")
+    if end is not None and end <= start:
+        raise SourceError(f"end is {end}, not after start {start}: no frame is left")
+    return range(start, length if end is None else min(end, length), stride)
