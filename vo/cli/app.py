@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from vo.cli.eval import eval_command
 from vo.errors import VoError
 
 
@@ -28,3 +29,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Visual odometry: a camera's path, with its uncertainty, from images.",
 )
+
+
+@app.callback()
+def _vo() -> None:
+    """Keeps `vo` a group of commands even with one command."""
+
+
+app.command("eval")(eval_command)

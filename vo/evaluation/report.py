@@ -100,7 +100,7 @@ def evaluate(
         tolerance_s: largest difference between stamps of one moment.
         interpolated: whether to interpolate the reference at the estimate's stamps.
         delta_frames: number of matched poses over which the relative error is taken.
-        delta_m: metres over which it is taken; by default about a tenth of the path.
+        delta_m: metres over which it is taken; by default about a tenth of the path, at most 100.
 
     Raises:
         EvaluationError: no common moments, or too little to align.
@@ -145,8 +145,8 @@ def _rpe(estimate: Floats, reference: Floats, pairs: Ints) -> PoseErrors | None:
 
 
 def _round_tenth(path_m: float) -> float:
-    """The number of the series …, 0.5, 1, 2, 5, 10, … that is nearest to a tenth of the path."""
-    tenth = path_m / 10.0
+    """The number of …, 0.5, 1, 2, 5, …, 100 that is nearest to a tenth of the path."""
+    tenth = min(path_m / 10.0, 100.0)
     if tenth <= 0.0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(tenth))

@@ -11,7 +11,7 @@ from vo.types import Floats, Ints
 def relative_errors(estimate: Floats, reference: Floats, pairs: Ints) -> PoseErrors:
     """Errors of the motions between poses, for pairs (P, 2) of rows in both (N, 4, 4).
 
-    Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012, eq. 1.
+    Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012 (RPE).
     """
     first, second = pairs[:, 0], pairs[:, 1]
     true_motion = relative(reference[first], reference[second])

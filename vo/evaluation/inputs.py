@@ -1,0 +1,182 @@
+"""What `vo eval` is given, files or folders, as two trajectories that can be compared."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from vo.errors import EvaluationError, SourceError
+from vo.formats.trajectory import detect_format, kitti_stamps_beside, read_trajectory
+from vo.types import Floats, Mode, Trajectory
+
+_REFERENCE_NAMES = (
+    "groundtruth.tum",
+    "groundtruth.txt",
+    "poses.txt",
+    "mav0/state_groundtruth_estimate0/data.csv",
+    "state_groundtruth_estimate0/data.csv",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Two trajectories and what is known about them.
+
+    Attributes:
+        estimate_path: the file that the estimate came from.
+        reference_path: the file that the reference came from.
+        estimate: what is judged.
+        reference: what is true.
+        mode: what made the estimate, `auto` when nothing says.
+        notes: what was done to them that a reader should know.
+    """
+
+    estimate_path: Path
+    reference_path: Path
+    estimate: Trajectory
+    reference: Trajectory
+    mode: Mode
+    notes: tuple[str, ...] = ()
+
+
+def load_inputs(
+    estimate: Path | str, reference: Path | str, *, all_segments: bool = False
+) -> Inputs:
+    """Read both sides.
+
+    Args:
+        estimate: a trajectory file or the folder of a run, with `trajectory.tum` and
+            `summary.json`.
+        reference: a trajectory file or the folder of a sequence with its ground truth.
+        all_segments: whether to keep every segment of a run that was lost in between; each has a
+            world of its own, so by default only the longest is kept.
+
+    Raises:
+        SourceError: a file is missing or damaged.
+        EvaluationError: only one of the two has stamps and their numbers of poses differ.
+    """
+    estimate_path, reference_path = _estimate_file(Path(estimate)), _reference_file(Path(reference))
+    summary = _summary_beside(estimate_path)
+    true, body_notes = _read_reference(reference_path)
+    inputs = Inputs(
+        estimate_path,
+        reference_path,
+        read_trajectory(estimate_path),
+        true,
+        mode=_mode(summary),
+        notes=body_notes,
+    )
+    inputs = _with_common_stamps(inputs)
+    return inputs if all_segments else _with_longest_segment(inputs, summary)
+
+
+def _estimate_file(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    file = path / "trajectory.tum"
+    if not file.is_file():
+        raise SourceError(f"{path} has no trajectory.tum; give a run's folder or a trajectory file")
+    return file
+
+
+def _reference_file(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    for name in _REFERENCE_NAMES:
+        if (path / name).is_file():
+            return path / name
+    names = ", ".join(_REFERENCE_NAMES)
+    raise SourceError(f"{path} has no ground truth ({names}); give its file")
+
+
+def _summary_beside(estimate: Path) -> dict[str, Any]:
+    """What the run said of itself; empty where it said nothing that can be read."""
+    try:
+        summary = json.loads(estimate.with_name("summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return summary if isinstance(summary, dict) else {}
+
+
+def _mode(summary: dict[str, Any]) -> Mode:
+    mode = summary.get("mode")
+    if mode == "mono":
+        return "mono"
+    return "stereo" if mode == "stereo" else "auto"
+
+
+def _read_reference(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
+    """The truth of the camera: EuRoC gives that of the body, cam0 stands on it as T_BS says."""
+    reference = read_trajectory(path)
+    if detect_format(path) != "euroc":
+        return reference, ()
+    sensor = path.parent.parent / "cam0" / "sensor.yaml"
+    if not sensor.is_file():
+        note = f"truth taken as the camera's own: no {sensor} says where cam0 is on the body"
+        return reference, (note,)
+    poses = reference.world_from_cam @ _body_from_cam(sensor)
+    return replace(reference, world_from_cam=poses), ("truth moved from the body to cam0 (T_BS)",)
+
+
+def _body_from_cam(sensor: Path) -> Floats:
+    """T_BS, (4, 4), of a EuRoC `sensor.yaml`."""
+    try:
+        data = yaml.safe_load(sensor.read_text(encoding="utf-8"))["T_BS"]["data"]
+        transform = np.array(data, dtype=np.float64).reshape(4, 4)
+    except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        raise SourceError(f"{sensor}: T_BS is not a 4x4 matrix under T_BS: data") from error
+    if not np.isfinite(transform).all():
+        raise SourceError(f"{sensor}: T_BS has numbers that are not finite")
+    return transform
+
+
+def _with_common_stamps(inputs: Inputs) -> Inputs:
+    """Where only one side has stamps and both have as many poses, row belongs to row."""
+    estimate_bare, reference_bare = (
+        detect_format(path) == "kitti" and kitti_stamps_beside(path) is None
+        for path in (inputs.estimate_path, inputs.reference_path)
+    )
+    if estimate_bare and reference_bare:
+        note = "neither file has stamps: poses paired row by row, one row taken as one second"
+        return replace(inputs, notes=(*inputs.notes, note))
+    if estimate_bare == reference_bare:
+        return inputs
+    estimate, reference = inputs.estimate, inputs.reference
+    if len(estimate) != len(reference):
+        bare = inputs.estimate_path if estimate_bare else inputs.reference_path
+        raise EvaluationError(
+            f"{bare} has no stamps and the numbers of poses differ ({len(estimate)} and "
+            f"{len(reference)}); put its times.txt beside it"
+        )
+    if estimate_bare:
+        estimate = replace(estimate, stamps_ns=reference.stamps_ns)
+    else:
+        reference = replace(reference, stamps_ns=estimate.stamps_ns)
+    notes = (*inputs.notes, "one file has no stamps: poses paired row by row")
+    return replace(inputs, estimate=estimate, reference=reference, notes=notes)
+
+
+def _with_longest_segment(inputs: Inputs, summary: dict[str, Any]) -> Inputs:
+    segments = summary.get("segments")
+    if not isinstance(segments, list) or len(segments) < 2:
+        return inputs
+    stamps_ns = inputs.estimate.stamps_ns
+    try:
+        spans = [(int(s["first_stamp_ns"]), int(s["last_stamp_ns"])) for s in segments]
+    except (KeyError, TypeError, ValueError):
+        return inputs
+    masks = [(stamps_ns >= first) & (stamps_ns <= last) for first, last in spans]
+    kept = max(masks, key=np.count_nonzero)
+    if not kept.any():
+        return inputs
+    note = (
+        f"{len(segments)} segments, each in a world of its own: only the longest counts here, "
+        f"{np.count_nonzero(kept)} of {len(stamps_ns)} poses (--all-segments takes all)"
+    )
+    estimate = Trajectory(stamps_ns[kept], inputs.estimate.world_from_cam[kept])
+    return replace(inputs, estimate=estimate, notes=(*inputs.notes, note))

@@ -1,0 +1,122 @@
+"""One picture of an evaluation: the path from above and the errors over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vo.errors import OutputError
+from vo.evaluation.report import Evaluation
+from vo.types import Floats, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, told apart with every kind of colour vision.
+_TRUTH, _ESTIMATE, _ROTATION, _FAINT = "#333333", "#0072B2", "#D55E00", "#BBBBBB"
+_SUFFIXES = (".png", ".pdf", ".svg")
+_ALIGNED = {
+    "none": "not aligned",
+    "se3": "aligned in SE(3)",
+    "sim3": "aligned in Sim(3)",
+    "scale": "scale aligned",
+}
+
+
+def save_plot(
+    path: Path | str, evaluation: Evaluation, reference: Trajectory, title: str = ""
+) -> None:
+    """Draw an evaluation into a .png, .pdf or .svg file.
+
+    Args:
+        path: the file, overwritten where it exists.
+        evaluation: what to draw.
+        reference: the whole reference, of which the unmatched rest is drawn faintly.
+        title: what stands above the picture.
+
+    Raises:
+        OutputError: another suffix, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise OutputError(f"{path}: a plot ends in {', '.join(_SUFFIXES)}")
+    figure = draw(evaluation, reference, title)
+    try:
+        figure.savefig(path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figure:
+    """The picture as a figure that belongs to no window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 6.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    figure.suptitle(title, fontsize=12)
+    _draw_path(figure.add_subplot(grid[:, 0]), evaluation, reference)
+    upper = figure.add_subplot(grid[0, 1])
+    lower = figure.add_subplot(grid[1, 1], sharex=upper)
+    seconds = evaluation.matched.seconds
+    ate = evaluation.ate
+    _draw_errors(upper, seconds, ate.translation_m, "position error", "m", _ESTIMATE)
+    _draw_errors(lower, seconds, ate.rotation_deg, "rotation error", "deg", _ROTATION)
+    upper.tick_params(labelbottom=False)
+    lower.set_xlabel("time since the first matched pose (s)")
+    return figure
+
+
+def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> None:
+    truth = evaluation.matched.reference[:, :3, 3]
+    estimate = evaluation.aligned[:, :3, 3]
+    across, up = _widest_axes(truth)
+    whole = reference.positions
+    axes.plot(whole[:, across], whole[:, up], color=_FAINT, lw=0.8, zorder=1)
+    axes.plot(truth[:, across], truth[:, up], "--", color=_TRUTH, lw=1.2, label="truth", zorder=3)
+    label = f"estimate, {_ALIGNED[evaluation.alignment.kind]}"
+    axes.plot(estimate[:, across], estimate[:, up], color=_ESTIMATE, lw=2.4, label=label, zorder=2)
+    start, end = truth[0, [across, up]], truth[-1, [across, up]]
+    axes.plot(*start, "o", color=_TRUTH, ms=7, label="start", zorder=4)
+    axes.plot(*end, "s", color="white", mec=_TRUTH, ms=6, label="end", zorder=4)
+    axes.set_xlabel(f"{'xyz'[across]} (m)")
+    axes.set_ylabel(f"{'xyz'[up]} (m)")
+    widest = f"{'xyz'[across]} and {'xyz'[up]}, its two widest axes"
+    axes.set_title(f"path from above ({widest})", loc="left", fontsize=10)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.legend(frameon=False, fontsize=9)
+    _tidy(axes)
+
+
+def _draw_errors(
+    axes: Axes, seconds: Floats, errors: Floats, name: str, unit: str, colour: str
+) -> None:
+    rmse = float(np.sqrt(np.mean(errors**2)))
+    axes.plot(seconds, errors, color=colour, lw=1.4)
+    axes.fill_between(seconds, errors, color=colour, alpha=0.12, lw=0)
+    axes.axhline(rmse, color=_TRUTH, lw=0.9, ls=":")
+    numbers = f"rmse {rmse:.3g} {unit} (dotted), max {errors.max():.3g} {unit}"
+    axes.set_title(f"{name}: {numbers}", loc="left", fontsize=10)
+    axes.set_ylabel(f"{name} ({unit})")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    _tidy(axes)
+
+
+def _tidy(axes: Axes) -> None:
+    axes.grid(True, color="#E6E6E6", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)
+
+
+def _widest_axes(positions: Floats) -> tuple[int, int]:
+    """The two of x, y, z along which positions (N, 3) reach furthest, in alphabetical order."""
+    narrowest = int(np.argmin(np.ptp(positions, axis=0)))
+    across, up = (axis for axis in range(3) if axis != narrowest)
+    return across, up
