@@ -1,49 +1,41 @@
-"""Camera models: from rays to pixels and back, and what makes two cameras one rectified pair."""
+"""Camera models: from rays to pixels and back."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from vo.geometry.distortion import distort_rays, undistort_rays
 from vo.types import Camera, Floats
 
 
 def project(camera: Camera, points: Floats) -> Floats:
-    """Pixels (N, 2) of points (N, 3) in the camera's frame, with distortion; z must be positive."""
-    rays = np.ascontiguousarray(points[:, :2] / points[:, 2:3], dtype=np.float64)
-    return distort(camera, rays)
+    """Pixels (N, 2) of points (N, 3) in the camera's frame, with distortion; z must be positive.
+
+    NaN where the lens model does not reach.
+    """
+    return distort(camera, points[:, :2] / points[:, 2:3])
 
 
 def distort(camera: Camera, rays: Floats) -> Floats:
-    """Pixels (N, 2) of normalised image points (N, 2) (x/z, y/z)."""
-    if len(rays) == 0:
-        return np.empty((0, 2))
-    if not camera.is_distorted:
-        return np.asarray(rays * (camera.fx, camera.fy) + (camera.cx, camera.cy))
-    coefficients = np.array(camera.distortion, dtype=np.float64)
-    if camera.distortion_model == "equidistant":
-        pixels = cv2.fisheye.distortPoints(rays.reshape(-1, 1, 2), camera.matrix, coefficients)
-    else:
-        points = np.column_stack([rays, np.ones(len(rays))])
-        pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, coefficients)
-    return np.asarray(pixels.reshape(-1, 2), dtype=np.float64)
+    """Pixels (N, 2) of normalised image points (N, 2) (x/z, y/z).
+
+    NaN where the lens model does not reach, so that a ray from far outside never falls into the
+    image.
+    """
+    rays = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
+    if camera.is_distorted:
+        rays = distort_rays(camera, rays)
+    return np.asarray(rays * (camera.fx, camera.fy) + (camera.cx, camera.cy))
 
 
 def normalise(camera: Camera, pixels: Floats) -> Floats:
-    """Normalised image points (N, 2) (x/z, y/z) of pixels (N, 2): the inverse of `distort`."""
-    pixels = np.asarray(pixels, dtype=np.float64)
-    if len(pixels) == 0:
-        return np.empty((0, 2))
-    if not camera.is_distorted:
-        return np.asarray((pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
-    coefficients = np.array(camera.distortion, dtype=np.float64)
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
-    shaped = np.ascontiguousarray(pixels.reshape(-1, 1, 2))
-    if camera.distortion_model == "equidistant":
-        rays = cv2.fisheye.undistortPoints(shaped, camera.matrix, coefficients, criteria=stop)
-    else:
-        rays = cv2.undistortPoints(shaped, camera.matrix, coefficients, criteria=stop)
-    return np.asarray(rays.reshape(-1, 2), dtype=np.float64)
+    """Normalised image points (N, 2) (x/z, y/z) of pixels (N, 2): the inverse of `distort`.
+
+    NaN for pixels that no ray in front of the camera reaches (the corners of a fisheye image).
+    """
+    pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    rays = np.asarray((pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
+    return undistort_rays(camera, rays) if camera.is_distorted else rays
 
 
 def undistort_pixels(camera: Camera, pixels: Floats) -> Floats:

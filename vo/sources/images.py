@@ -72,10 +72,14 @@ def _decode(path: Path) -> NDArray[np.unsignedinteger]:
     # OpenCV fills what is missing of a cut-off JPEG with grey and says nothing to the caller.
     if not is_complete(data):
         raise SourceError(f"image {path} is cut off or damaged ({len(data)} bytes)")
+    # What OpenCV logs about damaged files would only repeat the error below.
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
         raise SourceError(f"image {path} cannot be decoded: {error.err}") from error
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise SourceError(f"image {path} cannot be decoded; it is damaged or no image")
     if image.dtype not in (np.uint8, np.uint16):

@@ -1,0 +1,152 @@
+"""Lens distortion of normalised image points (x/z, y/z), its derivative and its inverse.
+
+A lens polynomial is only good up to where it stops growing: beyond, a ray further out would fall
+further in. Rays there, and points that no ray reaches, are NaN.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from vo.types import Camera, Floats
+
+_MAX_ITERATIONS = 25
+_CONVERGED = 1e-14
+_ACCEPTED = 1e-9
+"""Largest residual of an inverse in normalised units: a millionth of a pixel or less."""
+
+_WIDEST_RADIUS = 20.0
+"""tan of 87 degrees; a polynomial that still grows here is taken to grow on."""
+
+
+def distort_rays(camera: Camera, rays: Floats) -> Floats:
+    """Where the lens moves normalised points (N, 2); NaN beyond its reach."""
+    if camera.distortion_model == "equidistant":
+        return _equidistant(camera, rays)
+    moved, _ = _radtan(camera.distortion, rays)
+    moved[np.hypot(rays[:, 0], rays[:, 1]) > reach(camera)] = np.nan
+    return moved
+
+
+def undistort_rays(camera: Camera, moved: Floats) -> Floats:
+    """The inverse of `distort_rays` on (N, 2), by Newton's method; NaN where there is none."""
+    if camera.distortion_model == "equidistant":
+        return _equidistant_inverse(camera, moved)
+    return _radtan_inverse(camera, moved)
+
+
+@lru_cache(maxsize=16)
+def reach(camera: Camera) -> float:
+    """How far out the lens model holds.
+
+    For `radtan` the largest radius of normalised points, infinity where there is no end to it; for
+    `equidistant` the largest angle from the optical axis in radians, at most pi/2.
+    """
+    if camera.distortion_model == "equidistant":
+        angles = np.linspace(0.0, np.pi / 2, 4001)
+        _, slope = _angle_polynomial(camera, angles)
+        folds = np.flatnonzero(slope <= 0)
+        return float(angles[folds[0] - 1] if len(folds) else np.pi / 2)
+    radii = np.linspace(0.0, _WIDEST_RADIUS, 20001)
+    radial, slope = _radial(camera.distortion, radii**2)
+    # A rational model past its pole changes sign or jumps down.
+    folds = np.flatnonzero(~(radial + 2.0 * radii**2 * slope > 0) | ~(radial > 0))
+    return float(radii[folds[0] - 1]) if len(folds) else np.inf
+
+
+def _radial(coefficients: tuple[float, ...], r2: Floats) -> tuple[Floats, Floats]:
+    """The radial factor and its derivative by r^2."""
+    k1, k2, _, _, k3, k4, k5, k6 = (*coefficients, *[0.0] * 8)[:8]
+    above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    above_slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
+    below_slope = k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        radial = above / below
+        return radial, (above_slope - radial * below_slope) / below
+
+
+def _radtan(coefficients: tuple[float, ...], rays: Floats) -> tuple[Floats, Floats]:
+    """Moved points (N, 2) and the derivative as (N, 3): xx, xy (= yx), yy.
+
+    Source: Brown, Decentering Distortion of Lenses, 1966; the rational form is OpenCV's.
+    """
+    x, y = rays[:, 0], rays[:, 1]
+    p1, p2 = (*coefficients, *[0.0] * 4)[2:4]
+    r2 = x * x + y * y
+    radial, slope = _radial(coefficients, r2)
+    moved_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    moved_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    dxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    dxy = 2.0 * (x * y * slope + p1 * x + p2 * y)
+    dyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    return np.stack([moved_x, moved_y], axis=1), np.stack([dxx, dxy, dyy], axis=1)
+
+
+def _radtan_inverse(camera: Camera, moved: Floats) -> Floats:
+    limit = reach(camera)
+    rays = _clipped(moved, limit)
+    for _ in range(_MAX_ITERATIONS):
+        found, slope = _radtan(camera.distortion, rays)
+        step = _solved(slope, moved - found)
+        rays = _clipped(rays + step, limit)
+        if not np.any(np.abs(step) > _CONVERGED * (1.0 + np.abs(rays))):
+            break
+    found, _ = _radtan(camera.distortion, rays)
+    rays[~(np.abs(found - moved).max(axis=1) <= _ACCEPTED)] = np.nan
+    return rays
+
+
+def _solved(matrix: Floats, right: Floats) -> Floats:
+    """Solve N symmetric 2x2 systems given as (N, 3) for right sides (N, 2)."""
+    xx, xy, yy = matrix.T
+    determinant = xx * yy - xy * xy
+    determinant = np.where(np.abs(determinant) < 1e-12, 1e-12, determinant)
+    x = (yy * right[:, 0] - xy * right[:, 1]) / determinant
+    y = (xx * right[:, 1] - xy * right[:, 0]) / determinant
+    return np.stack([x, y], axis=1)
+
+
+def _clipped(rays: Floats, limit: float) -> Floats:
+    """Points (N, 2) pulled back to a radius, so that no step lands behind the fold."""
+    radius = np.hypot(rays[:, 0], rays[:, 1])
+    return np.asarray(rays * np.minimum(1.0, limit / np.maximum(radius, 1e-300))[:, None])
+
+
+def _angle_polynomial(camera: Camera, angle: Floats) -> tuple[Floats, Floats]:
+    """The moved radius of angles from the axis, and its derivative.
+
+    Source: Kannala and Brandt, A Generic Camera Model, 2006, eq. 6.
+    """
+    k1, k2, k3, k4 = camera.distortion
+    a2 = angle * angle
+    radius = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
+    return radius, slope
+
+
+def _equidistant(camera: Camera, rays: Floats) -> Floats:
+    radius = np.hypot(rays[:, 0], rays[:, 1])
+    angle = np.arctan(radius)
+    moved, _ = _angle_polynomial(camera, angle)
+    share = np.where(radius > 1e-9, moved / np.maximum(radius, 1e-300), 1.0)
+    share[angle > reach(camera)] = np.nan
+    return np.asarray(rays * share[:, None])
+
+
+def _equidistant_inverse(camera: Camera, moved: Floats) -> Floats:
+    limit = reach(camera)
+    radius = np.hypot(moved[:, 0], moved[:, 1])
+    angle = np.minimum(radius, limit)
+    for _ in range(_MAX_ITERATIONS):
+        found, slope = _angle_polynomial(camera, angle)
+        step = (radius - found) / np.maximum(slope, 1e-12)
+        angle = np.clip(angle + step, 0.0, limit)
+        if not np.any(np.abs(step) > _CONVERGED):
+            break
+    found, _ = _angle_polynomial(camera, angle)
+    share = np.where(radius > 1e-9, np.tan(angle) / np.maximum(radius, 1e-300), 1.0)
+    share[~(np.abs(found - radius) <= _ACCEPTED) | (angle >= np.pi / 2)] = np.nan
+    return np.asarray(moved * share[:, None])
