@@ -1,0 +1,1 @@
+"""Synthetic recordings with exact ground truth: worlds, paths, a renderer and writers."""

@@ -1,0 +1,49 @@
+"""Textures with their mip-maps, packed into one array that a compiled renderer can read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.types import Bytes, Floats32, Ints
+
+LEVELS = 11
+
+
+class Atlas(NamedTuple):
+    """Mip-mapped textures; sides are powers of two, so that wrapping around is one bit mask.
+
+    Attributes:
+        texels: (T,) uint8, all levels of all textures row by row.
+        offsets: (N, LEVELS) where each level begins.
+        heights: (N, LEVELS).
+        widths: (N, LEVELS).
+    """
+
+    texels: Bytes
+    offsets: Ints
+    heights: Ints
+    widths: Ints
+
+
+def pack(textures: Sequence[Floats32]) -> Atlas:
+    """Pack textures with LEVELS mip-maps each, every one the 2x2 mean of the one before."""
+    parts: list[Bytes] = []
+    offsets, heights, widths = (np.zeros((len(textures), LEVELS), np.int64) for _ in range(3))
+    total = 0
+    for i, texture in enumerate(textures):
+        level_image = texture
+        for level in range(LEVELS):
+            offsets[i, level], (heights[i, level], widths[i, level]) = total, level_image.shape
+            parts.append(np.round(level_image * 255.0).astype(np.uint8).ravel())
+            total += level_image.size
+            level_image = _halved(level_image)
+    return Atlas(np.concatenate(parts), offsets, heights, widths)
+
+
+def _halved(image: Floats32) -> Floats32:
+    rows, columns = (2 if n > 1 else 1 for n in image.shape)
+    shaped = image.reshape(image.shape[0] // rows, rows, image.shape[1] // columns, columns)
+    return np.asarray(shaped.mean(axis=(1, 3)), dtype=np.float32)
