@@ -42,9 +42,8 @@ def so3_exp(rotvec: Floats) -> Floats:
     k = skew(rotvec)
     if angle < 1e-8:
         return np.asarray(np.eye(3) + k + 0.5 * k @ k)
-    return np.asarray(
-        np.eye(3) + (np.sin(angle) / angle) * k + ((1.0 - np.cos(angle)) / angle**2) * k @ k
-    )
+    half_sine = np.sin(0.5 * angle) / angle
+    return np.asarray(np.eye(3) + (np.sin(angle) / angle) * k + 2.0 * half_sine**2 * k @ k)
 
 
 def so3_log(rotation: Floats) -> Floats:
@@ -135,8 +134,8 @@ def _left_jacobian(rotvec: Floats) -> Floats:
     k = skew(rotvec)
     if angle < 1e-6:
         return np.asarray(np.eye(3) + 0.5 * k + k @ k / 6.0)
+    # 1 - cos by the half angle: the plain form loses all digits as the angle gets small.
+    half_sine = np.sin(0.5 * angle) / angle
     return np.asarray(
-        np.eye(3)
-        + ((1.0 - np.cos(angle)) / angle**2) * k
-        + ((angle - np.sin(angle)) / angle**3) * k @ k
+        np.eye(3) + 2.0 * half_sine**2 * k + ((angle - np.sin(angle)) / angle**3) * k @ k
     )
