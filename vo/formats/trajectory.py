@@ -157,7 +157,7 @@ def stamp_ns_from_seconds(text: str) -> int:
         seconds = Decimal(text)
     except InvalidOperation as error:
         raise ValueError(f"'{text}' is not a number of seconds") from error
-    if not seconds.is_finite() or abs(seconds) > _MAX_S:
+    if not seconds.is_finite() or not -_MAX_S <= seconds <= _MAX_S:
         raise ValueError(f"stamp {text} is out of range for seconds")
     return int((seconds * _NS_PER_S).to_integral_value())
 

@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from vo.cli.app import app
+from vo.formats.trajectory import write_tum
+from vo.geometry.transforms import se3_exp
+from vo.types import Trajectory
+
+
+@pytest.fixture
+def walk() -> Trajectory:
+    moves = [se3_exp(np.array([0.02, 0.1, 0.01, 0.0, 0.0, 0.8])) for _ in range(40)]
+    poses = [np.eye(4)]
+    for move in moves:
+        poses.append(poses[-1] @ move)
+    return Trajectory(np.arange(41, dtype=np.int64) * 100_000_000, np.array(poses))
+
+
+@pytest.fixture
+def truth(tmp_path: Path, walk: Trajectory) -> Path:
+    write_tum(tmp_path / "groundtruth.tum", walk)
+    return tmp_path / "groundtruth.tum"
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path, walk: Trajectory) -> Path:
+    """A mono run: the path half as large."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    poses = walk.world_from_cam.copy()
+    poses[:, :3, 3] /= 2.0
+    write_tum(folder / "trajectory.tum", Trajectory(walk.stamps_ns, poses))
+    (folder / "summary.json").write_text('{"mode": "mono"}', encoding="utf-8")
+    return folder
+
+
+def vo_eval(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["eval", *map(str, arguments)])
+
+
+def test_table_for_people(run_folder: Path, truth: Path) -> None:
+    result = vo_eval(run_folder, truth)
+    assert result.exit_code == 0, result.output
+    assert "sim3 (auto: the estimate is mono, its scale is free)" in result.output
+    assert "multiplied by 2.000000" in result.output
+    assert "ATE, translation" in result.output
+    assert "drift over sub-paths" in result.output
+    assert "\x1b" not in result.output
+
+
+def test_scale_error_is_told_when_scale_counts(run_folder: Path, truth: Path) -> None:
+    result = vo_eval(run_folder, truth, "--align", "se3")
+    assert "se3 (as asked)" in result.output
+    assert "off by -50.000 %" in result.output
+
+
+def test_json_for_machines(run_folder: Path, truth: Path) -> None:
+    result = vo_eval(run_folder, truth, "--json", "--delta", 3, "--delta-m", 4, "--interpolate")
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)
+    assert numbers["mode"] == "mono"
+    assert numbers["matched"] == 41
+    assert numbers["alignment"]["kind"] == "sim3"
+    assert numbers["ate"]["translation_m"]["rmse"] < 1e-6
+    assert numbers["rpe_frames"]["delta_frames"] == 3
+    assert numbers["rpe_metres"]["delta_m"] == 4.0
+    assert numbers["association"]["method"] == "interpolated"
+    assert numbers["plot"] is None
+
+
+def test_plot(run_folder: Path, truth: Path, tmp_path: Path) -> None:
+    result = vo_eval(run_folder, truth, "--plot", tmp_path / "eval.png")
+    assert result.exit_code == 0, result.output
+    assert f"plot: {tmp_path / 'eval.png'}" in result.output
+    assert (tmp_path / "eval.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "eval.png").stat().st_size > 20_000
+
+
+def test_a_standing_camera_compared_without_alignment(tmp_path: Path) -> None:
+    still = Trajectory(np.arange(3) * 10**8, np.tile(np.eye(4), (3, 1, 1)))
+    write_tum(tmp_path / "still.tum", still)
+    result = vo_eval(tmp_path / "still.tum", tmp_path / "still.tum", "--align", "none")
+    assert result.exit_code == 0, result.output
+    assert "RPE over 1 m" in result.output
+
+
+def assert_one_line(result: Result, *words: str) -> None:
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+
+
+def test_missing_estimate(truth: Path, tmp_path: Path) -> None:
+    assert_one_line(vo_eval(tmp_path / "none.tum", truth), "none.tum does not exist")
+
+
+def test_folder_without_trajectory(truth: Path, tmp_path: Path) -> None:
+    assert_one_line(vo_eval(tmp_path, truth), "no trajectory.tum")
+
+
+def test_damaged_reference(run_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.txt").write_text("0 1 2 3 0 0 0 1\n1 1 2 nan 0 0 0 1\n", encoding="utf-8")
+    assert_one_line(vo_eval(run_folder, tmp_path / "bad.txt"), "bad.txt:2", "nan")
+
+
+def test_truth_that_overlaps_by_no_stamp(
+    run_folder: Path, walk: Trajectory, tmp_path: Path
+) -> None:
+    late = Trajectory(walk.stamps_ns + 60_000_000_000, walk.world_from_cam)
+    write_tum(tmp_path / "late.tum", late)
+    result = vo_eval(run_folder, tmp_path / "late.tum")
+    assert_one_line(result, "0.000 to 4.000 s", "60.000 to 64.000 s")
+
+
+def test_too_few_poses_to_align(truth: Path, tmp_path: Path, walk: Trajectory) -> None:
+    write_tum(tmp_path / "two.tum", Trajectory(walk.stamps_ns[:2], walk.world_from_cam[:2]))
+    assert_one_line(vo_eval(tmp_path / "two.tum", truth), "2 matched poses cannot be aligned")
+
+
+def test_plot_of_unknown_kind(run_folder: Path, truth: Path, tmp_path: Path) -> None:
+    result = vo_eval(run_folder, truth, "--plot", tmp_path / "eval.bmp")
+    assert_one_line(result, "a plot ends in .png")
+
+
+@pytest.mark.parametrize(
+    "wrong", [("--align", "best"), ("--tolerance", "-1"), ("--delta", "0"), ("--bogus",)]
+)
+def test_wrong_usage_exits_2(run_folder: Path, truth: Path, wrong: tuple[str, ...]) -> None:
+    assert vo_eval(run_folder, truth, *wrong).exit_code == 2
+
+
+def test_help_teaches_with_an_example() -> None:
+    result = vo_eval("--help")
+    assert result.exit_code == 0
+    assert "vo eval out/ my_sequence/" in result.output
+
+
+def test_the_command_imports_nothing_heavy_before_it_runs() -> None:
+    code = (
+        "import sys, vo.cli.eval; "
+        "print([m for m in ('numpy', 'matplotlib', 'cv2', 'gtsam') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vo.errors import EvaluationError, SourceError
+from vo.evaluation.inputs import load_inputs
+from vo.evaluation.report import evaluate
+
+TUM = "".join(f"{i}.5 {i} {i * i} 0 0 0 0 1\n" for i in range(6))
+KITTI = "".join(f"1 0 0 {i} 0 1 0 {i * i} 0 0 1 0\n" for i in range(6))
+EUROC = "".join(f"{i}500000000,{i},{i * i},0,1,0,0,0\n" for i in range(6))
+SENSOR = "T_BS:\n  cols: 4\n  data: [0,0,1,0.5, -1,0,0,0, 0,-1,0,0, 0,0,0,1]\n"
+
+
+def run_folder(folder: Path, summary: object | None = None) -> Path:
+    folder.mkdir()
+    (folder / "trajectory.tum").write_text(TUM, encoding="utf-8")
+    if summary is not None:
+        (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    return folder
+
+
+def written(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("mode", ["mono", "stereo"])
+def test_a_run_tells_its_mode(tmp_path: Path, mode: str) -> None:
+    run = run_folder(tmp_path / "run", {"mode": mode})
+    truth = written(tmp_path / "groundtruth.tum", TUM)
+    assert load_inputs(run, truth).mode == mode
+    assert load_inputs(run / "trajectory.tum", truth).mode == mode
+
+
+@pytest.mark.parametrize("summary", [None, {}, {"mode": 7}, ["mono"]])
+def test_without_a_word_the_mode_is_auto(tmp_path: Path, summary: object) -> None:
+    run = run_folder(tmp_path / "run", summary)
+    assert load_inputs(run, written(tmp_path / "groundtruth.tum", TUM)).mode == "auto"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("groundtruth.tum", TUM),
+        ("groundtruth.txt", TUM),
+        ("poses.txt", KITTI),
+        ("mav0/state_groundtruth_estimate0/data.csv", EUROC),
+        ("state_groundtruth_estimate0/data.csv", EUROC),
+    ],
+)
+def test_a_sequence_folder_shows_its_truth(tmp_path: Path, name: str, text: str) -> None:
+    path = written(tmp_path / "sequence" / name, text)
+    inputs = load_inputs(run_folder(tmp_path / "run"), tmp_path / "sequence")
+    assert inputs.reference_path == path
+    assert evaluate(inputs.estimate, inputs.reference, "none").ate.translation.max == 0.0
+
+
+def test_folders_without_what_is_needed(tmp_path: Path) -> None:
+    truth = written(tmp_path / "truth.tum", TUM)
+    with pytest.raises(SourceError, match=r"no trajectory\.tum"):
+        load_inputs(tmp_path, truth)
+    with pytest.raises(SourceError, match="no ground truth"):
+        load_inputs(truth, tmp_path)
+
+
+def test_euroc_truth_is_moved_to_the_camera(tmp_path: Path) -> None:
+    written(tmp_path / "mav0/cam0/sensor.yaml", SENSOR)
+    written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
+    inputs = load_inputs(run_folder(tmp_path / "run"), tmp_path)
+    np.testing.assert_array_equal(inputs.reference.positions[1], [1.5, 1.0, 0.0])
+    np.testing.assert_array_equal(
+        inputs.reference.world_from_cam[0, :3, :3], [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    )
+    assert "T_BS" in inputs.notes[0]
+
+
+def test_euroc_truth_of_the_body_alone_is_noted(tmp_path: Path) -> None:
+    written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
+    inputs = load_inputs(run_folder(tmp_path / "run"), tmp_path)
+    assert "taken as the camera's own" in inputs.notes[0]
+
+
+@pytest.mark.parametrize("text", ["", "T_BS: 7", "T_BS: {data: [1, 2]}", "a: [", "T_BS: {data: x}"])
+def test_damaged_sensor_yaml(tmp_path: Path, text: str) -> None:
+    written(tmp_path / "mav0/cam0/sensor.yaml", text)
+    written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
+    with pytest.raises(SourceError, match="T_BS is not a 4x4 matrix"):
+        load_inputs(run_folder(tmp_path / "run"), tmp_path)
+
+
+def test_poses_without_stamps_pair_row_by_row(tmp_path: Path) -> None:
+    run, poses = run_folder(tmp_path / "run"), written(tmp_path / "poses.txt", KITTI)
+    for estimate, reference in ((run, poses), (poses, run / "trajectory.tum")):
+        inputs = load_inputs(estimate, reference)
+        np.testing.assert_array_equal(inputs.estimate.stamps_ns, inputs.reference.stamps_ns)
+        assert "row by row" in inputs.notes[0]
+    assert "neither file has stamps" in load_inputs(poses, poses).notes[0]
+
+
+def test_poses_without_stamps_and_of_another_number(tmp_path: Path) -> None:
+    poses = written(tmp_path / "poses.txt", KITTI + "1 0 0 7 0 1 0 7 0 0 1 0\n")
+    with pytest.raises(EvaluationError, match=r"has no stamps.*6 and 7.*times\.txt"):
+        load_inputs(run_folder(tmp_path / "run"), poses)
+
+
+def test_only_the_longest_segment_counts(tmp_path: Path) -> None:
+    spans = [(500_000_000, 1_500_000_000), (2_500_000_000, 5_500_000_000)]
+    segments = [{"first_stamp_ns": a, "last_stamp_ns": b} for a, b in spans]
+    run = run_folder(tmp_path / "run", {"mode": "mono", "segments": segments})
+    truth = written(tmp_path / "groundtruth.tum", TUM)
+    inputs = load_inputs(run, truth)
+    assert inputs.estimate.stamps_ns.tolist() == [i * 10**9 + 500_000_000 for i in range(2, 6)]
+    assert "2 segments" in inputs.notes[0]
+    assert "4 of 6 poses" in inputs.notes[0]
+    assert len(load_inputs(run, truth, all_segments=True).estimate) == 6
+
+
+@pytest.mark.parametrize("segments", [1, [], [{}], [{}, {}], [{"first_stamp_ns": "x"}, 3]])
+def test_segments_that_say_nothing_change_nothing(tmp_path: Path, segments: object) -> None:
+    run = run_folder(tmp_path / "run", {"segments": segments})
+    inputs = load_inputs(run, written(tmp_path / "groundtruth.tum", TUM))
+    assert len(inputs.estimate) == 6
+    assert inputs.notes == ()
+
+
+def test_truth_of_the_rendered_hall_is_the_same_by_both_ways(
+    tmp_path: Path, shared_data: Path
+) -> None:
+    hall = shared_data / "rendered_hall_stereo"
+    inputs = load_inputs(
+        hall / "groundtruth.tum", hall / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    )
+    evaluation = evaluate(inputs.estimate, inputs.reference, "none")
+    assert evaluation.ate.translation.max < 1e-6
+    assert evaluation.ate.rotation.max < 1e-4
