@@ -1,0 +1,128 @@
+"""The same six moments written to disk in every layout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vo.geometry.transforms import inverse, quat_xyzw_from_rotation, se3_exp
+from vo.types import Bytes, Floats
+
+WIDTH, HEIGHT = 64, 48
+COUNT = 6
+BASELINE_M = 0.12
+INTRINSICS = [50.0, 51.0, 31.5, 23.5]
+STAMPS_NS = [1_600_000_000_123_456_789 + i * 100_000_001 for i in range(COUNT)]
+BODY_FROM_CAM0 = se3_exp(np.array([0.3, -1.2, 0.4, 0.05, 0.06, 0.02]))
+CALIBRATION = f"""\
+cam0: {{model: pinhole, resolution: [{WIDTH}, {HEIGHT}], intrinsics: {INTRINSICS}}}
+baseline_m: {BASELINE_M}
+"""
+
+
+def image(index: int, right: bool = False) -> Bytes:
+    """Noise whose top-left pixel tells which image it is."""
+    pixels = np.random.default_rng(index).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
+    pixels[0, 0] = index + (100 if right else 0)
+    return pixels
+
+
+def write_image(path: Path, pixels: Bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), pixels)
+
+
+def write_text(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def seconds(stamp_ns: int) -> str:
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
+
+
+def truth() -> list[Floats]:
+    """world_from_cam0 of each moment."""
+    return [se3_exp(np.array([0, 0.02 * i, 0, 0.1 * i, 0, 0.5 * i])) for i in range(COUNT)]
+
+
+def tum_text(poses: list[Floats]) -> str:
+    rows = [
+        f"{seconds(stamp)} {' '.join(f'{v:.12f}' for v in (*p[:3, 3], *quat))}\n"
+        for stamp, p in zip(STAMPS_NS, poses, strict=True)
+        for quat in [quat_xyzw_from_rotation(p[:3, :3])]
+    ]
+    return "".join(rows)
+
+
+def write_kitti(folder: Path) -> None:
+    for i in range(COUNT):
+        write_image(folder / "image_0" / f"{i:06d}.png", image(i))
+        write_image(folder / "image_1" / f"{i:06d}.png", image(i, right=True))
+    fx, fy, cx, cy = INTRINSICS
+    p0 = f"{fx} 0 {cx} 0 0 {fy} {cy} 0 0 0 1 0"
+    p1 = f"{fx} 0 {cx} {-fx * BASELINE_M} 0 {fy} {cy} 0 0 0 1 0"
+    write_text(folder / "calib.txt", f"P0: {p0}\nP1: {p1}\n")
+    write_text(folder / "times.txt", "".join(f"{seconds(s)}\n" for s in STAMPS_NS))
+    rows = [" ".join(f"{v:.12e}" for v in pose[:3].ravel()) for pose in truth()]
+    write_text(folder / "poses.txt", "\n".join(rows) + "\n")
+
+
+def sensor_yaml(body_from_camera: Floats) -> str:
+    data = ", ".join(f"{v:.12f}" for v in body_from_camera.ravel())
+    return (
+        f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{data}]\n"
+        + f"resolution: [{WIDTH}, {HEIGHT}]\ncamera_model: pinhole\nintrinsics: {INTRINSICS}\n"
+        + "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n"
+    )
+
+
+def write_euroc(folder: Path) -> None:
+    root = folder / "mav0"
+    cam0_from_cam1 = np.eye(4)
+    cam0_from_cam1[0, 3] = BASELINE_M
+    for camera, body_from_camera in (
+        ("cam0", BODY_FROM_CAM0),
+        ("cam1", BODY_FROM_CAM0 @ cam0_from_cam1),
+    ):
+        rows = "".join(f"{s},{s}.png\n" for s in STAMPS_NS)
+        write_text(root / camera / "data.csv", f"#timestamp [ns],filename\n{rows}")
+        write_text(root / camera / "sensor.yaml", sensor_yaml(body_from_camera))
+        for i, stamp in enumerate(STAMPS_NS):
+            write_image(root / camera / "data" / f"{stamp}.png", image(i, camera == "cam1"))
+    header = "#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n"
+    rows = ""
+    for stamp, pose in zip(STAMPS_NS, truth(), strict=True):
+        body = pose @ inverse(BODY_FROM_CAM0)
+        x, y, z, w = quat_xyzw_from_rotation(body[:3, :3])
+        rows += f"{stamp},{','.join(f'{v:.12f}' for v in (*body[:3, 3], w, x, y, z))}\n"
+    write_text(root / "state_groundtruth_estimate0" / "data.csv", header + rows)
+
+
+def write_tum(folder: Path) -> None:
+    rows = "".join(f"{seconds(s)} rgb/{seconds(s)}.png\n" for s in STAMPS_NS)
+    write_text(folder / "rgb.txt", f"# color images\n# timestamp filename\n{rows}")
+    for i, stamp in enumerate(STAMPS_NS):
+        write_image(folder / "rgb" / f"{seconds(stamp)}.png", image(i))
+    write_text(folder / "groundtruth.txt", "# stamp tx ty tz qx qy qz qw\n" + tum_text(truth()))
+    write_text(folder / "calibration.yaml", CALIBRATION)
+
+
+def write_folder(folder: Path) -> None:
+    for i in range(COUNT):
+        write_image(folder / "left" / f"frame{i + 7}.png", image(i))
+        write_image(folder / "right" / f"frame{i + 7}.png", image(i, right=True))
+    write_text(folder / "times.txt", "".join(f"{seconds(s)}\n" for s in STAMPS_NS))
+    write_text(folder / "groundtruth.tum", tum_text(truth()))
+    write_text(folder / "calibration.yaml", CALIBRATION)
+
+
+WRITERS: dict[str, Callable[[Path], None]] = {
+    "kitti": write_kitti,
+    "euroc": write_euroc,
+    "tum": write_tum,
+    "folder": write_folder,
+}
