@@ -76,7 +76,7 @@ def test_dictionary_is_json_and_has_units(make_walk: MakeWalk, make_noisy: MakeW
     result = evaluate(make_noisy(true), true).to_dict()
     back = json.loads(json.dumps(result, allow_nan=False))
     assert back == result
-    assert set(back["ate"]) == {"translation_m", "rotation_deg"}
+    assert set(back["ate"]) == {"translation_m", "rotation_deg", "rotation_alone_deg"}
     assert set(back["ate"]["translation_m"]) == {"rmse", "mean", "median", "max", "min", "std"}
     assert back["rpe_metres"]["delta_m"] == 2.0
     assert back["path_m"] == pytest.approx(29.5, rel=0.01)
@@ -126,3 +126,17 @@ def test_pairs_over_metres_survive_a_stop() -> None:
 def test_angles_are_accurate_at_both_ends(degrees: float) -> None:
     rotation = so3_exp(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8]))
     assert rotation_angles_deg(rotation[None])[0] == pytest.approx(degrees, abs=1e-9)
+
+
+def test_a_nearly_straight_path_spoils_ate_of_rotation_but_not_rotation_alone() -> None:
+    rng = np.random.default_rng(0)
+    poses = np.tile(np.eye(4), (50, 1, 1))
+    poses[:, 2, 3] = np.arange(50.0)
+    poses[:, :3, 3] += rng.normal(scale=0.01, size=(50, 3))
+    estimate = poses.copy()
+    estimate[:, :3, 3] += rng.normal(scale=0.02, size=(50, 3))
+    stamps_ns = np.arange(50) * 10**8
+    evaluation = evaluate(Trajectory(stamps_ns, estimate), Trajectory(stamps_ns, poses))
+    assert evaluation.ate.rotation.rmse > 5.0
+    assert evaluation.rotation_alone_deg.max() < 1e-6
+    assert "nearly straight" in evaluation.notes[0]

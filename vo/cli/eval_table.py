@@ -56,8 +56,11 @@ def _facts(evaluation: Evaluation, inputs: Inputs) -> list[tuple[str, str]]:
 
 def _errors_table(evaluation: Evaluation, *, plain: bool) -> Table:
     table = _table(plain, "error", "unit", *_COLUMNS)
+    alone = Statistics.of(evaluation.rotation_alone_deg)
+    table.add_row("ATE, translation", "m", *_numbers(evaluation.ate.translation))
+    table.add_row("ATE, rotation", "deg", *_numbers(evaluation.ate.rotation))
+    table.add_row("ATE, rotation alone", "deg", *_numbers(alone))
     rows: list[tuple[str, PoseErrors | None]] = [
-        ("ATE", evaluation.ate),
         (_frames_name(evaluation.delta_frames), evaluation.rpe_frames),
         (f"RPE over {evaluation.delta_m:g} m", evaluation.rpe_metres),
     ]

@@ -65,7 +65,11 @@ def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figu
     seconds = evaluation.matched.seconds
     ate = evaluation.ate
     _draw_errors(upper, seconds, ate.translation_m, "position error", "m", _ESTIMATE)
-    _draw_errors(lower, seconds, ate.rotation_deg, "rotation error", "deg", _ROTATION)
+    if evaluation.alignment.kind in ("se3", "sim3"):
+        angles, name = evaluation.rotation_alone_deg, "rotation alone, error"
+    else:
+        angles, name = ate.rotation_deg, "rotation error"
+    _draw_errors(lower, seconds, angles, name, "deg", _ROTATION)
     upper.tick_params(labelbottom=False)
     lower.set_xlabel("time since the first matched pose (s)")
     return figure
@@ -74,7 +78,7 @@ def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figu
 def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> None:
     truth = evaluation.matched.reference[:, :3, 3]
     estimate = evaluation.aligned[:, :3, 3]
-    across, up = _widest_axes(truth)
+    across, up = _axes_from_above(evaluation.matched.reference)
     whole = reference.positions
     axes.plot(whole[:, across], whole[:, up], color=_FAINT, lw=0.8, zorder=1)
     axes.plot(truth[:, across], truth[:, up], "--", color=_TRUTH, lw=1.2, label="truth", zorder=3)
@@ -85,8 +89,7 @@ def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> Non
     axes.plot(*end, "s", color="white", mec=_TRUTH, ms=6, label="end", zorder=4)
     axes.set_xlabel(f"{'xyz'[across]} (m)")
     axes.set_ylabel(f"{'xyz'[up]} (m)")
-    widest = f"{'xyz'[across]} and {'xyz'[up]}, its two widest axes"
-    axes.set_title(f"path from above ({widest})", loc="left", fontsize=10)
+    axes.set_title("path from above", loc="left", fontsize=10)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.legend(frameon=False, fontsize=9)
@@ -115,8 +118,13 @@ def _tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=9)
 
 
-def _widest_axes(positions: Floats) -> tuple[int, int]:
-    """The two of x, y, z along which positions (N, 3) reach furthest, in alphabetical order."""
-    narrowest = int(np.argmin(np.ptp(positions, axis=0)))
-    across, up = (axis for axis in range(3) if axis != narrowest)
-    return across, up
+def _axes_from_above(world_from_cam: Floats) -> tuple[int, int]:
+    """World axes (0, 1, 2 for x, y, z) to the right and upwards on paper, seen from above.
+
+    Cameras are carried upright more often than not: the world axis nearest to their mean y axis is
+    the vertical. The order of the other two is the one that does not mirror the path.
+    """
+    down = world_from_cam[:, :3, 1].mean(axis=0)
+    vertical = int(np.argmax(np.abs(down)))
+    first, second = (vertical + 1) % 3, (vertical + 2) % 3
+    return (first, second) if down[vertical] < 0 else (second, first)

@@ -10,12 +10,14 @@ import numpy as np
 
 from vo.errors import EvaluationError
 from vo.evaluation.alignment import Alignment, AlignMethod, align_poses
-from vo.evaluation.ape import absolute_errors
+from vo.evaluation.ape import absolute_errors, rotation_errors_alone
 from vo.evaluation.association import Matched, associate, coverage
 from vo.evaluation.kitti import SegmentDrift, segment_drift
 from vo.evaluation.rpe import pairs_over_frames, pairs_over_metres, relative_errors
-from vo.evaluation.statistics import PoseErrors, path_distances
+from vo.evaluation.statistics import PoseErrors, Statistics, path_distances
 from vo.types import Floats, Ints, Mode, Trajectory
+
+_LOOSE_ROLL_RAD = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,8 @@ class Evaluation:
         alignment: how the estimate was laid onto the reference.
         aligned: (N, 4, 4) the matched estimated poses after that, in the reference's world.
         ate: absolute errors of the aligned poses.
+        rotation_alone_deg: (N,) angles left when rotations are aligned by themselves, which a
+            straight path does not spoil.
         rpe_frames: errors of the motion over `delta_frames` matched poses; None with too few poses.
         rpe_metres: errors of the motion over `delta_m` metres; None where no pair fits.
         segments: drift over sub-paths; None where the path is too short.
@@ -43,6 +47,7 @@ class Evaluation:
     alignment: Alignment
     aligned: Floats
     ate: PoseErrors
+    rotation_alone_deg: Floats
     rpe_frames: PoseErrors | None
     rpe_metres: PoseErrors | None
     segments: SegmentDrift | None
@@ -70,7 +75,10 @@ class Evaluation:
             },
             "alignment": _alignment_dict(self.alignment),
             "scale_error_percent": self.alignment.scale_error_percent,
-            "ate": self.ate.to_dict(),
+            "ate": {
+                **self.ate.to_dict(),
+                "rotation_alone_deg": Statistics.of(self.rotation_alone_deg).to_dict(),
+            },
             "rpe_frames": _rpe_dict(self.rpe_frames, "delta_frames", self.delta_frames),
             "rpe_metres": _rpe_dict(self.rpe_metres, "delta_m", self.delta_m),
             "segments": None if self.segments is None else self.segments.to_dict(),
@@ -111,13 +119,15 @@ def evaluate(
     aligned = alignment.reference_from_estimate.transform_poses(matched.estimate)
     path_m = float(path_distances(matched.reference[:, :3, 3])[-1])
     delta_m = _round_tenth(path_m) if delta_m is None else delta_m
+    ate = absolute_errors(aligned, matched.reference)
     frame_pairs = pairs_over_frames(len(matched), delta_frames)
     metre_pairs = pairs_over_metres(aligned[:, :3, 3], delta_m)
     return Evaluation(
         matched=matched,
         alignment=alignment,
         aligned=aligned,
-        ate=absolute_errors(aligned, matched.reference),
+        ate=ate,
+        rotation_alone_deg=rotation_errors_alone(aligned, matched.reference),
         rpe_frames=_rpe(aligned, matched.reference, frame_pairs),
         rpe_metres=_rpe(aligned, matched.reference, metre_pairs),
         segments=segment_drift(aligned, matched.reference),
@@ -127,7 +137,7 @@ def evaluate(
         coverage=coverage(matched.stamps_ns, reference.stamps_ns),
         estimate_poses=len(estimate),
         reference_poses=len(reference),
-        notes=_notes(matched, alignment, estimate, reference),
+        notes=_notes(matched, alignment, ate, min(len(estimate), len(reference))),
     )
 
 
@@ -154,10 +164,9 @@ def _round_tenth(path_m: float) -> float:
 
 
 def _notes(
-    matched: Matched, alignment: Alignment, estimate: Trajectory, reference: Trajectory
+    matched: Matched, alignment: Alignment, ate: PoseErrors, possible: int
 ) -> tuple[str, ...]:
     notes = []
-    possible = min(len(estimate), len(reference))
     if len(matched) < 0.5 * possible:
         notes.append(
             f"only {len(matched)} of {possible} poses have a partner within "
@@ -165,7 +174,19 @@ def _notes(
         )
     if alignment.reference_from_estimate.is_on_line:
         notes.append("the path is one straight line: the roll about it comes from the rotations")
+    elif alignment.kind in ("se3", "sim3") and _is_roll_loose(matched.reference, ate):
+        notes.append(
+            "the path is nearly straight, so errors of position decide the roll about it: "
+            "judge rotation by 'rotation alone' and RPE, not by ATE"
+        )
     return tuple(notes)
+
+
+def _is_roll_loose(reference: Floats, ate: PoseErrors) -> bool:
+    """Whether the position errors could turn an alignment by some degrees about the path's line."""
+    positions = reference[:, :3, 3] - reference[:, :3, 3].mean(axis=0)
+    spreads = np.linalg.svd(positions, compute_uv=False) / math.sqrt(len(positions))
+    return bool(ate.translation.rmse > _LOOSE_ROLL_RAD * spreads[1])
 
 
 def _alignment_dict(alignment: Alignment) -> dict[str, Any]:
