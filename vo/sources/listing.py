@@ -119,14 +119,14 @@ def shots_from_times(times: Path, images: Sequence[Path]) -> list[Shot]:
     Raises:
         SourceError: the counts differ, a line cannot be read, or time does not go on.
     """
-    lines = read_lines(times)
-    if len(lines) != len(images):
+    stamps = [(_parse(place, text, _seconds_or_ns), place) for place, text in read_lines(times)]
+    if len(stamps) != len(images):
         raise SourceError(
-            f"{images[0].parent} has {len(images)} images but {times} has {len(lines)} stamps; "
+            f"{images[0].parent} has {len(images)} images but {times} has {len(stamps)} stamps; "
             "there must be one line per image"
         )
-    pairs = zip(lines, images, strict=True)
-    shots = [Shot(_parse(p, text, _seconds_or_ns), image, p) for (p, text), image in pairs]
+    pairs = zip(stamps, images, strict=True)
+    shots = [Shot(stamp_ns, image, place) for (stamp_ns, place), image in pairs]
     check_increasing(shots)
     return shots
 
