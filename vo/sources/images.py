@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +20,31 @@ _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
 _DEPTHS = (8, 10, 12, 14, 16)
+
+
+class _Quiet:
+    """Silences OpenCV's log, which would only repeat our errors, while any thread is inside."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._level = 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                silent = cv2.utils.logging.LOG_LEVEL_SILENT
+                self._level = cv2.utils.logging.setLogLevel(silent)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                cv2.utils.logging.setLogLevel(self._level)
+
+
+_quiet_opencv = _Quiet()
 
 
 def read_grey(path: Path, depth_bits: int = 16) -> Bytes:
@@ -72,14 +98,11 @@ def _decode(path: Path) -> NDArray[np.unsignedinteger]:
     # OpenCV fills what is missing of a cut-off JPEG with grey and says nothing to the caller.
     if not is_complete(data):
         raise SourceError(f"image {path} is cut off or damaged ({len(data)} bytes)")
-    # What OpenCV logs about damaged files would only repeat the error below.
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_ANYDEPTH)
+        with _quiet_opencv:
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
         raise SourceError(f"image {path} cannot be decoded: {error.err}") from error
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise SourceError(f"image {path} cannot be decoded; it is damaged or no image")
     if image.dtype not in (np.uint8, np.uint16):

@@ -72,10 +72,15 @@ def list_images(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise SourceError(f"folder {folder} does not exist; images are looked for there")
-    paths = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+    paths = [p for p in folder.iterdir() if is_image_name(p.name) and p.is_file()]
     if not paths:
         raise SourceError(f"folder {folder} holds no images ({' '.join(IMAGE_SUFFIXES)})")
     return sorted(paths, key=natural_key)
+
+
+def is_image_name(name: str) -> bool:
+    """Whether a file of that name should hold an image; hidden files should not."""
+    return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from vo.errors import SourceError
@@ -12,6 +14,9 @@ from vo.sources.listing import Shot
 from vo.types import Bytes, Camera, Frame, Rig, Skipped, Trajectory
 
 _log = logging.getLogger(__name__)
+
+_Image = Future[Bytes]
+_FRAMES_AHEAD = 2
 
 
 class ImageSequence:
@@ -76,28 +81,35 @@ class ImageSequence:
     def _read(self, numbers: range) -> Iterator[Frame]:
         self.skipped = []
         self.unpaired = 0
-        for index in numbers:
-            shot = self._left[index]
-            try:
-                image0 = self._image(shot.path, self.rig.cam0)
-            except SourceError as error:
-                _log.warning("frame %d skipped: %s", index, error)
-                self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
-                continue
-            image1 = self._partner(index)
-            if image1 is None and self.rig.is_stereo:
-                self.unpaired += 1
-            yield Frame(index, shot.stamp_ns, image0, image1)
+        with ThreadPoolExecutor(max_workers=2, thread_name_prefix="decode") as pool:
+            for index, image0, image1 in self._ahead(pool, numbers):
+                shot = self._left[index]
+                try:
+                    left = image0.result()
+                except SourceError as error:
+                    _log.warning("frame %d skipped: %s", index, error)
+                    self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
+                    continue
+                right = _partner(index, image1)
+                if right is None and self.rig.is_stereo:
+                    self.unpaired += 1
+                yield Frame(index, shot.stamp_ns, left, right)
 
-    def _partner(self, index: int) -> Bytes | None:
-        path = None if self._right is None else self._right[index]
-        if path is None or self.rig.cam1 is None:
-            return None
-        try:
-            return self._image(path, self.rig.cam1)
-        except SourceError as error:
-            _log.warning("frame %d used without its right image: %s", index, error)
-            return None
+    def _ahead(
+        self, pool: ThreadPoolExecutor, numbers: range
+    ) -> Iterator[tuple[int, _Image, _Image | None]]:
+        """Decode the next frames while this one is worked on: OpenCV leaves Python's lock free."""
+        waiting: deque[tuple[int, _Image, _Image | None]] = deque()
+        for index in numbers:
+            left = pool.submit(self._image, self._left[index].path, self.rig.cam0)
+            path = None if self._right is None else self._right[index]
+            right = None
+            if path is not None and self.rig.cam1 is not None:
+                right = pool.submit(self._image, path, self.rig.cam1)
+            waiting.append((index, left, right))
+            if len(waiting) > _FRAMES_AHEAD:
+                yield waiting.popleft()
+        yield from waiting
 
     def _image(self, path: Path, camera: Camera) -> Bytes:
         image = read_grey(path, self._depth_bits)
@@ -108,6 +120,14 @@ class ImageSequence:
                 f"{camera.width}x{camera.height}"
             )
         return image
+
+
+def _partner(index: int, image1: _Image | None) -> Bytes | None:
+    try:
+        return None if image1 is None else image1.result()
+    except SourceError as error:
+        _log.warning("frame %d used without its right image: %s", index, error)
+        return None
 
 
 def choose_frames(length: int, start: int, end: int | None, stride: int) -> range:
