@@ -9,7 +9,8 @@ from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.trajectory import read_euroc, read_tum
 from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
-from vo.sources.listing import Shot, list_images, shots_from_names, shots_from_table, whole_ns
+from vo.sources.listing import Shot, list_images, shots_from_table, whole_ns
+from vo.sources.naming import shots_from_names
 from vo.sources.source import Source
 from vo.types import Floats, Mode, Trajectory
 

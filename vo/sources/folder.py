@@ -8,7 +8,8 @@ from pathlib import Path
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
 from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
-from vo.sources.listing import Shot, list_images, shots_from_names, shots_from_times
+from vo.sources.listing import Shot, list_images, shots_from_times
+from vo.sources.naming import shots_from_names
 from vo.sources.pairing import stamped_like
 from vo.sources.source import Source
 from vo.types import Mode, Trajectory

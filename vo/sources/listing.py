@@ -1,4 +1,4 @@
-"""Lists of images with their stamps, from folders, tables and file names."""
+"""Lists of images with their stamps, from folders and tables."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from vo.formats.trajectory import stamp_ns_from_seconds
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 
-_NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-_SHORTEST_INTERVAL_NS = 2_000_000
-_LONGEST_INTERVAL_NS = 20_000_000_000
-_SMALLEST_STAMP = 1_000_000_000  # whole numbers below are counters, not times
-_LARGEST_NS = 2**63 - 1
+LARGEST_NS = 2**63 - 1
 
 
 class Line(NamedTuple):
@@ -136,27 +132,6 @@ def shots_from_times(times: Path, images: Sequence[Path]) -> list[Shot]:
     return shots
 
 
-def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
-    """Take stamps from file names that end in a time; None if these do not look like times.
-
-    Seconds are written with a point; whole numbers from 10^9 up count as nanoseconds, micro-,
-    milliseconds or seconds, whichever first gives a plausible interval between images.
-
-    Raises:
-        SourceError: two images have the same stamp.
-    """
-    numbers = [_last_number(path) for path in images]
-    if len(images) < 2 or not all(numbers):
-        return None
-    stamps_ns = _stamps_of_numbers(numbers)
-    if stamps_ns is None or max(stamps_ns) > _LARGEST_NS:
-        return None
-    shots = [Shot(s, p, f"file {p}") for s, p in zip(stamps_ns, images, strict=True)]
-    shots.sort(key=lambda shot: shot.stamp_ns)
-    check_increasing(shots)
-    return shots
-
-
 def whole_ns(text: str) -> int:
     """A stamp in whole nanoseconds.
 
@@ -188,7 +163,7 @@ def _parse(place: str, text: str, stamp_ns: Callable[[str], int]) -> int:
         stamp = stamp_ns(text)
     except ValueError as error:
         raise SourceError(f"{place}: stamp {error}") from error
-    if abs(stamp) > _LARGEST_NS:
+    if abs(stamp) > LARGEST_NS:
         raise SourceError(f"{place}: stamp {text} is too large for a time")
     return stamp
 
@@ -196,28 +171,6 @@ def _parse(place: str, text: str, stamp_ns: Callable[[str], int]) -> int:
 def _seconds_or_ns(text: str) -> int:
     # Twelve digits of seconds would be 3,000 years and more.
     return int(text) if text.isdigit() and len(text) >= 12 else stamp_ns_from_seconds(text)
-
-
-def _last_number(path: Path) -> str:
-    found = re.search(r"\d+(\.\d+)?$", path.stem)
-    return found.group() if found else ""
-
-
-def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
-    if any("." in number for number in numbers):
-        units = ["s"]
-    elif min(int(number) for number in numbers) >= _SMALLEST_STAMP:
-        units = list(_NS_PER_UNIT)
-    else:
-        return None
-    for unit in units:
-        if unit == "s":
-            stamps = [stamp_ns_from_seconds(number) for number in numbers]
-        else:
-            stamps = [int(number) * _NS_PER_UNIT[unit] for number in numbers]
-        if _SHORTEST_INTERVAL_NS <= median_interval_ns(stamps) <= _LONGEST_INTERVAL_NS:
-            return stamps
-    return None
 
 
 def median_interval_ns(stamps_ns: Sequence[int]) -> int:

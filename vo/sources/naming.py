@@ -1,0 +1,58 @@
+"""Stamps that stand in the names of image files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from vo.formats.trajectory import stamp_ns_from_seconds
+from vo.sources.listing import LARGEST_NS, Shot, check_increasing, median_interval_ns
+
+_NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+_SHORTEST_INTERVAL_NS = 2_000_000
+_LONGEST_INTERVAL_NS = 20_000_000_000
+_SMALLEST_STAMP = 1_000_000_000  # whole numbers below are counters, not times
+
+
+def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
+    """Take stamps from file names that end in a time; None if these do not look like times.
+
+    Seconds are written with a point; whole numbers from 10^9 up count as nanoseconds, micro-,
+    milliseconds or seconds, whichever first gives a plausible interval between images.
+
+    Raises:
+        SourceError: two images have the same stamp.
+    """
+    numbers = [_last_number(path) for path in images]
+    if len(images) < 2 or not all(numbers):
+        return None
+    stamps_ns = _stamps_of_numbers(numbers)
+    if stamps_ns is None or max(stamps_ns) > LARGEST_NS:
+        return None
+    shots = [Shot(s, p, f"file {p}") for s, p in zip(stamps_ns, images, strict=True)]
+    shots.sort(key=lambda shot: shot.stamp_ns)
+    check_increasing(shots)
+    return shots
+
+
+def _last_number(path: Path) -> str:
+    found = re.search(r"\d+(\.\d+)?$", path.stem)
+    return found.group() if found else ""
+
+
+def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
+    if any("." in number for number in numbers):
+        units = ["s"]
+    elif min(int(number) for number in numbers) >= _SMALLEST_STAMP:
+        units = list(_NS_PER_UNIT)
+    else:
+        return None
+    for unit in units:
+        if unit == "s":
+            stamps = [stamp_ns_from_seconds(number) for number in numbers]
+        else:
+            stamps = [int(number) * _NS_PER_UNIT[unit] for number in numbers]
+        if _SHORTEST_INTERVAL_NS <= median_interval_ns(stamps) <= _LONGEST_INTERVAL_NS:
+            return stamps
+    return None
