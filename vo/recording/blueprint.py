@@ -13,11 +13,11 @@ def make_blueprint() -> rrb.Blueprint:
     right = rrb.Vertical(
         _image_view(),
         rrb.Horizontal(
-            rrb.TimeSeriesView(name="Matches", origin=entities.TRACKING_PLOT),
-            rrb.TimeSeriesView(name="Milliseconds per frame", origin=entities.TIME_PLOT),
+            _plot("Matches", entities.TRACKING_PLOT, rrb.Corner2D.LeftBottom),
+            _plot("Milliseconds per frame", entities.TIME_PLOT, rrb.Corner2D.LeftTop),
         ),
-        rrb.TextLogView(name="Events", origin=entities.EVENTS),
-        row_shares=[4, 4, 2],
+        rrb.TextLogView(name="Events", origin=entities.EVENTS, columns=_event_columns()),
+        row_shares=[9, 8, 5],
     )
     return rrb.Blueprint(
         rrb.Horizontal(_map_view(), right, column_shares=[1, 1]),
@@ -42,6 +42,18 @@ def _map_view() -> rrb.Spatial3DView:
 
 def _image_view() -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name="Image", origin=entities.CAMERA, contents="$origin/**")
+
+
+def _plot(name: str, origin: str, legend: rrb.Corner2D) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, origin=origin, plot_legend=rrb.PlotLegend(legend))
+
+
+def _event_columns() -> rrb.TextLogColumns:
+    """All but the entity path, which is the same in each row."""
+    return rrb.TextLogColumns(
+        timeline_columns=[entities.FRAME_TIMELINE, entities.SENSOR_TIMELINE],
+        text_log_columns=["LogLevel", "Body"],
+    )
 
 
 def _timelines() -> tuple[str, str]:

@@ -1,6 +1,7 @@
 """Names of what a recording holds, and its colours; entity tree = frame tree.
 
-Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
+Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart; all show on a
+light and on a dark ground, since the viewer follows the desktop's theme.
 """
 
 from __future__ import annotations
@@ -35,18 +36,17 @@ KEYPOINT_NAMES = {
 
 Colour = tuple[int, int, int]
 
-WHITE: Colour = (235, 235, 235)
 ORANGE: Colour = (230, 159, 0)
 SKY: Colour = (86, 180, 233)
-GREEN: Colour = (0, 200, 130)  # a little lighter than theirs, for thin lines on a dark ground
+GREEN: Colour = (0, 200, 130)  # lighter than theirs, for thin lines
 VERMILION: Colour = (225, 85, 20)
 PINK: Colour = (204, 121, 167)
-YELLOW: Colour = (240, 228, 66)
-GREY: Colour = (150, 150, 150)
+YELLOW: Colour = (240, 228, 66)  # over images only
+GREY: Colour = (128, 128, 128)
 
 KEYPOINT_COLOURS: dict[int, Colour] = {
     FeatureState.NEW: SKY,
     FeatureState.TRACKED: GREEN,
     FeatureState.REJECTED: VERMILION,
 }
-STAGE_COLOURS: tuple[Colour, ...] = (ORANGE, SKY, GREEN, YELLOW, PINK, VERMILION, GREY)
+STAGE_COLOURS: tuple[Colour, ...] = (ORANGE, SKY, GREEN, PINK, VERMILION)

@@ -16,11 +16,12 @@ _PATHS = {
     entities.CAUSAL_PATH: (entities.ORANGE, 1.2),
     entities.SMOOTHED_PATH: (entities.SKY, 2.0),
     entities.WINDOW: (entities.PINK, 2.5),
-    entities.TRUE_PATH: (entities.WHITE, 1.2),
+    entities.TRUE_PATH: (entities.GREY, 1.2),
 }
 _FRUSTUM_SHARE_OF_DEPTH = 0.1
 _FRUSTUM_SHARE_OF_PATH = 0.04
 _FRUSTUM_STEP = 1.25
+_FRAMES_BETWEEN_MAPS = 5  # the local map is the largest thing after the image
 
 
 class MapLayer:
@@ -42,6 +43,7 @@ class MapLayer:
         self._causal = GrowingPath()
         self._smoothed = SmoothedPath()
         self._landmarks = GrowingMap()
+        self._next_map_frame = 0
         self._frustum = 0.0
         self._state: State | None = None
 
@@ -65,7 +67,9 @@ class MapLayer:
             settled, window = self._smoothed.update(estimate.keyframes)
             self._log_lines(entities.SMOOTHED_PATH, settled)
             self._stream.log(entities.WINDOW, rr.LineStrips3D.from_fields(strips=window))
-        if estimate.landmarks is not None and pose is not None:
+        is_map_due = estimate.frame_index >= self._next_map_frame
+        if estimate.landmarks is not None and pose is not None and is_map_due:
+            self._next_map_frame = estimate.frame_index + _FRAMES_BETWEEN_MAPS
             self._log_landmarks(estimate.landmarks, pose)
 
     def log_whole(self, smoothed: Trajectory, index: RunIndex) -> None:

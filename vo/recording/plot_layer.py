@@ -26,7 +26,7 @@ class PlotLayer:
         """Log names and colours of the series known beforehand."""
         for name, colour in (("matches", entities.SKY), ("inliers", entities.GREEN)):
             self._log_style(f"{entities.TRACKING_PLOT}/{name}", name, colour)
-        self._log_style(f"{entities.TIME_PLOT}/total", "total", entities.WHITE)
+        self._log_style(f"{entities.TIME_PLOT}/total", "total", entities.GREY)
 
     def log(self, estimate: Estimate) -> None:
         """Log a frame's numbers, and what changed."""
@@ -51,9 +51,9 @@ class PlotLayer:
         if now == self._told:
             return
         self._told = now
-        text = f"frame {estimate.frame_index}: {estimate.state}, segment {estimate.segment}"
+        text = f"{estimate.state}, segment {estimate.segment}"
         if estimate.reason:
-            text += f" ({estimate.reason})"
+            text += f": {estimate.reason}"
         self._stream.log(entities.EVENTS, rr.TextLog(text, level=_LEVELS[estimate.state]))
 
     def _log_number(self, entity: str, number: float) -> None:

@@ -19,6 +19,8 @@ from vo.types import Estimate, Rig, Trajectory
 _APPLICATION = "vo"
 _FRAMES_PER_FLUSH = 30
 _FLUSH_TIMEOUT_S = 5.0
+# rerun's default of five chunks a second costs more in headers than in data.
+_BATCHES = rr.ChunkBatcherConfig(flush_tick=1.0)
 
 _logger = logging.getLogger(__name__)
 
@@ -79,15 +81,15 @@ class RerunRecorder:
         self._stream = None
 
     def _open(self) -> rr.RecordingStream:
-        # The default of five chunks a second would cost more in headers than in data.
-        batches = rr.ChunkBatcherConfig(flush_tick=1.0)
-        stream = rr.RecordingStream(_APPLICATION, batcher_config=batches)
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._path.open("wb").close()  # says what is wrong more clearly than rerun does
+            stream = rr.RecordingStream(_APPLICATION, batcher_config=_BATCHES)
             stream.save(self._path, default_blueprint=make_blueprint())
         except (RuntimeError, OSError) as error:
+            reason = getattr(error, "strerror", None) or error
             raise OutputError(
-                f"cannot write the recording {self._path} ({error}); choose another file"
+                f"cannot write the recording {self._path}: {reason}; choose another file"
             ) from error
         stream.set_log_tick_enabled(False)
         stream.set_log_time_enabled(False)

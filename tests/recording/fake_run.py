@@ -1,0 +1,81 @@
+"""A short made-up run: keyframes, landmarks, one lost frame and a second segment."""
+
+import numpy as np
+
+from vo.geometry.transforms import make_transform, so3_exp
+from vo.types import (
+    Camera,
+    Estimate,
+    FeatureState,
+    KeyframePose,
+    Landmarks,
+    Rig,
+    State,
+    Trajectory,
+    View,
+)
+
+FRAMES = 10
+LOST_FRAME = 6
+FEATURES = 30
+LANDMARKS = 20
+CAMERA = Camera(width=65, height=48, fx=50.0, fy=52.0, cx=31.5, cy=23.0)
+RIG = Rig(CAMERA, CAMERA, np.eye(4))
+
+
+def pose(frame: int) -> np.ndarray:
+    rotation = so3_exp(np.array([0.01, 0.05, -0.02]) * frame)
+    return make_transform(rotation, np.array([300.0 + 0.1 * frame**2, 0.02 * frame, 0.5 * frame]))
+
+
+def stamp_ns(frame: int, first_ns: int = 0) -> int:
+    return first_ns + frame * 103_456_789
+
+
+def trajectory(first_ns: int = 0, *, frames: range = range(FRAMES)) -> Trajectory:
+    tracked = [frame for frame in frames if frame != LOST_FRAME]
+    stamps = np.array([stamp_ns(frame, first_ns) for frame in tracked], dtype=np.int64)
+    return Trajectory(stamps, np.array([pose(frame) for frame in tracked]))
+
+
+def view(frame: int) -> View:
+    rng = np.random.default_rng(frame)
+    xy = rng.uniform(0.0, 45.0, (FEATURES, 2)).astype(np.float32)
+    previous = xy - np.float32(1.5)
+    previous[:5] = np.nan
+    state = np.full(FEATURES, FeatureState.TRACKED, dtype=np.uint8)
+    state[:5], state[5:8] = FeatureState.NEW, FeatureState.REJECTED
+    image = rng.integers(0, 255, (CAMERA.height, CAMERA.width), dtype=np.uint8)
+    return View(image, None, xy, state, previous, CAMERA.matrix)
+
+
+def keyframes(frame: int, first_ns: int = 0) -> tuple[KeyframePose, ...]:
+    window = [k for k in range(max(0, frame - 4), frame + 1, 2) if k != LOST_FRAME]
+    return tuple(
+        KeyframePose(k, stamp_ns(k, first_ns), int(k > LOST_FRAME), pose(k), np.eye(6))
+        for k in window
+    )
+
+
+def landmarks(frame: int) -> Landmarks:
+    ids = np.arange(LANDMARKS) + 5 * frame
+    return Landmarks(ids, np.stack([ids * 0.1, ids % 7 - 3.0, 5.0 + ids * 0.2], axis=1))
+
+
+def estimate(frame: int, first_ns: int = 0) -> Estimate:
+    is_lost, is_keyframe = frame == LOST_FRAME, frame % 2 == 0 and frame != LOST_FRAME
+    return Estimate(
+        frame_index=frame,
+        stamp_ns=stamp_ns(frame, first_ns),
+        state=State.LOST if is_lost else State.TRACKING,
+        reason="too few matches: 3" if is_lost else "",
+        segment=int(frame >= LOST_FRAME),
+        world_from_cam0=None if is_lost else pose(frame),
+        is_keyframe=is_keyframe,
+        matches=22,
+        inliers=20,
+        keyframes=keyframes(frame, first_ns) if is_keyframe else (),
+        view=view(frame),
+        landmarks=landmarks(frame) if is_keyframe else None,
+        stage_ms={"features": 5.0, "tracking": 3.0},
+    )

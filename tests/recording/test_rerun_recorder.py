@@ -1,0 +1,243 @@
+import logging
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import cv2
+import fake_run
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from vo.errors import OutputError
+from vo.geometry.transforms import quat_xyzw_from_rotation, rotation_from_quat_xyzw
+from vo.recording import entities
+from vo.recording.recorder import NullRecorder, Recorder
+from vo.recording.rerun_recorder import RerunRecorder
+from vo.types import Rig, Trajectory
+
+EPOCH_NS = 1_700_000_000_123_456_789
+
+
+def record(path: Path, *, images="half", first_ns=0, rig=fake_run.RIG, truth=None) -> Path:
+    recorder = RerunRecorder(path, images=images)
+    recorder.begin("fake", rig, truth)
+    for frame in range(fake_run.FRAMES):
+        recorder.record(fake_run.estimate(frame, first_ns))
+    path_found = fake_run.trajectory(first_ns)
+    recorder.finish(path_found, path_found)
+    return path
+
+
+def read(path: Path, column: str) -> dict[str, list]:
+    """Values by entity of the component whose column ends in `column`, rows in order of frames."""
+    rows = defaultdict(list)
+    for chunk in RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        names = [name for name in batch.schema.names if name.split(":")[-1] == column]
+        for name in names:
+            has_frames = entities.FRAME_TIMELINE in batch.schema.names
+            frames = batch["frame"].to_pylist() if has_frames else [-1] * len(batch)
+            values = zip(frames, batch[name].to_pylist(), strict=True)
+            rows[chunk.entity_path.lstrip("/")] += [row for row in values if row[1] is not None]
+    return {entity: sorted(found, key=lambda row: row[0]) for entity, found in rows.items()}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("rrd") / "new_folder" / "run.rrd"
+    return record(path, truth=fake_run.trajectory())
+
+
+def test_rerun_itself_finds_nothing_wrong(recording):
+    command = Path(sys.executable).parent / "rerun"
+    done = subprocess.run(
+        [command, "rrd", "verify", recording], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_holds_a_blueprint(recording):
+    assert len(RrdReader(recording).blueprints()) == 1
+
+
+def test_holds_every_entity_on_both_timelines(recording):
+    timelines = defaultdict(set)
+    for chunk in RrdReader(recording).stream().to_chunks():
+        timelines[chunk.entity_path.lstrip("/")] |= set(chunk.timeline_names)
+    both = {entities.FRAME_TIMELINE, entities.SENSOR_TIMELINE}
+    moving = [
+        entities.CAMERA,
+        entities.IMAGE,
+        entities.MATCHES,
+        entities.CAUSAL_PATH,
+        entities.SMOOTHED_PATH,
+        entities.WINDOW,
+        entities.LOCAL_LANDMARKS,
+        entities.SETTLED_LANDMARKS,
+        entities.EVENTS,
+        entities.CAUSAL_POSES,
+        entities.SMOOTHED_POSES,
+        *(f"{entities.KEYPOINTS}/{name}" for name in entities.KEYPOINT_NAMES.values()),
+        *(f"{entities.TRACKING_PLOT}/{name}" for name in ("matches", "inliers")),
+        *(f"{entities.TIME_PLOT}/{name}" for name in ("total", "features", "tracking")),
+    ]
+    assert {entity: timelines[entity] for entity in moving} == dict.fromkeys(moving, both)
+    assert timelines[entities.TRUE_PATH] == timelines[entities.WORLD] == set()
+
+
+def test_poses_are_those_of_the_run(recording):
+    tracked = [frame for frame in range(fake_run.FRAMES) if frame != fake_run.LOST_FRAME]
+    for entity in (entities.CAUSAL_POSES, entities.SMOOTHED_POSES):
+        rows = read(recording, "scalars")[entity]
+        assert [frame for frame, _ in rows] == tracked
+        for frame, row in rows:
+            expected = fake_run.pose(frame)
+            assert row[:3] == pytest.approx(expected[:3, 3], abs=1e-6)
+            assert rotation_from_quat_xyzw(np.array(row[3:])) == pytest.approx(
+                expected[:3, :3], abs=1e-6
+            )
+
+
+def test_camera_moves_along_the_causal_path(recording):
+    rows = read(recording, "quaternion")[entities.CAMERA]
+    assert len(rows) == fake_run.FRAMES - 1
+    for frame, (quat,) in rows:
+        expected = quat_xyzw_from_rotation(fake_run.pose(frame)[:3, :3])
+        assert np.asarray(quat) == pytest.approx(expected, abs=1e-6)
+    lines = read(recording, "strips")[entities.CAUSAL_PATH]
+    assert [frame for frame, _ in lines] == [1, 2, 3, 4, 5, 8, 9]  # none across the loss
+    for frame, (line,) in lines:
+        ends = [fake_run.pose(frame - 1)[:3, 3], fake_run.pose(frame)[:3, 3]]
+        assert np.array(line) == pytest.approx(np.array(ends), abs=1e-4)
+
+
+def test_smoothed_path_ends_as_one_strip_for_each_segment(recording):
+    last = [strips for frame, strips in read(recording, "strips")[entities.SMOOTHED_PATH]][0]
+    assert [len(strip) for strip in last] == [6, 3]
+
+
+def test_each_landmark_settles_once(recording):
+    rows = read(recording, "positions")
+    settled = np.concatenate([points for _, points in rows[entities.SETTLED_LANDMARKS]])
+    (_, first), *_ = rows[entities.LOCAL_LANDMARKS]
+    assert len(first) == fake_run.LANDMARKS
+    assert len(np.unique(settled, axis=0)) == len(settled) > 0
+
+
+@pytest.mark.parametrize("images, scale", [("full", 1.0), ("half", 0.5), ("none", 1.0)])
+def test_overlays_lie_on_the_image(tmp_path, images, scale):
+    path = record(tmp_path / "run.rrd", images=images)
+    blobs = read(path, "blob").get(entities.IMAGE, [])
+    assert len(blobs) == (0 if images == "none" else fake_run.FRAMES)
+    ((width, height),) = read(path, "resolution")[entities.CAMERA][0][1]
+    for _, (blob,) in blobs:
+        image = cv2.imdecode(np.array(blob, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        assert image.shape == (height, width)
+    points = read(path, "positions")[f"{entities.KEYPOINTS}/tracked"]
+    points = [row for row in points if row[0] == 3][0][1]
+    assert np.array(points) == pytest.approx((fake_run.view(3).xy[8:] + 0.5) * scale, abs=1e-5)
+    (matrix,) = read(path, "image_from_camera")[entities.CAMERA][0][1]
+    centre = (fake_run.CAMERA.cx + 0.5) * scale
+    assert matrix[6] == pytest.approx(centre) and matrix[0] == pytest.approx(50.0 * scale)
+
+
+@pytest.mark.parametrize("first_ns, kind", [(0, "duration[ns]"), (EPOCH_NS, "timestamp[ns]")])
+def test_sensor_time_is_exact_for_small_and_epoch_stamps(tmp_path, first_ns, kind):
+    path = record(tmp_path / "run.rrd", first_ns=first_ns)
+    stamps = set()
+    for chunk in RrdReader(path).stream().to_chunks():
+        if not chunk.is_static:
+            column = chunk.to_record_batch()[entities.SENSOR_TIMELINE]
+            assert str(column.type) == kind
+            stamps |= set(column.cast("int64").to_pylist())
+    assert stamps == {fake_run.stamp_ns(frame, first_ns) for frame in range(fake_run.FRAMES)}
+
+
+@pytest.mark.parametrize("is_stereo, scale", [(True, 1.0), (False, 4.0)])
+def test_truth_lies_on_the_estimate(tmp_path, is_stereo, scale):
+    found = fake_run.trajectory()
+    turned = fake_run.pose(4) @ found.world_from_cam
+    turned[:, :3, 3] *= scale
+    rig = fake_run.RIG if is_stereo else Rig(fake_run.CAMERA)
+    path = record(tmp_path / "run.rrd", rig=rig, truth=Trajectory(found.stamps_ns, turned))
+    shown = [strips for _, strips in read(path, "strips")[entities.TRUE_PATH]][-1]
+    assert np.array(shown[0]) == pytest.approx(found.positions, abs=1e-3)
+
+
+def test_loss_is_in_the_events(recording):
+    texts = [(frame, text) for frame, (text,) in read(recording, "text")[entities.EVENTS]]
+    assert texts == [
+        (0, "tracking, segment 0"),
+        (6, "lost, segment 1: too few matches: 3"),
+        (7, "tracking, segment 1"),
+    ]
+
+
+def test_replaces_an_older_file(tmp_path, recording):
+    path = tmp_path / "run.rrd"
+    path.write_bytes(b"old" * 1_000_000)
+    record(path)
+    assert len(read(path, "blob")[entities.IMAGE]) == fake_run.FRAMES
+
+
+@pytest.mark.parametrize("name", ["folder", "file.txt/run.rrd"])
+def test_says_that_the_file_cannot_be_written(tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file.txt").touch()
+    with pytest.raises(OutputError, match=r"cannot write the recording .*choose another") as error:
+        RerunRecorder(tmp_path / name).begin("fake", fake_run.RIG, None)
+    assert "\n" not in str(error.value)
+
+
+def test_a_failing_writer_ends_the_recording_not_the_run(tmp_path, caplog, monkeypatch):
+    recorder = RerunRecorder(tmp_path / "run.rrd")
+    recorder.begin("fake", fake_run.RIG, None)
+
+    def fail(**_):
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(recorder._stream, "flush", fail)
+    path_found = fake_run.trajectory()
+    with caplog.at_level(logging.WARNING):
+        for frame in range(40):
+            recorder.record(fake_run.estimate(frame))
+        recorder.finish(path_found, path_found)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "File-writer" in caplog.text
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_run_killed_in_the_middle_leaves_a_file_that_opens(tmp_path):
+    path = tmp_path / "run.rrd"
+    script = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "import fake_run\n"
+        "from vo.recording.rerun_recorder import RerunRecorder\n"
+        "recorder = RerunRecorder(Path(sys.argv[1])); recorder.begin('x', fake_run.RIG, None)\n"
+        "for frame in range(45): recorder.record(fake_run.estimate(frame))\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    subprocess.run(
+        [sys.executable, "-c", script, path], env={**os.environ, "PYTHONPATH": paths}, timeout=60
+    )
+    assert len(read(path, "blob")[entities.IMAGE]) >= 30
+
+
+def test_recorder_without_frames_closes(tmp_path):
+    recorder = RerunRecorder(tmp_path / "run.rrd")
+    nothing = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    recorder.finish(nothing, nothing)  # never begun
+    recorder.begin("fake", fake_run.RIG, None)
+    recorder.finish(nothing, nothing)
+    assert len(RrdReader(tmp_path / "run.rrd").recordings()) == 1
+
+
+def test_null_recorder_takes_everything():
+    recorder: Recorder = NullRecorder()
+    recorder.begin("fake", fake_run.RIG, fake_run.trajectory())
+    recorder.record(fake_run.estimate(0))
+    recorder.finish(fake_run.trajectory(), fake_run.trajectory())
