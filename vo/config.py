@@ -25,6 +25,96 @@ class FeaturesConfig(_Section):
     """ORB features, spread over the image by a grid."""
 
     count: int = Field(1500, ge=50, le=20000, description="features per image")
+    levels: int = Field(8, ge=1, le=16, description="pyramid levels")
+    scale_factor: float = Field(1.2, gt=1.0, le=2.0, description="size ratio between two levels")
+    threshold: int = Field(20, ge=1, le=200, description="least corner contrast in grey levels")
+    low_threshold: int = Field(7, ge=1, le=200, description="the same where a cell has no corner")
+
+
+class TrackingConfig(_Section):
+    """From the map to the pose of a frame."""
+
+    search_share: float = Field(
+        0.02, gt=0, le=0.5, description="radius of the search window, share of the image width"
+    )
+    max_hamming: int = Field(64, ge=1, le=256, description="most bits that a match may differ in")
+    ratio: float = Field(0.85, gt=0, le=1, description="best over second best Hamming distance")
+    pnp_threshold_px: float = Field(4.0, gt=0, description="inlier threshold of PnP RANSAC")
+    patch_half_px: int = Field(6, ge=2, le=10, description="half side of the aligned patches")
+    min_patch_score: float = Field(
+        0.8, ge=-1, le=1, description="least correlation of an aligned patch"
+    )
+    max_shift_px: float = Field(
+        4.0, gt=0, description="farthest that alignment may move from the projection"
+    )
+    max_landmarks: int = Field(1000, ge=50, description="most landmarks aligned in one frame")
+    sigma_px: float = Field(0.5, gt=0, description="standard deviation of an aligned position")
+    sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
+    gate: float = Field(3.5, gt=0, description="standard deviations from which it is an outlier")
+    min_inliers: int = Field(20, ge=6, description="fewer agreeing landmarks than this is lost")
+    recover_frames: int = Field(
+        10, ge=0, description="frames to look for the old map before a new segment is begun"
+    )
+
+
+class StartConfig(_Section):
+    """The first map."""
+
+    min_matches: int = Field(80, ge=8, description="mono: least matches between the two views")
+    min_points: int = Field(50, ge=8, description="least landmarks of a first map")
+    min_motion_px: float = Field(4.0, ge=0, description="mono: least median image motion")
+    min_parallax_deg: float = Field(1.0, gt=0, description="mono: least median parallax")
+    threshold_px: float = Field(1.0, gt=0, description="mono: inlier threshold of E and H")
+    homography_share: float = Field(
+        0.45, gt=0, lt=1, description="mono: share of the score from which the plane is chosen"
+    )
+
+
+class KeyframeConfig(_Section):
+    """When a frame becomes a keyframe."""
+
+    min_tracked_share: float = Field(
+        0.75, gt=0, le=1, description="share of the last keyframe's landmarks still tracked"
+    )
+    min_parallax_deg: float = Field(1.5, gt=0, description="median parallax with the last keyframe")
+    max_gap_s: float = Field(1.0, gt=0, description="longest time between two, if moving")
+
+
+class StereoConfig(_Section):
+    """Left and right."""
+
+    max_row_offset_px: float = Field(1.5, gt=0, description="most that matched rows may differ")
+    min_disparity_px: float = Field(1.5, gt=0, description="least disparity of a new landmark")
+    max_disparity_share: float = Field(
+        0.3, gt=0, le=1, description="largest disparity, share of the image width"
+    )
+
+
+class MappingConfig(_Section):
+    """Which landmarks the map holds."""
+
+    new_per_keyframe: int = Field(600, ge=20, description="most new landmarks of a keyframe")
+    min_parallax_deg: float = Field(1.0, gt=0, description="mono: least parallax of a landmark")
+    neighbours: int = Field(4, ge=1, description="mono: keyframes to triangulate with")
+    min_found_share: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="landmarks found in fewer of the frames that should are culled",
+    )
+
+
+class SmoothingConfig(_Section):
+    """The GTSAM window."""
+
+    window: int = Field(8, ge=2, description="keyframes whose poses are adjusted")
+    fixed: int = Field(8, ge=1, description="older keyframes that hold the window in place")
+    max_landmarks: int = Field(800, ge=50, description="most landmarks adjusted")
+    iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
+    relative_error_tolerance: float = Field(1e-4, gt=0, description="when to stop earlier")
+    huber: float = Field(1.5, gt=0, description="standard deviations from which it counts less")
+    gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
+    sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
 
 
 class Config(_Section):
@@ -32,6 +122,12 @@ class Config(_Section):
 
     seed: int = Field(0, ge=0, description="seed of every random choice")
     features: FeaturesConfig = FeaturesConfig()
+    stereo: StereoConfig = StereoConfig()
+    start: StartConfig = StartConfig()
+    tracking: TrackingConfig = TrackingConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    mapping: MappingConfig = MappingConfig()
+    smoothing: SmoothingConfig = SmoothingConfig()
 
 
 def preset_names() -> list[str]:

@@ -243,3 +243,54 @@ class Estimate:
     view: View
     landmarks: Landmarks | None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowProblem:
+    """Keyframe poses and landmarks to be adjusted together; K keyframes, M points, N observations.
+
+    Attributes:
+        intrinsics: fx, fy, cx, cy of the working camera in pixels.
+        baseline_m: distance to the right camera, 0 in mono.
+        world_from_cam: (K, 4, 4) first guess.
+        fixed: (K,) poses that stay as they are and anchor the others.
+        points: (M, 3) in the world.
+        keyframe: (N,) row in world_from_cam of each observation.
+        point: (N,) row in points of each observation.
+        xy: (N, 2) ideal pixels.
+        disparity: (N,) pixels, NaN where the right camera has no match.
+        sigma_px: (N,) standard deviation of xy.
+    """
+
+    intrinsics: tuple[float, float, float, float]
+    baseline_m: float
+    world_from_cam: Floats
+    fixed: Bools
+    points: Floats
+    keyframe: Ints
+    point: Ints
+    xy: Floats
+    disparity: Floats
+    sigma_px: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class WindowSolution:
+    """What became of a `WindowProblem`.
+
+    Attributes:
+        world_from_cam: (K, 4, 4) adjusted.
+        covariance: (K, 6, 6) relative to the fixed poses, tangent (rx ry rz tx ty tz) in the
+            camera's own frame; NaN where it could not be computed.
+        points: (M, 3) adjusted.
+        point_ok: (M,) False for points that were dropped as degenerate.
+        residual: (N,) length of the observation's residual in standard deviations.
+        converged: False if nothing could be adjusted; all is then as it was given.
+    """
+
+    world_from_cam: Floats
+    covariance: Floats
+    points: Floats
+    point_ok: Bools
+    residual: Floats
+    converged: bool

@@ -1,0 +1,1 @@
+"""Finding, describing, matching and refining image features."""

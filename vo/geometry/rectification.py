@@ -1,0 +1,190 @@
+"""From recorded images to those that the odometry works on, and from its pixels back.
+
+Stereo pairs are rectified whole (rows correspond, no distortion). A single camera's images stay as
+recorded; only the positions of features are undistorted, which is cheaper and keeps every pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.errors import CalibrationError
+from vo.geometry import cameras
+from vo.geometry.transforms import make_transform
+from vo.types import Bytes, Camera, Floats, Rig
+
+_Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
+# Beyond this angle from the optical axis the ideal pinhole camera stretches pixels too far.
+_MAX_RAY = np.tan(np.deg2rad(75.0))
+
+
+@dataclass(frozen=True, eq=False)
+class WorkingRig:
+    """The ideal pinhole cameras that the odometry computes with.
+
+    Attributes:
+        fx: focal length along u in pixels.
+        fy: focal length along v.
+        cx: principal point, u.
+        cy: principal point, v.
+        baseline_m: distance from the left to the right camera, 0 in mono.
+        cam0_from_working: (4, 4) turns the working (rectified) left camera into the recorded cam0.
+        lens: the distorted camera whose images are used as recorded, or None if there is nothing
+            to undo.
+        maps: OpenCV's rectification maps of cam0 and cam1, or None if the images are used as is.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    baseline_m: float
+    cam0_from_working: Floats
+    lens: Camera | None = None
+    maps: tuple[_Maps, _Maps] | None = None
+
+    @property
+    def matrix(self) -> Floats:
+        """The (3, 3) camera matrix of both working cameras."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_stereo(self) -> bool:
+        """Whether there is a right camera."""
+        return self.baseline_m > 0.0
+
+    def rectify(self, image: Bytes, side: int) -> Bytes:
+        """The working image of cam0 (side 0) or cam1 (side 1)."""
+        if self.maps is None:
+            return image
+        return np.asarray(cv2.remap(image, *self.maps[side], cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def ideal_from_image(self, xy: Floats) -> Floats:
+        """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""
+        if self.lens is None:
+            return np.asarray(xy, dtype=np.float64)
+        rays = cameras.normalise(self.lens, xy)
+        rays[np.linalg.norm(rays, axis=1) > _MAX_RAY] = np.nan
+        return np.asarray(rays * (self.fx, self.fy) + (self.cx, self.cy))
+
+    def image_from_ideal(self, xy: Floats) -> Floats:
+        """Working-image pixels (N, 2) of ideal pinhole pixels (N, 2)."""
+        if self.lens is None:
+            return xy
+        return cameras.distort(self.lens, (xy - (self.cx, self.cy)) / (self.fx, self.fy))
+
+    def project(self, points: Floats) -> Floats:
+        """Ideal pixels (N, 2) of points (N, 3) in the working camera's frame."""
+        return np.asarray(points[:, :2] / points[:, 2:] * (self.fx, self.fy) + (self.cx, self.cy))
+
+    def back_project(self, xy: Floats, depth: Floats) -> Floats:
+        """Points (N, 3) in the working camera's frame at ideal pixels (N, 2) and depths (N,)."""
+        rays = (xy - (self.cx, self.cy)) / (self.fx, self.fy)
+        return np.column_stack([rays * depth[:, None], depth])
+
+
+def working_rig(rig: Rig) -> WorkingRig:
+    """Choose the working cameras of a rig, and what it takes to get there.
+
+    Raises:
+        CalibrationError: cam1 is not to the right of cam0.
+    """
+    c = rig.cam0
+    if rig.cam1 is None or rig.cam1_from_cam0 is None:
+        lens = c if c.is_distorted else None
+        return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, 0.0, np.eye(4), lens)
+    if _is_rectified(rig):
+        baseline = -float(rig.cam1_from_cam0[0, 3])
+        _check_baseline(baseline, abs(baseline))
+        return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4))
+    return _rectified(c, rig.cam1, rig.cam1_from_cam0)
+
+
+def _is_rectified(rig: Rig) -> bool:
+    assert rig.cam1 is not None and rig.cam1_from_cam0 is not None
+    a, b, motion = rig.cam0, rig.cam1, rig.cam1_from_cam0
+    same_matrix = np.allclose((a.fx, a.fy, a.cx, a.cy), (b.fx, b.fy, b.cx, b.cy), atol=0.02)
+    same_size = (a.width, a.height) == (b.width, b.height)
+    baseline = np.linalg.norm(motion[:3, 3])
+    parallel = np.allclose(motion[:3, :3], np.eye(3), atol=2e-5)
+    sideways = bool(np.all(np.abs(motion[1:3, 3]) < 1e-4 * baseline))
+    undistorted = not a.is_distorted and not b.is_distorted
+    return bool(same_matrix and same_size and parallel and sideways and undistorted)
+
+
+def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> WorkingRig:
+    size = (a.width, a.height)
+    rotation, translation = cam1_from_cam0[:3, :3].copy(), cam1_from_cam0[:3, 3:4].copy()
+    if "equidistant" in (a.distortion_model, b.distortion_model):
+        r0, r1, p0, p1 = _fisheye_rectification(a, b, rotation, translation)
+    else:
+        r0, r1, p0, p1 = cv2.stereoRectify(
+            a.matrix,
+            np.array(a.distortion),
+            b.matrix,
+            np.array(b.distortion),
+            size,
+            rotation,
+            translation,
+            flags=cv2.CALIB_ZERO_DISPARITY,
+            alpha=0.0,
+        )[:4]
+    baseline = -float(p1[0, 3] / p1[0, 0])
+    _check_baseline(baseline, float(np.linalg.norm(translation)))
+    maps = (_rectify_maps(a, r0, p0, size), _rectify_maps(b, r1, p1, size))
+    fx, fy, cx, cy = float(p0[0, 0]), float(p0[1, 1]), float(p0[0, 2]), float(p0[1, 2])
+    cam0_from_working = make_transform(r0.T, np.zeros(3))
+    return WorkingRig(a.width, a.height, fx, fy, cx, cy, baseline, cam0_from_working, None, maps)
+
+
+def _fisheye_rectification(
+    a: Camera, b: Camera, rotation: Floats, translation: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Rotate both cameras half-way, then x along the baseline (Fusiello et al., 2000).
+
+    OpenCV's own fisheye version chooses focal lengths that cut the image to a small part; here
+    both working cameras keep the mean focal length and principal point of the recorded ones.
+    """
+    half, _ = cv2.Rodrigues(-0.5 * cv2.Rodrigues(rotation)[0])
+    along = (half @ translation).reshape(3)
+    x = -along / np.linalg.norm(along)
+    y = np.cross([0.0, 0.0, 1.0], x)
+    y /= np.linalg.norm(y)
+    turn = np.stack([x, y, np.cross(x, y)])
+    focal = 0.25 * (a.fx + a.fy + b.fx + b.fy)
+    p0 = np.array(
+        [
+            [focal, 0.0, 0.5 * (a.cx + b.cx), 0.0],
+            [0.0, focal, 0.5 * (a.cy + b.cy), 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
+    )
+    p1 = p0.copy()
+    p1[0, 3] = -focal * float(np.linalg.norm(translation))
+    return turn @ half.T, turn @ half, p0, p1
+
+
+def _rectify_maps(
+    camera: Camera, rotation: Floats, projection: Floats, size: tuple[int, int]
+) -> _Maps:
+    coefficients = np.array(camera.distortion, dtype=np.float64)
+    fisheye = camera.distortion_model == "equidistant"
+    make = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    first, second = make(
+        camera.matrix, coefficients, rotation, projection[:, :3].copy(), size, cv2.CV_16SC2
+    )
+    return first, second
+
+
+def _check_baseline(along_x: float, length: float) -> None:
+    if length <= 0.0 or along_x < 0.5 * length:
+        raise CalibrationError(
+            f"cam1 must be to the right of cam0, but its baseline along x is {along_x:.4g} m of "
+            f"{length:.4g} m; swap left and right, or check cam1_from_cam0"
+        )

@@ -1,0 +1,1 @@
+"""The map's storage: keyframes, landmarks and who saw what."""

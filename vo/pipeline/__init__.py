@@ -1,0 +1,1 @@
+"""The steps of the odometry, each of which joins several rooms."""

@@ -1,0 +1,149 @@
+"""First maps: from one stereo frame, or from two frames of a single camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.config import Config
+from vo.features.alignment import align_patches
+from vo.features.matching import agree_in_rotation, match_windows
+from vo.geometry.rectification import WorkingRig
+from vo.geometry.transforms import inverse, transform_points
+from vo.mapping.map import Keyframe, Map
+from vo.pipeline.grow import far_from
+from vo.pipeline.working_frame import WorkingFrame
+from vo.tracking.two_view import TwoView, start_two_view
+from vo.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPair:
+    """Two frames that make a map: matched features and what they say of the motion."""
+
+    reference: WorkingFrame
+    current: WorkingFrame
+    query: Ints
+    image_xy: Floats
+    xy: Floats
+    two_view: TwoView
+
+
+class MonoStart:
+    """Follows the features of a reference frame until there is enough parallax for a map."""
+
+    def __init__(self, rig: WorkingRig, config: Config) -> None:
+        self._rig = rig
+        self._config = config
+        self._reference: WorkingFrame | None = None
+        self._expected_xy: Floats = np.empty((0, 2))
+
+    def restart(self) -> None:
+        """Forget the reference frame."""
+        self._reference = None
+
+    def attempt(self, frame: WorkingFrame) -> FirstPair | str:
+        """A first map from the reference frame and this one, or why there is none yet."""
+        if self._reference is None:
+            return self._begin(frame, "this is the reference frame")
+        query, image_xy = self._match(self._reference, frame)
+        if len(query) < self._config.start.min_matches:
+            return self._begin(frame, f"{len(query)} matches with the reference frame, too few")
+        self._expected_xy[query] = image_xy
+        xy = self._rig.ideal_from_image(image_xy)
+        reference_xy = self._reference.ideal_xy[query]
+        result = start_two_view(reference_xy, xy, self._rig.matrix, self._config.start)
+        if isinstance(result, str):
+            return result
+        return FirstPair(self._reference, frame, query, image_xy, xy, result)
+
+    def _begin(self, frame: WorkingFrame, reason: str) -> str:
+        self._reference = frame
+        self._expected_xy = frame.keypoints.xy.astype(np.float64)
+        return reason
+
+    def _match(self, reference: WorkingFrame, frame: WorkingFrame) -> tuple[Ints, Floats]:
+        """Features of the reference found in the frame, and where, to sub-pixel."""
+        tracking = self._config.tracking
+        a, b = reference.keypoints, frame.keypoints
+        radius = np.full(len(a), 4.0 * tracking.search_share * self._rig.width)
+        matched = match_windows(
+            self._expected_xy,
+            a.octave,
+            a.descriptor,
+            radius,
+            b.xy,
+            b.octave,
+            b.descriptor,
+            max_distance=tracking.max_hamming,
+            ratio=tracking.ratio,
+        )
+        query = np.flatnonzero(matched >= 0)
+        query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
+        start = b.xy[matched[query]].astype(np.float64)
+        found = align_patches(
+            reference.image0[None],
+            np.zeros(len(query), dtype=np.int64),
+            a.xy[query].astype(np.float64),
+            np.tile(np.eye(2), (len(query), 1, 1)),
+            frame.image0,
+            start,
+            half_px=tracking.patch_half_px,
+        )
+        size = self._config.features.scale_factor ** b.octave[matched[query]]
+        good = found.converged & (found.score >= tracking.min_patch_score)
+        good &= np.linalg.norm(found.xy - start, axis=1) <= 1.0 + 1.5 * size
+        return query[good], found.xy[good]
+
+
+def map_from_pair(
+    world: Map, pair: FirstPair, anchor: Floats, median_depth: float, segment: int, sigma_px: float
+) -> tuple[Keyframe, Keyframe]:
+    """Two keyframes and their landmarks, scaled to a median depth; the first is at `anchor`."""
+    good, points = pair.two_view.good, pair.two_view.points
+    scale = median_depth / float(np.median(points[good, 2]))
+    motion = pair.two_view.second_from_first.copy()
+    motion[:3, 3] *= scale
+    query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)
+    first = add_keyframe(world, pair.reference, anchor, segment, _others(pair.reference, query))
+    taken = pair.image_xy[good]
+    free = far_from(pair.current.keypoints.xy.astype(np.float64), taken)
+    second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free)
+    keypoints = pair.reference.keypoints
+    reference_xy = keypoints.xy[query].astype(np.float64)
+    ids = world.add_landmarks(
+        in_world,
+        keypoints.descriptor[query],
+        keypoints.octave[query],
+        keypoints.angle[query],
+        first,
+        reference_xy,
+        second,
+    )
+    none, sigma = np.full(len(ids), np.nan), np.full(len(ids), sigma_px)
+    first.add_observations(ids, pair.reference.ideal_xy[query], reference_xy, none, sigma)
+    second.add_observations(ids, pair.xy[good], taken, none, sigma)
+    return first, second
+
+
+def add_keyframe(
+    world: Map, frame: WorkingFrame, world_from_cam: Floats, segment: int, free: Bools
+) -> Keyframe:
+    """Store a working frame as keyframe."""
+    return world.add_keyframe(
+        frame_index=frame.index,
+        stamp_ns=frame.stamp_ns,
+        segment=segment,
+        image=frame.image0,
+        world_from_cam=world_from_cam,
+        keypoints=frame.keypoints,
+        ideal_xy=frame.ideal_xy,
+        free=free,
+    )
+
+
+def _others(frame: WorkingFrame, used: Ints) -> Bools:
+    free = np.ones(len(frame.keypoints), dtype=bool)
+    free[used] = False
+    return free
