@@ -58,7 +58,7 @@ def _sizes(world: World) -> Ints:
 def _lamp_points(lamp: tuple[float, float, float]) -> Floats:
     steps = ((np.arange(_LAMP_GRID) + 0.5) / _LAMP_GRID - 0.5) * _LAMP_SIDE_M
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    return np.column_stack([x, y, np.zeros_like(x)]) + np.array(lamp)
+    return np.asarray(np.column_stack([x, y, np.zeros_like(x)]) + np.array(lamp))
 
 
 def _sky_directions() -> Floats:
@@ -66,4 +66,4 @@ def _sky_directions() -> Floats:
     k = np.arange(_SKY_RAYS) + 0.5
     radius, turn = np.sqrt(k / _SKY_RAYS), k * np.pi * (3.0 - np.sqrt(5.0))
     flat = np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
-    return _SKY_REACH_M * np.column_stack([flat, np.sqrt(1.0 - radius**2)])
+    return np.asarray(np.column_stack([flat, np.sqrt(1.0 - radius**2)]) * _SKY_REACH_M)

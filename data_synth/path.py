@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.types import Floats
 
-# Basis of the uniform cubic B-spline and its derivative; rows are powers of the share 1, s, s², s³.
+# Basis of the uniform cubic B-spline; rows are powers 1, s, s², s³ of the share between knots.
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 
 _LAP_S = 8.0
@@ -32,18 +32,14 @@ class Path:
 
     def world_from_cam0(self, time_s: Floats) -> Floats:
         """Poses (N, 4, 4) at times (N,), which wrap around."""
-        values = self._values(time_s, derivative=0)
+        values = self._values(time_s)
         poses = np.zeros((len(values), 4, 4))
         poses[:, :3, :3] = _rotations(values[:, 3], values[:, 4], values[:, 5])
         poses[:, :3, 3] = values[:, :3]
         poses[:, 3, 3] = 1.0
         return poses
 
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (N, 3) of cam0 in the world, in m/s."""
-        return self._values(time_s, derivative=1)[:, :3]
-
-    def _values(self, time_s: Floats, derivative: int) -> Floats:
+    def _values(self, time_s: Floats) -> Floats:
         count = len(self.controls)
         knots = np.asarray(time_s, dtype=np.float64) * count / self.duration_s
         first = np.floor(knots).astype(np.int64)
@@ -52,9 +48,6 @@ class Path:
         local = self.controls[index % count].copy()
         local[..., 3] += 2 * np.pi * self.turns * (index // count)  # yaw does not jump at the seam
         powers = share[:, None] ** np.arange(4)
-        if derivative:
-            powers = np.arange(4) * share[:, None] ** np.maximum(np.arange(4) - 1, 0)
-            powers = powers * count / self.duration_s
         return np.asarray(np.einsum("np,pk,nkc->nc", powers, _BASIS, local))
 
 

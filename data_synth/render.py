@@ -17,7 +17,7 @@ from data_synth.world import World
 from vo.geometry.cameras import normalise
 from vo.types import Camera, Floats, Floats32
 
-_BAND_ROWS = 40
+_BAND_ROWS = 3 * kernels.TILE
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,7 @@ def noise(rng: Rng, shape: tuple[int, int], slope: float = 1.0, stretch: float =
 def plaster(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A painted wall: soft stains, fine grain, specks and a few cracks."""
     image = 0.68 + 0.045 * noise(rng, shape, 1.5) + 0.025 * noise(rng, shape, 0.7)
-    _specks(rng, image, count=image.size // 2600, radius=(1, 5), contrast=0.22)
+    _specks(rng, image, count=image.size // 2200, radius=(1, 5), contrast=0.3)
     for _ in range(max(2, image.size // 150_000)):
         _crack(rng, image)
     return _clipped(image)
@@ -82,7 +82,7 @@ def planks(rng: Rng, shape: tuple[int, int]) -> Floats32:
             board[:2] -= 0.16
             board[:, :2] -= 0.16
             left += length
-    _specks(rng, image, count=image.size // 6000, radius=(2, 6), contrast=-0.25)
+    _specks(rng, image, count=image.size // 2000, radius=(1, 6), contrast=-0.4)
     for _ in range(image.size // 60_000):
         _crack(rng, image, contrast=0.12)
     return _clipped(image)
@@ -90,9 +90,9 @@ def planks(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 def wood(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A wooden panel: grain along u, knots and dents."""
-    image = rng.uniform(0.3, 0.62) + 0.07 * noise(rng, shape, 1.0, stretch=7.0)
+    image = rng.uniform(0.4, 0.66) + 0.07 * noise(rng, shape, 1.0, stretch=7.0)
     image += 0.025 * noise(rng, shape, 0.7)
-    _specks(rng, image, count=image.size // 3500, radius=(1, 5), contrast=-0.25)
+    _specks(rng, image, count=image.size // 1800, radius=(1, 5), contrast=-0.35)
     return _clipped(image)
 
 
