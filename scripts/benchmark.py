@@ -1,0 +1,248 @@
+"""Runs `vo run` as a user would on every sequence there is, scores it, and shows it as a page."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import cv2
+from benchmark_table import CASES, SYNTHETIC, Case, document
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "benchmarks.md"
+VO = Path(sys.executable).with_name("vo")
+LIMIT_FEATURES = 2000
+TUM_CALIBRATION = """\
+cam0:
+  resolution: [640, 480]
+  intrinsics: [535.4, 539.2, 320.1, 247.6]
+"""
+
+Result = dict[str, Any]
+
+
+def main() -> None:
+    """Measure, print the page, and write what is asked for."""
+    options = _options()
+    with tempfile.TemporaryDirectory(prefix="vo-benchmark-") as name:
+        work = Path(name)
+        (work / "tum.yaml").write_text(TUM_CALIBRATION, encoding="utf-8")
+        report = _measure(_chosen(options, work), options, work)
+    page = document(report, {case.name: case for case in CASES})
+    print(page)
+    if options.json:
+        options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if options.write:
+        PAGE.parent.mkdir(exist_ok=True)
+        PAGE.write_text(page, encoding="utf-8")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__)
+    add = parser.add_argument
+    add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
+    add("--runs", type=int, default=1, help="runs of each, of which the medians count")
+    add("--config", default="default", help="preset or file for `vo run`")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="setting for `vo run`")
+    add("--only", default="", metavar="TEXT", help="only where sequence and mode contain this")
+    add("--keep", type=Path, metavar="DIR", help="keep the folder of each first run in here")
+    add("--json", type=Path, metavar="FILE", help="write every figure into this file")
+    add("--write", action="store_true", help="write docs/benchmarks.md")
+    options = parser.parse_args()
+    if options.runs < 1:
+        parser.error("--runs must be 1 or more")
+    if options.write and options.only:
+        parser.error("--write is for the whole set, without --only")
+    return options
+
+
+def _chosen(options: argparse.Namespace, work: Path) -> list[tuple[Case, Path]]:
+    """The cases asked for whose recording is there, and where it is."""
+    chosen = []
+    for case in CASES:
+        if options.only not in case.name:
+            continue
+        folder = options.data / case.folder
+        if case.folder == SYNTHETIC:
+            folder = _synthetic(work / SYNTHETIC)
+        if folder.is_dir():
+            chosen.append((case, folder))
+        else:
+            _say(f"{case.name}: {folder} is not there, left out")
+    if not chosen:
+        raise SystemExit("error: no sequence to run on; give --data DIR or another --only")
+    return chosen
+
+
+def _synthetic(folder: Path) -> Path:
+    from data_synth.sequence import make_sequence
+
+    if not folder.exists():
+        _say(f"making {folder.name}")
+        make_sequence(folder)
+    return folder
+
+
+def _measure(
+    chosen: list[tuple[Case, Path]], options: argparse.Namespace, work: Path
+) -> dict[str, Any]:
+    load = os.getloadavg()[0]
+    results = [_case(case, folder, options, work) for case, folder in chosen]
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "machine": f"{_processor()}, {os.cpu_count()} cores, load {load:.1f} before the start",
+        "versions": _versions(),
+        "config": str(options.config),
+        "set": options.set,
+        "runs": options.runs,
+        "start_up_s": median(r["start_up_s"] for r in results),
+        "results": results,
+    }
+
+
+def _case(case: Case, folder: Path, options: argparse.Namespace, work: Path) -> Result:
+    """Medians of all runs on one sequence."""
+    _say(f"{case.name}: ", end="")
+    scratch = work / "out"
+    result: Result = {"name": case.name, "folder": case.folder, "mode": case.mode, "failed": ""}
+    for _ in range(2):  # the first compiles what was never compiled on this machine
+        _, result["start_up_s"] = _run(case, folder, scratch, options, "--end", "2")
+    runs, prints = [], set()
+    for number in range(options.runs):
+        out = options.keep / case.name.replace(" ", "_") if options.keep and not number else scratch
+        failed, wall_s = _run(case, folder, out, options)
+        if failed:
+            _say(f"failed: {failed}")
+            return {**result, "failed": failed}
+        prints.add(hashlib.sha256((out / "trajectory.tum").read_bytes()).hexdigest())
+        runs.append({**_of_summary(out, wall_s), **_errors(case, out, folder)})
+    result |= {key: _median([run[key] for run in runs]) for key in runs[0]}
+    result["same_bits"] = len(prints) == 1 if options.runs > 1 else None
+    result["limit_ms"] = limit_ms(folder, case.images, result["frames"])
+    ate = "no path" if result["ate_m"] is None else f"ATE {result['ate_m']:.4f} m"
+    _say(f"{result['posed']}/{result['frames']} frames, {ate}, {result['wall_ms']:.0f} ms/frame")
+    return result
+
+
+def _run(
+    case: Case, folder: Path, out: Path, options: argparse.Namespace, *more: str
+) -> tuple[str, float]:
+    """`vo run` on a sequence: why it failed, or nothing, and its wall time in seconds."""
+    command = [str(VO), "run", str(folder), "--output", str(out), "--quiet", *more]
+    command += ["--mode", case.mode, "--config", str(options.config)]
+    command += [part for setting in options.set for part in ("--set", setting)]
+    if case.folder.startswith("tum_"):
+        command += ["--calibration", str(out.parent / "tum.yaml")]
+    begin = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    wall_s = time.perf_counter() - begin
+    if done.returncode == 0 and "Warning:" not in done.stderr:
+        return "", wall_s
+    lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+    return lines[-1] if done.returncode else f"a warning: {lines[0]}", wall_s
+
+
+def _of_summary(out: Path, wall_s: float) -> Result:
+    """What a run says of itself, and the wall time of the whole command."""
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    stages = summary["stages"].values()
+    return {
+        "frames": summary["frames"],
+        "posed": summary["tracked"],
+        "starting": summary["starting"],
+        "lost": summary["lost"],
+        "segments": len(summary["segments"]),
+        "keyframes": summary["keyframes"],
+        "tracking_fps": summary["frames_per_s"],
+        "step_median_ms": sum(stage["median_ms"] for stage in stages),
+        "step_p95_ms": sum(stage["p95_ms"] for stage in stages),
+        "peak_rss_mb": summary["peak_rss_mb"],
+        "wall_ms": 1e3 * wall_s / summary["frames"],
+    }
+
+
+def _errors(case: Case, out: Path, folder: Path) -> Result:
+    """Distance from the truth of the longest segment; None where nothing can be said."""
+    smoothed = _evaluated(out / "trajectory.tum", folder, case)
+    causal = _evaluated(out / "causal.tum", folder, case)
+    steps = None if smoothed is None else smoothed.rpe_frames
+    stereo = smoothed is not None and case.mode == "stereo"
+    return {
+        "ate_m": None if smoothed is None else smoothed.ate.translation.rmse,
+        "ate_causal_m": None if causal is None else causal.ate.translation.rmse,
+        "rpe_m": None if steps is None else steps.translation.rmse,
+        "rotation_deg": None if steps is None else steps.rotation.rmse,
+        "scale_percent": smoothed.alignment.scale_error_percent if stereo else None,
+    }
+
+
+def _evaluated(estimate: Path, folder: Path, case: Case) -> Any:
+    from vo.errors import VoError
+    from vo.evaluation.inputs import load_inputs
+    from vo.evaluation.report import evaluate
+
+    try:
+        inputs = load_inputs(estimate, folder)
+        align = "se3" if case.mode == "stereo" else "sim3"
+        return evaluate(inputs.estimate, inputs.reference, align)
+    except VoError:
+        return None
+
+
+def limit_ms(folder: Path, patterns: tuple[str, ...], frames: int) -> float:
+    """Milliseconds by frame to decode the images and extract ORB from them in two threads."""
+    files = [file for pattern in patterns for file in sorted(folder.glob(pattern))]
+    own = threading.local()
+
+    def work(file: Path) -> None:
+        if not hasattr(own, "orb"):
+            own.orb = cv2.ORB_create(LIMIT_FEATURES)
+        own.orb.detectAndCompute(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), None)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        list(pool.map(work, files[:4]))  # threads and buffers are made
+        begin = time.perf_counter()
+        list(pool.map(work, files))
+    return 1e3 * (time.perf_counter() - begin) / frames
+
+
+def _median(values: list[Any]) -> Any:
+    """The middle one; None where any is missing."""
+    return None if None in values else median(values)
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def _versions() -> str:
+    from importlib.metadata import version
+
+    packages = ("vo", "opencv-python-headless", "gtsam", "numba", "numpy")
+    names = [f"{name.removesuffix('-python-headless')} {version(name)}" for name in packages]
+    return ", ".join([f"Python {platform.python_version()}", *names])
+
+
+def _say(text: str, end: str = "\n") -> None:
+    print(text, end=end, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""Which module may import which; imports inside functions count, relative ones are not used."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+BASE = {"vo.errors", "vo.types", "vo.config"}
+GROUND = BASE | {"vo.geometry", "vo.formats"}
+THINKING = {f"vo.{name}" for name in ("features", "tracking", "mapping", "smoothing")}
+ROOMS = THINKING | {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results")}
+
+# What each room may import besides itself; a new room needs a line here.
+ALLOWED = {
+    "vo": set(),
+    "vo.errors": BASE,
+    "vo.types": BASE,
+    "vo.config": BASE,
+    "vo.progress": BASE,
+    "vo.geometry": BASE,
+    "vo.formats": BASE | {"vo.geometry"},
+    **{room: GROUND for room in ROOMS},
+    "vo.pipeline": GROUND | THINKING,
+    "vo.odometry": GROUND | THINKING | {"vo.pipeline"},
+    "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress"},
+    "vo.cli": GROUND | ROOMS | {"vo", "vo.progress", "vo.odometry", "vo.run", "data_synth"},
+    "data_synth": {"vo.errors", "vo.types", "vo.geometry", "vo.formats"},
+}
+ONLY_IN = {"gtsam": "vo.smoothing", "rerun": "vo.recording", "typer": "vo.cli"}
+BANNED_NAMES = {"utils", "util", "common", "helpers", "helper", "tools", "misc"}
+
+
+@dataclass(frozen=True)
+class Import:
+    """`importer` imports `target`; both are modules, or the target a package of someone else."""
+
+    importer: str
+    target: str
+    line: int
+    only_for_types: bool
+
+
+def find_modules(root: Path) -> dict[str, Path]:
+    """Modules of the project by dotted name."""
+    files = [p for package in ("vo", "data_synth") for p in (root / package).rglob("*.py")]
+    return {_dotted(path.relative_to(root)): path for path in sorted(files)}
+
+
+def _dotted(path: Path) -> str:
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def find_imports(modules: dict[str, Path]) -> list[Import]:
+    """Every import of every module."""
+    found = []
+    for name, path in modules.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+        for node, only_for_types in _import_nodes(tree, False):
+            for target in _targets(node, modules):
+                found.append(Import(name, target, node.lineno, only_for_types))
+    return found
+
+
+def _import_nodes(
+    node: ast.AST, only_for_types: bool
+) -> Iterator[tuple[ast.Import | ast.ImportFrom, bool]]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child, only_for_types
+        elif isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+            for part in child.body:
+                yield from _import_nodes(ast.Module([part], []), True)
+            for part in child.orelse:
+                yield from _import_nodes(ast.Module([part], []), only_for_types)
+        else:
+            yield from _import_nodes(child, only_for_types)
+
+
+def _targets(node: ast.Import | ast.ImportFrom, modules: dict[str, Path]) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if node.level:
+        return ["." * node.level + (node.module or "")]
+    module = node.module or ""
+    return [
+        f"{module}.{alias.name}" if f"{module}.{alias.name}" in modules else module
+        for alias in node.names
+    ]
+
+
+def room_of(module: str) -> str:
+    """`vo.features` for `vo.features.orb`, `vo.run`, `data_synth` for all of it."""
+    parts = module.split(".")
+    return "data_synth" if parts[0] == "data_synth" else ".".join(parts[:2])
+
+
+def find_violations(root: Path) -> list[str]:
+    """One line for each broken rule."""
+    modules = find_modules(root)
+    imports = find_imports(modules)
+    return [
+        *_bad_names(modules),
+        *(line for each in imports if (line := _wrong_way(each)) is not None),
+        *_cycles(modules, imports),
+    ]
+
+
+def _bad_names(modules: dict[str, Path]) -> list[str]:
+    lines = []
+    for name in modules:
+        if BANNED_NAMES & set(name.split(".")):
+            lines.append(f"{name}: a module's name says what it owns")
+        if room_of(name) not in ALLOWED:
+            lines.append(f"{name}: room {room_of(name)} has no rule in {Path(__file__).name}")
+    return lines
+
+
+def _wrong_way(each: Import) -> str | None:
+    room, target_root = room_of(each.importer), each.target.split(".")[0]
+    where = f"{each.importer}:{each.line} imports {each.target}"
+    if each.target.startswith("."):
+        return f"{where}: relative imports hide the room"
+    if target_root in ONLY_IN and room != ONLY_IN[target_root]:
+        return f"{where}: only {ONLY_IN[target_root]} may"
+    if target_root in ("vo", "data_synth"):
+        target = room_of(each.target)
+        if target != room and target not in ALLOWED.get(room, set()):
+            return f"{where}: {room} must not know {target}"
+    return None
+
+
+def _cycles(modules: dict[str, Path], imports: list[Import]) -> list[str]:
+    """Modules that reach themselves; imports for types only are no dependency at run time."""
+    graph: dict[str, set[str]] = {name: set() for name in modules}
+    for each in imports:
+        if each.target in modules and each.target != each.importer and not each.only_for_types:
+            graph[each.importer].add(each.target)
+    return [f"{name} imports itself in a circle" for name in graph if name in _reach(graph, name)]
+
+
+def _reach(graph: dict[str, set[str]], start: str) -> set[str]:
+    reached: set[str] = set()
+    waiting = list(graph[start])
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            waiting.extend(graph[name])
+    return reached
+
+
+def test_project_keeps_the_import_rules() -> None:
+    assert len(find_modules(ROOT)) > 20
+    assert find_violations(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "complaint"),
+    [
+        ("vo.types", "import vo.geometry.pnp", "vo.types must not know vo.geometry"),
+        ("vo.geometry.pnp", "from vo import formats", "vo.geometry must not know vo.formats"),
+        ("vo.features.orb", "import vo.tracking", "vo.features must not know vo.tracking"),
+        ("vo.odometry", "from vo.recording import x", "vo.odometry must not know vo.recording"),
+        ("vo.run", "import vo.cli.app", "vo.run must not know vo.cli"),
+        ("vo.run", "import data_synth", "vo.run must not know data_synth"),
+        ("data_synth.room", "import vo.config", "data_synth must not know vo.config"),
+        ("vo.mapping.map", "import gtsam", "only vo.smoothing may"),
+        ("vo.run", "from rerun.blueprint import Grid", "only vo.recording may"),
+        ("vo.run", "import typer", "only vo.cli may"),
+        ("vo.mapping.map", "from . import x", "relative imports hide the room"),
+        ("vo.mapping.utils", "", "a module's name says what it owns"),
+        ("vo.newroom.thing", "", "room vo.newroom has no rule"),
+    ],
+)
+@pytest.mark.parametrize(
+    "form", ["{}", "def f():\n    {}", "try:\n    {}\nexcept ImportError:\n    pass"]
+)
+def test_a_broken_rule_is_found(
+    tmp_path: Path, module: str, code: str, complaint: str, form: str
+) -> None:
+    _write(tmp_path, "vo.formats", "")
+    _write(tmp_path, module, form.format(code or "pass"))
+    violations = find_violations(tmp_path)
+    assert len(violations) == 1
+    assert complaint in violations[0]
+
+
+def test_a_type_only_import_of_a_higher_room_is_found(tmp_path: Path) -> None:
+    code = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from vo.run import Summary"
+    _write(tmp_path, "vo.features.orb", code)
+    assert len(find_violations(tmp_path)) == 1
+
+
+def test_a_cycle_is_found_also_inside_one_room(tmp_path: Path) -> None:
+    _write(tmp_path, "vo.mapping.a", "from vo.mapping import b")
+    _write(tmp_path, "vo.mapping.b", "def f():\n    import vo.mapping.c")
+    _write(tmp_path, "vo.mapping.c", "from vo.mapping.a import thing")
+    assert len(find_violations(tmp_path)) == 3
+
+
+def test_a_type_only_import_makes_no_cycle(tmp_path: Path) -> None:
+    _write(tmp_path, "vo.mapping.a", "from vo.mapping.b import thing")
+    _write(tmp_path, "vo.mapping.b", "if TYPE_CHECKING:\n    from vo.mapping.a import other")
+    assert find_violations(tmp_path) == []
+
+
+def test_imports_that_follow_the_rules_pass(tmp_path: Path) -> None:
+    _write(tmp_path, "vo.types", "import numpy")
+    _write(tmp_path, "vo.smoothing.window", "import gtsam\nfrom vo.types import Floats")
+    _write(tmp_path, "vo.cli.app", "import typer\nfrom vo.run import run\nimport data_synth.room")
+    _write(tmp_path, "data_synth.room", "from vo.geometry.cameras import project")
+    assert find_violations(tmp_path) == []
+
+
+def _write(root: Path, module: str, code: str) -> None:
+    path = root.joinpath(*module.split(".")).with_suffix(".py")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(code + "\n", encoding="utf-8")
