@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,15 @@ class History:
     def pose(self, frame: TrackedFrame) -> Floats:
         """world_from_cam0 of a frame as known now."""
         return self.keyframes[frame.keyframe].world_from_cam0 @ frame.keyframe_from_cam
+
+    def first_row(self, frame_index: int) -> int:
+        """Row in `frames` of the first frame with this number or a higher one."""
+        return bisect_left(self.frames, frame_index, key=lambda frame: frame.frame_index)
+
+    def first_keyframe_row(self, frame_index: int) -> int:
+        """Place in `keyframes` of the first keyframe with this frame number or a higher one."""
+        keyframes = list(self.keyframes.values())
+        return bisect_left(keyframes, frame_index, key=lambda keyframe: keyframe.frame_index)
 
     def trajectory(self) -> Trajectory:
         """All tracked frames as known now."""

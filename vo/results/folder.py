@@ -1,0 +1,78 @@
+"""The folder of a run: which files are in it, and that they are all of the same run."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from vo.errors import OutputError
+from vo.results.covariance import COVARIANCE_HEADING
+from vo.results.growing_file import PARTIAL_SUFFIX, GrowingFile
+
+TRAJECTORY = "trajectory.tum"
+CAUSAL = "causal.tum"
+COVARIANCE = "covariance.csv"
+SUMMARY = "summary.json"
+CONFIG = "config.yaml"
+
+_GROWING = (TRAJECTORY, CAUSAL, COVARIANCE)
+
+
+class RunFolder:
+    """The files that a run writes as it goes.
+
+    Attributes:
+        path: the folder.
+        trajectory: smoothed poses, a line a frame.
+        causal: poses as they were known when their frame was tracked.
+        covariance: a line a keyframe.
+
+    Args:
+        path: the folder; made if it is missing, cleared of an earlier run's files.
+        config: the merged settings as YAML.
+
+    Raises:
+        OutputError: from here and every method, something cannot be written.
+    """
+
+    def __init__(self, path: Path, config: str) -> None:
+        self.path = path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            for name in (*_GROWING, *(n + PARTIAL_SUFFIX for n in _GROWING), SUMMARY, CONFIG):
+                (path / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write to folder {path}: {error.strerror or error}; give another --output"
+            ) from error
+        _write_whole(path / CONFIG, config)
+        self.trajectory = GrowingFile(path / TRAJECTORY)
+        self.causal = GrowingFile(path / CAUSAL)
+        self.covariance = GrowingFile(path / COVARIANCE, COVARIANCE_HEADING)
+
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Replace the summary, at once or not at all."""
+        text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
+        _write_whole(self.path / SUMMARY, f"{text}\n")
+
+    def finish(self) -> None:
+        """Give the growing files their names."""
+        for file in (self.trajectory, self.causal, self.covariance):
+            file.finish()
+
+    def close(self) -> None:
+        """Let go of the files, finished or not."""
+        for file in (self.trajectory, self.causal, self.covariance):
+            file.close()
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write beside and rename, so that a reader never sees half a file."""
+    partial = path.with_name(path.name + PARTIAL_SUFFIX)
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,273 @@
+"""What a run says of itself in `summary.json`; every key is explained in docs/outputs.md."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from vo.results.account import Account, StageTime
+from vo.types import Floats, Ints, Skipped, State, Trajectory
+
+Status = Literal["finished", "interrupted", "failed"]
+
+SCHEMA_VERSION = 1
+
+_PACKAGES = {
+    "vo": "vo",
+    "opencv": "opencv-python-headless",
+    "gtsam": "gtsam",
+    "numpy": "numpy",
+    "numba": "numba",
+}
+_FEW_INLIERS = 50
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What is known of a run before its first frame; `requested` frames were asked for."""
+
+    source: str
+    format: str
+    mode: Literal["mono", "stereo"]
+    has_ground_truth: bool
+    seed: int
+    start: int
+    end: int
+    stride: int
+    requested: int
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The frames that have a pose now, in time order: number, segment and smoothed pose of each."""
+
+    frame: Ints
+    segment: Ints
+    trajectory: Trajectory
+    keyframes: int
+
+
+class Segment(NamedTuple):
+    """A stretch of the path in one world; lengths in the summary's unit."""
+
+    segment: int
+    first_frame: int
+    last_frame: int
+    first_stamp_ns: int
+    last_stamp_ns: int
+    frames: int
+    path_m: float
+
+
+class FrameRange(NamedTuple):
+    """Frames without a pose, one after the other, and the reason of the first of them."""
+
+    first: int
+    last: int
+    frames: int
+    state: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A run in numbers; `to_dict` is what stands in `summary.json`."""
+
+    status: Status
+    error: str | None
+    facts: RunFacts
+    frames: int
+    tracked: int
+    starting: int
+    lost: int
+    skipped: tuple[Skipped, ...]
+    unpaired: int
+    without_pose: tuple[FrameRange, ...]
+    segments: tuple[Segment, ...]
+    keyframes: int
+    landmarks: int
+    path_m: float
+    wall_s: float
+    stages: Mapping[str, StageTime]
+    peak_rss_mb: float
+    versions: Mapping[str, str]
+    median_inliers: float | None
+
+    @property
+    def length_unit(self) -> str:
+        """Of every length: metres, or what the mono map happens to be measured in."""
+        return "m" if self.facts.mode == "stereo" else "map units"
+
+    @property
+    def frames_per_s(self) -> float:
+        """Frames taken in per second of wall time."""
+        return self.frames / self.wall_s if self.wall_s > 0 else 0.0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know before trusting the result."""
+        return tuple(_warnings(self))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        facts, stages = fields.pop("facts"), fields.pop("stages")
+        return {
+            "schema_version": SCHEMA_VERSION,
+            **fields,
+            **asdict(facts),
+            "skipped": [asdict(s) for s in self.skipped],
+            "without_pose": [r._asdict() for r in self.without_pose],
+            "segments": [s._asdict() for s in self.segments],
+            "stages": {name: _rounded(times) for name, times in stages.items()},
+            "versions": dict(self.versions),
+            "length_unit": self.length_unit,
+            "frames_per_s": round(self.frames_per_s, 3),
+            "warnings": list(self.warnings),
+        }
+
+
+def summarise(
+    facts: RunFacts,
+    status: Status,
+    account: Account,
+    placed: Placed,
+    *,
+    skipped: Sequence[Skipped],
+    unpaired: int,
+    wall_s: float,
+    error: str | None = None,
+) -> Summary:
+    """Put a run into numbers, as far as it has come."""
+    ranges, count = _without_pose(account, placed.frame, skipped)
+    segments = _segments(placed)
+    return Summary(
+        status=status,
+        error=error,
+        facts=facts,
+        frames=len(placed.frame) + sum(count.values()),
+        tracked=len(placed.frame),
+        starting=count[State.STARTING.value],
+        lost=count[State.LOST.value],
+        skipped=tuple(skipped),
+        unpaired=unpaired,
+        without_pose=tuple(ranges),
+        segments=tuple(segments),
+        keyframes=placed.keyframes,
+        landmarks=account.landmarks,
+        path_m=round(sum(s.path_m for s in segments), 6),
+        wall_s=round(wall_s, 3),
+        stages=account.stages(),
+        peak_rss_mb=round(_peak_rss_mb(), 1),
+        versions=_versions(),
+        median_inliers=account.median_inliers,
+    )
+
+
+def _without_pose(
+    account: Account, placed: Ints, skipped: Sequence[Skipped]
+) -> tuple[list[FrameRange], dict[str, int]]:
+    """Runs of frames in the same state, and how many frames in each state.
+
+    A frame that had no pose when taken in may have one now: the first of a mono pair.
+    """
+    has_pose = set(placed.tolist())
+    unreadable = {s.index: s.reason for s in skipped}
+    ranges: list[FrameRange] = []
+    count = {State.STARTING.value: 0, State.LOST.value: 0, "skipped": 0}
+    follows = False
+    for frame in sorted({*account.frames, *unreadable}):
+        if frame in has_pose:
+            follows = False
+            continue
+        state, reason = _why(account, unreadable, frame)
+        count[state] += 1
+        if follows and ranges[-1].state == state:
+            ranges[-1] = ranges[-1]._replace(last=frame, frames=ranges[-1].frames + 1)
+        else:
+            ranges.append(FrameRange(frame, frame, 1, state, reason))
+        follows = True
+    return ranges, count
+
+
+def _why(account: Account, unreadable: Mapping[int, str], frame: int) -> tuple[str, str]:
+    if frame in unreadable:
+        return "skipped", unreadable[frame]
+    if frame not in account.unplaced:
+        return State.LOST.value, "its pose was given up later"
+    state, reason = account.unplaced[frame]
+    return (State.STARTING if state is State.STARTING else State.LOST).value, reason
+
+
+def _segments(placed: Placed) -> list[Segment]:
+    steps = np.linalg.norm(np.diff(placed.trajectory.positions, axis=0), axis=1)
+    segments = []
+    for number in np.unique(placed.segment).tolist():
+        rows = np.flatnonzero(placed.segment == number)
+        first, last = int(rows[0]), int(rows[-1])
+        segments.append(
+            Segment(
+                number,
+                int(placed.frame[first]),
+                int(placed.frame[last]),
+                int(placed.trajectory.stamps_ns[first]),
+                int(placed.trajectory.stamps_ns[last]),
+                len(rows),
+                round(_path_length(steps[first:last]), 6),
+            )
+        )
+    return segments
+
+
+def _path_length(steps: Floats) -> float:
+    """Sum of the steps within a segment: between two segments there is none."""
+    return float(steps.sum())
+
+
+def _rounded(times: StageTime) -> dict[str, float]:
+    return {name: round(value, 3) for name, value in times._asdict().items()}
+
+
+def _warnings(summary: Summary) -> list[str]:
+    frames, lost = summary.frames, summary.lost
+    warnings = []
+    if summary.tracked == 0:
+        reasons = [r.reason for r in summary.without_pose if r.state != "skipped"]
+        warnings.append(f"no frame was tracked ({reasons[-1] if reasons else 'no frame read'})")
+    if lost:
+        warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
+    if summary.skipped:
+        warnings.append(f"{len(summary.skipped)} frames skipped: their images cannot be used")
+    if summary.unpaired:
+        warnings.append(f"{summary.unpaired} frames used without their right image")
+    if summary.tracked and (summary.median_inliers or 0.0) < _FEW_INLIERS:
+        warnings.append(f"poor tracking: median of {summary.median_inliers or 0:.0f} inliers")
+    if len(summary.segments) > 1:
+        warnings.append(f"{len(summary.segments)} segments, each in a world of its own")
+    if summary.facts.mode == "mono" and summary.tracked:
+        warnings.append(
+            "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
+        )
+    return warnings
+
+
+def _peak_rss_mb() -> float:
+    """Largest memory of this process so far: the system counts KiB, on macOS bytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": ".".join(map(str, sys.version_info[:3]))}
+    for name, package in _PACKAGES.items():
+        try:
+            found[name] = version(package)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found

@@ -1,0 +1,268 @@
+"""A run in its phases: open source and outputs, go through the frames, close, sum up."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from vo.config import Config, dump_config
+from vo.errors import OutputError, SourceError
+from vo.formats.trajectory import tum_line
+from vo.odometry import Odometry
+from vo.pipeline.history import History
+from vo.pipeline.stopwatch import Stopwatch
+from vo.progress import NullProgress, Progress
+from vo.recording.recorder import NullRecorder, Recorder
+from vo.results.account import Account
+from vo.results.covariance import covariance_line
+from vo.results.folder import RunFolder
+from vo.results.summary import Placed, RunFacts, Status, Summary, summarise
+from vo.sources.registry import open_source
+from vo.sources.source import Source
+from vo.types import Estimate, Floats, Frame, Mode, Trajectory
+
+_log = logging.getLogger(__name__)
+_REFRESH_S = 3.0
+_REFRESH_SHARE = 0.02  # of the time goes into interim summaries, however long the run
+
+
+def run(
+    source: str | Path,
+    output: Path,
+    *,
+    config: Config,
+    mode: Mode = "auto",
+    start: int = 0,
+    end: int | None = None,
+    stride: int = 1,
+    rrd: Path | None = None,
+    calibration: Path | None = None,
+    format: str | None = None,
+    recorder: Recorder | None = None,
+    progress: Progress | None = None,
+) -> Summary:
+    """Compute a camera's path from a recording and write it as it grows.
+
+    However the run ends, the folder holds what was computed until then and a summary that says
+    how it ended: Ctrl-C and errors finish the files before they are raised again; of a killed
+    run the files keep `.partial` after their names.
+
+    Args:
+        source: folder or file of the recording.
+        output: folder for the results, described in docs/outputs.md; those of an earlier run in
+            it are removed.
+        config: all settings.
+        mode: `mono` ignores the right camera, `stereo` insists on it.
+        start: first frame.
+        end: frame to stop before.
+        stride: take every so many frames.
+        rrd: file to record for the rerun viewer.
+        calibration: file that overrides the recording's own.
+        format: of the recording; by default found out from the path.
+        recorder: what to record with instead of `rrd`.
+        progress: what watches the run.
+
+    Raises:
+        SourceError: the recording is missing, damaged, or holds no frame that can be read.
+        CalibrationError: its calibration is missing or cannot be true.
+        OutputError: the folder or the recording cannot be written.
+    """
+    opened = open_source(source, format=format, calibration=calibration, mode=mode)
+    facts = _facts(opened, source, config, start, end, stride)
+    frames = opened.frames(start, end, stride)
+    odometry = Odometry(opened.rig, config)
+    folder = RunFolder(Path(output), dump_config(config))
+    recorder = recorder or _make_recorder(rrd)
+    job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
+    try:
+        job.begin()
+        job.go_through(frames)
+    except BaseException as error:
+        job.end_early(error)
+        raise
+    return job.end("finished")
+
+
+class _Run:
+    """What lives from the first frame to the last: the odometry, its watchers and the books."""
+
+    def __init__(
+        self,
+        source: Source,
+        facts: RunFacts,
+        odometry: Odometry,
+        folder: RunFolder,
+        recorder: Recorder,
+        progress: Progress,
+    ) -> None:
+        self._source = source
+        self._facts = facts
+        self._odometry = odometry
+        self._folder = folder
+        self._recorder = recorder
+        self._progress = progress
+        self._account = Account()
+        self._causal: list[tuple[int, Floats]] = []
+        self._begun = self._refreshed = time.perf_counter()
+        self._refresh_took = 0.0
+
+    def begin(self) -> None:
+        """Tell everyone; leave a summary that is true if the process is killed from here on."""
+        self._summarise("interrupted")
+        self._recorder.begin(self._source.name, self._source.rig, self._source.ground_truth)
+        self._progress.begin(self._source.name, self._facts.requested)
+
+    def go_through(self, frames: Iterator[Frame]) -> None:
+        """Take in frame after frame.
+
+        Raises:
+            SourceError: not one could be read.
+        """
+        clock = Stopwatch()
+        for frame in _timed(frames, clock):
+            self._take_in(frame, clock)
+            self._account.note_time(clock.stage_ms)
+            clock.stage_ms.clear()
+            self._refresh_if_due()
+        if not self._account.frames:
+            raise _nothing_readable(self._source)
+
+    def end(self, status: Status, error: str | None = None) -> Summary:
+        """Finish files and recording."""
+        history = self._odometry.history
+        smoothed = history.trajectory()
+        self._progress.finish()
+        self._write_changed(0, 0)
+        self._folder.finish()
+        self._recorder.finish(_trajectory(self._causal), smoothed)
+        return self._summarise(status, error)
+
+    def end_early(self, error: BaseException) -> None:
+        """Save what there is before an error goes its way."""
+        status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        try:
+            self.end(status, None if status == "interrupted" else _one_line(error))
+        except OutputError as another:  # the first one matters
+            _log.warning("results are incomplete: %s", another)
+        finally:
+            self._folder.close()
+
+    def _take_in(self, frame: Frame, clock: Stopwatch) -> None:
+        estimate = self._odometry.step(frame)
+        self._account.note(estimate)
+        clock.stage_ms.update(estimate.stage_ms)
+        with clock.stage("write"):
+            self._write(estimate)
+        with clock.stage("record"):
+            self._recorder.record(estimate)
+        done = (frame.index - self._facts.start) // self._facts.stride + 1
+        self._progress.step(done, estimate)
+
+    def _write(self, estimate: Estimate) -> None:
+        """Append this frame, and write anew what smoothing has moved."""
+        if estimate.world_from_cam0 is not None:
+            self._causal.append((estimate.stamp_ns, estimate.world_from_cam0))
+            self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.world_from_cam0))
+        row, keyframe_row = len(self._folder.trajectory), len(self._folder.covariance)
+        if estimate.keyframes:
+            history = self._odometry.history
+            first = min(k.frame_index for k in estimate.keyframes)
+            row = min(row, history.first_row(first))
+            keyframe_row = min(keyframe_row, history.first_keyframe_row(first))
+        self._write_changed(row, keyframe_row)
+
+    def _write_changed(self, row: int, keyframe_row: int) -> None:
+        history = self._odometry.history
+        moved = history.frames[row:]
+        self._folder.trajectory.replace_from(
+            row, (tum_line(frame.stamp_ns, history.pose(frame)) for frame in moved)
+        )
+        keyframes = list(history.keyframes.values())[keyframe_row:]
+        self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
+
+    def _refresh_if_due(self) -> None:
+        """Bring the summary up to date every few seconds, less often when that takes long."""
+        now = time.perf_counter()
+        if now - self._refreshed < max(_REFRESH_S, self._refresh_took / _REFRESH_SHARE):
+            return
+        self._summarise("interrupted")
+        self._refreshed = time.perf_counter()
+        self._refresh_took = self._refreshed - now
+
+    def _summarise(self, status: Status, error: str | None = None) -> Summary:
+        summary = summarise(
+            self._facts,
+            status,
+            self._account,
+            _placed(self._odometry.history),
+            skipped=self._source.skipped,
+            unpaired=self._source.unpaired,
+            wall_s=time.perf_counter() - self._begun,
+            error=error,
+        )
+        self._folder.write_summary(summary.to_dict())
+        return summary
+
+
+def _facts(
+    opened: Source, path: str | Path, config: Config, start: int, end: int | None, stride: int
+) -> RunFacts:
+    stop = len(opened) if end is None else min(end, len(opened))
+    return RunFacts(
+        source=str(path),
+        format=opened.format,
+        mode="stereo" if opened.rig.is_stereo else "mono",
+        has_ground_truth=opened.ground_truth is not None,
+        seed=config.seed,
+        start=start,
+        end=stop,
+        stride=stride,
+        requested=len(range(start, stop, stride)) if stride else 0,
+    )
+
+
+def _make_recorder(rrd: Path | None) -> Recorder:
+    if rrd is None:
+        return NullRecorder()
+    from vo.recording.rerun_recorder import RerunRecorder  # rerun takes long to import
+
+    return RerunRecorder(rrd)
+
+
+def _timed(frames: Iterator[Frame], clock: Stopwatch) -> Iterator[Frame]:
+    """The same frames; waiting for them counts as stage `read`."""
+    while True:
+        with clock.stage("read"):
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
+
+
+def _nothing_readable(source: Source) -> SourceError:
+    reason = f"; the first: {source.skipped[0].reason}" if source.skipped else ""
+    return SourceError(
+        f"{source.name}: none of the {len(source.skipped)} frames asked for can be read{reason}"
+    )
+
+
+def _placed(history: History) -> Placed:
+    return Placed(
+        np.array([f.frame_index for f in history.frames], dtype=np.int64),
+        np.array([f.segment for f in history.frames], dtype=np.int64),
+        history.trajectory(),
+        len(history.keyframes),
+    )
+
+
+def _trajectory(poses: list[tuple[int, Floats]]) -> Trajectory:
+    stamps_ns = np.array([stamp for stamp, _ in poses], dtype=np.int64)
+    return Trajectory(stamps_ns, np.array([pose for _, pose in poses]).reshape(-1, 4, 4))
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
