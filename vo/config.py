@@ -63,7 +63,9 @@ class StartConfig(_Section):
     min_matches: int = Field(80, ge=8, description="mono: least matches between the two views")
     min_points: int = Field(50, ge=8, description="least landmarks of a first map")
     min_motion_px: float = Field(4.0, ge=0, description="mono: least median image motion")
-    min_parallax_deg: float = Field(1.0, gt=0, description="mono: least median parallax")
+    min_parallax_deg: float = Field(
+        1.0, gt=0, description="mono: least parallax of the best `min_points` points"
+    )
     threshold_px: float = Field(1.0, gt=0, description="mono: inlier threshold of E and H")
     homography_share: float = Field(
         0.45, gt=0, lt=1, description="mono: share of the score from which the plane is chosen"
@@ -85,6 +87,9 @@ class StereoConfig(_Section):
 
     max_row_offset_px: float = Field(1.5, gt=0, description="most that matched rows may differ")
     min_disparity_px: float = Field(1.5, gt=0, description="least disparity of a new landmark")
+    offset_correction: bool = Field(
+        True, description="estimate and correct a constant error of all disparities"
+    )
     max_disparity_share: float = Field(
         0.3, gt=0, le=1, description="largest disparity, share of the image width"
     )

@@ -7,7 +7,7 @@ and are smoothed together with the keyframes before them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from vo.geometry.transforms import adjoint, inverse, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline import observe
 from vo.pipeline.adjust import adjust, cull
+from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
 from vo.pipeline.grow import far_from, grow_mono, grow_stereo
 from vo.pipeline.history import History
@@ -71,11 +72,17 @@ class Odometry:
         self._map = Map(capacity, self._rig.height, self._rig.width)
         self._motion = ConstantVelocity()
         self._mono_start = MonoStart(self._rig, config)
+        self._disparity_watch = DisparityWatch()
         self._state = State.STARTING
         self._segment = 0
         self._lost_for = 0
         self._median_depth = 1.0  # of a mono map, whose scale is free
         self._last: tuple[WorkingFrame, Ints, Floats] | None = None  # frame, landmarks, pixels
+
+    @property
+    def disparity_offset_px(self) -> float:
+        """The constant error of disparities that is corrected, 0 if none was found."""
+        return self._rig.disparity_offset_px
 
     def step(self, frame: Frame) -> Estimate:
         """Take in the next frame."""
@@ -234,12 +241,23 @@ class Odometry:
             self._cam0(keyframe.world_from_cam),
         )
         with clock.stage("smooth"):
-            smoothed = adjust(self._map, self._rig, self._config)
+            smoothed, left_over = adjust(self._map, self._rig, self._config)
+            offset = None if left_over is None else self._disparity_watch.update(left_over)
+            if offset is not None:
+                smoothed = self._correct_disparities(offset)
             cull(self._map, self._config)
         for other in smoothed:
             self._store(other)
         self._motion.correct(keyframe.world_from_cam)
         return smoothed or [keyframe]
+
+    def _correct_disparities(self, offset_px: float) -> list[Keyframe]:
+        """Move all disparities, past and future, to a new offset, and the map with them."""
+        change = offset_px - self._rig.disparity_offset_px
+        self._rig = replace(self._rig, disparity_offset_px=offset_px)
+        for keyframe in self._map.keyframes:
+            keyframe.disparity -= change
+        return adjust(self._map, self._rig, self._config, whole_map=True)[0]
 
     # --- beginning and losing ---------------------------------------------------------------
 

@@ -36,6 +36,7 @@ class WorkingRig:
         lens: the distorted camera whose images are used as recorded, or None if there is nothing
             to undo.
         maps: OpenCV's rectification maps of cam0 and cam1, or None if the images are used as is.
+        disparity_offset_px: what a slightly wrong calibration adds to every disparity.
     """
 
     width: int
@@ -48,6 +49,7 @@ class WorkingRig:
     cam0_from_working: Floats
     lens: Camera | None = None
     maps: tuple[_Maps, _Maps] | None = None
+    disparity_offset_px: float = 0.0
 
     @property
     def matrix(self) -> Floats:

@@ -8,25 +8,35 @@ from vo.config import Config
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
+from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.window import smooth
 from vo.types import Bools, Ints, WindowProblem
 
 
-def adjust(world: Map, rig: WorkingRig, config: Config) -> list[Keyframe]:
+def adjust(
+    world: Map, rig: WorkingRig, config: Config, *, whole_map: bool = False
+) -> tuple[list[Keyframe], DisparityOffset | None]:
     """Smooth the window, write poses and points back, drop what disagrees.
 
-    Returns the keyframes whose pose was adjusted.
+    With `whole_map` every keyframe of the map but the first may move, not only the window's.
+
+    Returns:
+        The keyframes whose pose was adjusted, and in stereo the window's view of the disparity
+        offset that is left.
     """
-    keyframes = world.keyframes[-(config.smoothing.window + config.smoothing.fixed) :]
+    keyframes = world.keyframes
     if len(keyframes) < 2:
         keyframes[0].covariance = np.zeros((6, 6))
-        return []
-    free = min(config.smoothing.window, len(keyframes) - 1)
+        return [], None
+    free = len(keyframes) - 1 if whole_map else min(config.smoothing.window, len(keyframes) - 1)
     fixed = np.arange(len(keyframes)) < len(keyframes) - free
     problem, rows = _window(world, rig, keyframes, fixed, config)
     solution = smooth(problem, config.smoothing)
     if not solution.converged:
-        return []
+        return [], None
+    offset = None
+    if rig.is_stereo and config.stereo.offset_correction:
+        offset = disparity_offset(problem, solution, config.smoothing)
     anchor = keyframes[int(np.flatnonzero(fixed)[-1])]
     for k in np.flatnonzero(~fixed):
         keyframes[k].world_from_cam = solution.world_from_cam[k]
@@ -34,7 +44,7 @@ def adjust(world: Map, rig: WorkingRig, config: Config) -> list[Keyframe]:
     world.xyz[rows] = solution.points
     wrong = (solution.residual > config.smoothing.gate) | ~solution.point_ok[problem.point]
     _drop_observations(world, keyframes, problem, rows, wrong)
-    return [k for k, f in zip(keyframes, fixed, strict=True) if not f]
+    return [k for k, f in zip(keyframes, fixed, strict=True) if not f], offset
 
 
 def cull(world: Map, config: Config) -> None:

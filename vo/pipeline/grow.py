@@ -46,7 +46,7 @@ def grow_stereo(
     if frame.image1 is None:
         return 0
     rows = _strongest(keyframe, np.flatnonzero(keyframe.free), config.mapping.new_per_keyframe)
-    disparity = stereo_disparity(frame, rows, detector, config)
+    disparity = stereo_disparity(frame, rows, rig, detector, config)
     matched = ~np.isnan(disparity) & (disparity >= config.stereo.min_disparity_px)
     rows, disparity = rows[matched], disparity[matched]
     xy = keyframe.ideal_xy[rows]
@@ -67,7 +67,7 @@ def grow_stereo(
 
 
 def stereo_disparity(
-    frame: WorkingFrame, rows: Ints, detector: OrbDetector, config: Config
+    frame: WorkingFrame, rows: Ints, rig: WorkingRig, detector: OrbDetector, config: Config
 ) -> Floats:
     """Sub-pixel disparities (n,) of some of a frame's features, NaN where there is none."""
     assert frame.image1 is not None
@@ -76,6 +76,7 @@ def stereo_disparity(
     xy = left.xy[rows].astype(np.float64)
     width = frame.image0.shape[1]
     nearest = xy - (config.stereo.max_disparity_share * width, 0.0)
+    farthest = xy + (config.stereo.max_row_offset_px, 0.0)
     scale = config.features.scale_factor ** right.octave.astype(np.float64)
     matched = match_epipolar(
         xy,
@@ -85,16 +86,16 @@ def stereo_disparity(
         right.octave,
         right.descriptor,
         nearest,
-        xy,
+        farthest,
         tolerance_px=config.stereo.max_row_offset_px * scale,
         max_distance=config.tracking.max_hamming,
         ratio=0.9,
     )
     found = np.flatnonzero(matched >= 0)
     disparity = np.full(len(rows), np.nan)
-    guess = xy[found, 0] - right.xy[matched[found], 0]
+    guess = xy[found, 0] - right.xy[matched[found], 0] - rig.disparity_offset_px
     disparity[found] = measure_disparity(
-        frame.image0, frame.image1, xy[found], guess, config.tracking, config.stereo
+        frame.image0, frame.image1, xy[found], guess, rig, config.tracking, config.stereo
     )
     return disparity
 

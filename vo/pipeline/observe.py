@@ -212,7 +212,9 @@ def align_landmarks(
     disparity = np.full(len(rows), np.nan)
     if frame.image1 is not None:
         guess = rig.fx * rig.baseline_m / visible.depth[kept]
-        disparity = measure_disparity(frame.image0, frame.image1, image_xy, guess, config, stereo)
+        disparity = measure_disparity(
+            frame.image0, frame.image1, image_xy, guess, rig, config, stereo
+        )
     sigma = np.full(len(rows), config.sigma_px)
     ideal = rig.ideal_from_image(image_xy)
     good = np.isfinite(ideal).all(axis=1)
@@ -232,11 +234,13 @@ def measure_disparity(
     image1: Bytes,
     xy: Floats,
     guess: Floats,
+    rig: WorkingRig,
     config: TrackingConfig,
     stereo: StereoConfig,
 ) -> Floats:
-    """Sub-pixel u_left - u_right (n,) of patches around xy (n, 2), NaN where there is none."""
-    start = xy - np.column_stack([guess, np.zeros(len(guess))])
+    """Sub-pixel disparity (n,) of patches around xy (n, 2), NaN where there is none."""
+    offset = rig.disparity_offset_px
+    start = xy - np.column_stack([guess + offset, np.zeros(len(guess))])
     found = align_patches(
         image0[None],
         np.zeros(len(xy), dtype=np.int64),
@@ -246,7 +250,7 @@ def measure_disparity(
         start,
         half_px=config.patch_half_px,
     )
-    disparity = xy[:, 0] - found.xy[:, 0]
+    disparity = xy[:, 0] - found.xy[:, 0] - offset
     good = found.converged & (found.score >= config.min_patch_score)
     good &= np.abs(found.xy[:, 1] - xy[:, 1]) <= stereo.max_row_offset_px
     good &= (disparity > 0) & (np.abs(disparity - guess) <= np.maximum(3.0, 0.2 * guess))

@@ -13,6 +13,8 @@ from vo.types import Bools, Floats
 
 # 95 % of the chi-square distribution with 1 and 2 degrees of freedom (Mur-Artal 2015, eq. 2).
 _CHI2_LINE, _CHI2_POINT = 3.84, 5.99
+# Points with less than this share of the parallax asked for have no depth worth keeping.
+_LEAST_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +86,11 @@ def _choose(
         return f"{counts[best]} of {int(inlier.sum())} inliers make good points, too few"
     if runner_up > 0.7 * counts[best]:
         return "the plane in view allows two motions"
-    parallax = float(np.rad2deg(np.median(angle[good])))
+    # Far points never show parallax, however long one waits: enough near ones are what counts.
+    parallax = np.rad2deg(np.sort(angle[good])[-config.min_points])
     if parallax < config.min_parallax_deg:
         return f"{parallax:.2f}° of parallax, {config.min_parallax_deg}° needed"
+    good &= np.rad2deg(angle) >= _LEAST_SHARE * config.min_parallax_deg
     return TwoView(candidates[best], points, good, model)
 
 
