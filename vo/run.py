@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -132,24 +132,37 @@ class _Run:
             raise _nothing_readable(self._source)
 
     def end(self, status: Status, error: str | None = None) -> Summary:
-        """Finish files and recording."""
-        history = self._odometry.history
-        smoothed = history.trajectory()
+        """Finish files, recording and, last, the summary."""
         self._progress.finish()
-        self._write_changed(0, 0)
-        self._folder.finish()
-        self._recorder.finish(_trajectory(self._causal), smoothed)
+        self._finish_files()
+        self._finish_recording()
         return self._summarise(status, error)
 
     def end_early(self, error: BaseException) -> None:
         """Save what there is before an error goes its way."""
         status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        self._progress.finish()
+        reason = None if status == "interrupted" else _one_line(error)
         try:
-            self.end(status, None if status == "interrupted" else _one_line(error))
-        except OutputError as another:  # the first one matters
-            _log.warning("results are incomplete: %s", another)
+            self._save(self._finish_files)
+            self._save(self._finish_recording)
+            self._save(lambda: self._summarise(status, reason))
         finally:
             self._folder.close()
+
+    def _save(self, part: Callable[[], object]) -> None:
+        """One part after the other, so that a full disk does not take the rest along."""
+        try:
+            part()
+        except OutputError as error:
+            _log.warning("results are incomplete: %s", error)
+
+    def _finish_files(self) -> None:
+        self._write_changed(0, 0)
+        self._folder.finish()
+
+    def _finish_recording(self) -> None:
+        self._recorder.finish(_trajectory(self._causal), self._odometry.history.trajectory())
 
     def _take_in(self, frame: Frame, clock: Stopwatch) -> None:
         estimate = self._odometry.step(frame)

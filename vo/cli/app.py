@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperGroup
 
 from vo.cli.eval import eval_command
+from vo.cli.run import run_command
 from vo.errors import VoError
 
 
@@ -36,4 +37,5 @@ def _vo() -> None:
     """Keeps `vo` a group of commands even with one command."""
 
 
+app.command("run")(run_command)
 app.command("eval")(eval_command)

@@ -1,0 +1,125 @@
+"""`vo run`: from a recording to the camera's path."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class ModeChoice(StrEnum):
+    """Choices of `--mode`."""
+
+    AUTO = "auto"
+    MONO = "mono"
+    STEREO = "stereo"
+
+
+def run_command(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording: a KITTI odometry, EuRoC or TUM RGB-D folder, or a folder of images "
+            "(or of left/ and right/) with a calibration.yaml.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="Folder for the results; made if it is missing."),
+    ],
+    config: Annotated[
+        str | None,
+        typer.Option(help="Preset (default, fast, accurate) or YAML file.", show_default="default"),
+    ] = None,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SECTION.KEY=VALUE",
+            help="Change one setting, stronger than the file; may be given again.",
+        ),
+    ] = None,
+    mode: Annotated[
+        ModeChoice,
+        typer.Option(
+            help="mono ignores the right camera, stereo insists on it, auto uses it if it is there."
+        ),
+    ] = ModeChoice.AUTO,
+    start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
+    end: Annotated[
+        int | None,
+        typer.Option(min=0, help="Frame to stop before.", show_default="the last"),
+    ] = None,
+    stride: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1,
+    rrd: Annotated[
+        Path | None, typer.Option(help="Record for the rerun viewer into this file.")
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Calibration file instead of the recording's own."),
+    ] = None,
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help="Format of the recording: kitti, euroc, tum, folder.",
+            show_default="found out from its files",
+        ),
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")
+    ] = False,
+) -> None:
+    """Compute a camera's path from a recording.
+
+    The folder gets trajectory.tum (smoothed), causal.tum (as known at
+    the time), covariance.csv, summary.json and config.yaml, in the place
+    of those of an earlier run. They are written as the run goes: Ctrl-C
+    keeps what was computed. Frames that cannot be placed are listed in
+    the summary, never made up.
+
+    A recording with two cameras, to be looked at with rerun:
+
+      vo run my_sequence/ --output out/ --rrd out/run.rrd
+
+    Its left camera only, the first 500 frames, with more features:
+
+      vo run my_sequence/ -o out/ --mode mono --end 500 --set features.count=2500
+
+    Images of your own camera (docs/calibration.md shows the file):
+
+      vo run images/ -o out/ --calibration camera.yaml
+
+    Exit status: 0 done, also if nothing could be tracked (a warning says
+    so), 1 error, 2 wrong use, 130 stopped by Ctrl-C.
+    """
+    try:
+        from rich.console import Console
+
+        from vo.cli.progress import make_progress, warnings_on
+        from vo.config import load_config
+        from vo.run import run
+
+        console = Console(stderr=True, highlight=False)
+        with warnings_on(console):
+            summary = run(
+                source,
+                output,
+                config=load_config(config or "default", overrides or ()),
+                mode=mode.value,
+                start=start,
+                end=end,
+                stride=stride,
+                rrd=rrd,
+                calibration=calibration,
+                format=format,
+                progress=make_progress(console, quiet=quiet),
+            )
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted; what was computed until now is in {output}", err=True)
+        raise typer.Exit(130) from None
+    if not quiet:
+        from vo.cli.run_table import print_summary
+
+        print_summary(summary, output, rrd)

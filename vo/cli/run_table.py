@@ -1,0 +1,68 @@
+"""A run's summary as a table for people, and what to do next."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from vo.results.summary import Summary
+
+
+def print_summary(
+    summary: Summary, output: Path, rrd: Path | None = None, console: Console | None = None
+) -> None:
+    """Print what came of a run, its warnings, where it is, and the next command to try."""
+    console = console or Console(highlight=False)
+    for name, value in _facts(summary, output, rrd):
+        console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
+    for warning in summary.warnings:
+        console.print("warning:", warning, markup=False, soft_wrap=True)
+    for command in _next_commands(summary, output, rrd):
+        console.print("next:", command, markup=False, soft_wrap=True)
+
+
+def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, str]]:
+    unit = summary.length_unit
+    kind = f"{summary.facts.mode}, {summary.facts.format}"
+    speed = f"{summary.frames_per_s:.1f} frames/s, {summary.wall_s:.1f} s"
+    facts = [
+        ("source", f"{summary.facts.source} ({kind})"),
+        ("frames", _frames(summary)),
+        ("tracked", f"{summary.tracked} ({_share(summary.tracked, summary.frames)})"),
+        ("lost", str(summary.lost)),
+        ("segments", str(len(summary.segments))),
+        ("keyframes", f"{summary.keyframes}, with {summary.landmarks} landmarks"),
+        ("path", f"{summary.path_m:.3f} {unit}"),
+        ("speed", f"{speed}, {summary.peak_rss_mb:.0f} MB at most"),
+        ("output", str(output)),
+    ]
+    return facts if rrd is None else [*facts, ("recording", str(rrd))]
+
+
+def _frames(summary: Summary) -> str:
+    others = {"before the first map": summary.starting, "skipped": len(summary.skipped)}
+    notes = [f"{count} {what}" for what, count in others.items() if count]
+    return ", ".join((str(summary.frames), *notes))
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100.0 * part / whole:.1f} %" if whole else "-"
+
+
+def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str]:
+    commands = []
+    if summary.tracked and summary.facts.has_ground_truth:
+        commands.append(f"vo eval {_quoted(output)} {_quoted(summary.facts.source)}")
+    if rrd is not None:
+        commands.append(f"rerun {_quoted(rrd)}")
+    if not commands and rrd is None:
+        again = f"vo run {_quoted(summary.facts.source)} --output {_quoted(output)}"
+        commands.append(f"{again} --rrd {_quoted(output / 'run.rrd')}")
+    return commands
+
+
+def _quoted(path: Path | str) -> str:
+    return shlex.quote(str(path))
