@@ -147,6 +147,10 @@ def document(report: dict[str, Any], cases: dict[str, Case]) -> str:
         "",
         *_speed(results),
         "",
+        "Milliseconds by stage, median (95th percentile) over the frames in which it ran:",
+        "",
+        *_stages(results),
+        "",
         f"Start-up, `vo run` on 2 frames with everything compiled before: "
         f"{report['start_up_s']:.1f} s.",
         "",
@@ -170,33 +174,58 @@ def _accuracy(results: list[dict[str, Any]], cases: dict[str, Case]) -> list[str
             number(result["rotation_deg"], 3), number(result["scale_percent"], 2, "+"), goals,
         ])  # fmt: skip
         rows += [
-            ["", "", p.system, p.frames, "", *(number(x, 4) for x in (p.ate, p.ate_causal, p.rpe)),
-             "", "", ""]
+            ["", "", p.system, p.frames, "",
+             *(_given(x) for x in (p.ate, p.ate_causal, p.rpe)), "", "", ""]
             for p in case.peers
         ]  # fmt: skip
     return table(head, rows)
 
 
 def _speed(results: list[dict[str, Any]]) -> list[str]:
-    head = ["sequence", "mode", "frames/s, command", "frames/s, tracking", "ms median", "ms p95",
-            "wall, ms/frame", "limit, ms/frame", "wall/limit", "keyframes", "peak MB"]  # fmt: skip
+    head = ["sequence", "mode", "frames/s, command", "frames/s, tracking", "wall, ms/frame",
+            "limit, ms/frame", "wall : limit", "keyframes", "peak MB"]  # fmt: skip
     rows = [
         [
             r["folder"], r["mode"], number(1e3 / r["wall_ms"], 1), number(r["tracking_fps"], 1),
-            number(r["step_median_ms"], 0), number(r["step_p95_ms"], 0), number(r["wall_ms"], 1),
-            number(r["limit_ms"], 1), number(r["wall_ms"] / r["limit_ms"], 2),
-            str(r["keyframes"]), number(r["peak_rss_mb"], 0),
+            number(r["wall_ms"], 1), number(r["limit_ms"], 1),
+            number(r["wall_ms"] / r["limit_ms"], 2), str(r["keyframes"]),
+            number(r["peak_rss_mb"], 0),
         ]
-        for r in results
-        if not r.get("failed")
+        for r in _finished(results)
     ]  # fmt: skip
     return table(head, rows)
 
 
+def _stages(results: list[dict[str, Any]]) -> list[str]:
+    """Milliseconds by stage, median (95th percentile), of the frames in which it ran."""
+    done = _finished(results)
+    names = list(dict.fromkeys(name for r in done for name in r["stages"]))
+    rows = [
+        [r["folder"], r["mode"], *(_times(r["stages"].get(name)) for name in names)] for r in done
+    ]
+    return table(["sequence", "mode", *names], rows)
+
+
+def _times(stage: dict[str, float] | None) -> str:
+    return "–" if stage is None else f"{stage['median_ms']:.1f} ({stage['p95_ms']:.0f})"
+
+
+def _finished(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [result for result in results if not result.get("failed")]
+
+
+_TEXTS = ("sequence", "mode", "system", "goals")
+
+
 def table(head: list[str], rows: list[list[str]]) -> list[str]:
     """Lines of a Markdown table; numbers stand right."""
-    rule = ["---" if i < 3 and "/" not in text else "---:" for i, text in enumerate(head)]
+    rule = ["---" if text in _TEXTS else "---:" for text in head]
     return ["| " + " | ".join(cells) + " |" for cells in (head, rule, *rows)]
+
+
+def _given(value: float | None) -> str:
+    """A number with the digits that it was given with."""
+    return "–" if value is None else f"{value:g}"
 
 
 def number(value: float | None, digits: int, sign: str = "") -> str:
