@@ -1,0 +1,90 @@
+"""Writes configs/*.yaml from the settings in vo/config.py, every key with its comment.
+
+Run it after a change of a setting or of what a preset says here; a test holds that it was run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from vo.config import Config
+
+FOLDER = Path(__file__).resolve().parent.parent / "configs"
+
+TITLES = {
+    "default": "What `vo run` does unless told otherwise. A file of your own needs only the\n"
+    "# keys that it changes: `vo run … --config mine.yaml`.",
+    "fast": "For speed: fewer features and landmarks, a smaller window.",
+    "accurate": "For accuracy: more features and landmarks, a larger window.",
+}
+CHANGES: dict[str, dict[str, Any]] = {
+    "default": {},
+    "fast": {
+        "features.count": 800,
+        "tracking.max_landmarks": 500,
+        "mapping.new_per_keyframe": 300,
+        "smoothing.window": 5,
+        "smoothing.fixed": 4,
+        "smoothing.max_landmarks": 400,
+    },
+    "accurate": {
+        "features.count": 3000,
+        "tracking.max_landmarks": 2000,
+        "mapping.new_per_keyframe": 1200,
+        "smoothing.window": 12,
+        "smoothing.fixed": 12,
+        "smoothing.max_landmarks": 1600,
+    },
+}
+BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+
+def render(preset: str) -> str:
+    """The text of a preset.
+
+    Raises:
+        KeyError: the preset changes a setting that does not exist.
+    """
+    changes = dict(CHANGES[preset])
+    lines = [f"# {TITLES[preset]}", "", *_lines(Config, "", changes)]
+    if changes:
+        raise KeyError(f"preset {preset} changes settings that do not exist: {list(changes)}")
+    return "\n".join(lines) + "\n"
+
+
+def _lines(model: type[BaseModel], section: str, changes: dict[str, Any]) -> Iterator[str]:
+    indent = "  " if section else ""
+    for name, info in model.model_fields.items():
+        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
+            yield from ("", f"# {_one_line(info.annotation.__doc__)}", f"{name}:")
+            yield from _lines(info.annotation, f"{name}.", changes)
+            continue
+        value = changes.pop(section + name, info.default)
+        note = f"; default {_yaml(info.default)}" if value != info.default else ""
+        comment = f"{info.description}{_range(info)}{note}"
+        yield f"{indent}{name}: {_yaml(value)}  # {comment}"
+
+
+def _range(info: FieldInfo) -> str:
+    found = {key: getattr(m, key) for m in info.metadata for key in BOUNDS if hasattr(m, key)}
+    words = [f"{BOUNDS[key]} {bound:g}" for key, bound in found.items()]
+    return f" ({', '.join(words)})" if words else ""
+
+
+def _yaml(value: Any) -> str:
+    return yaml.safe_dump(value).removesuffix("\n").removesuffix("\n...")
+
+
+def _one_line(text: str | None) -> str:
+    return " ".join((text or "").split())
+
+
+if __name__ == "__main__":
+    for name in TITLES:
+        (FOLDER / f"{name}.yaml").write_text(render(name), encoding="utf-8")
