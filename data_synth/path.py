@@ -54,7 +54,8 @@ class Path:
 def walk_around(seed: int, duration_s: float) -> Path:
     """Walk counter-clockwise around the origin, looking ahead and outward, back to the start.
 
-    One lap of about 8 m takes about 8 s; longer walks take more laps, each a little different.
+    One lap of about 9 m takes about 8 s; longer walks take more laps, each a little different, and
+    shorter ones do not come round.
     """
     rng = np.random.default_rng([seed, 1])
     laps = max(1, round(duration_s / _LAP_S))
@@ -71,7 +72,7 @@ def walk_around(seed: int, duration_s: float) -> Path:
             rng.uniform(-0.05, 0.05, count),
         ]
     )
-    return Path(controls, laps, duration_s)
+    return Path(controls, laps, max(duration_s, _LAP_S))
 
 
 def _rotations(yaw: Floats, pitch: Floats, roll: Floats) -> Floats:

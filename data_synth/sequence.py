@@ -61,7 +61,7 @@ def make_sequence(
 
     Args:
         folder: where to write; it must be missing or empty.
-        seconds: length; the walk ends where it starts.
+        seconds: length; a walk of 8 s or more ends where it starts.
         fps: frames per second.
         width: of the images, in pixels.
         height: of the images, in pixels.

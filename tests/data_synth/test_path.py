@@ -31,6 +31,11 @@ def test_path_comes_back_to_its_start() -> None:
     np.testing.assert_allclose(start, end, atol=1e-9)
 
 
+def test_a_short_walk_is_no_faster() -> None:
+    whole, part = (walk_around(0, d).world_from_cam0(np.array([0.0, 0.5])) for d in (8.0, 0.5))
+    np.testing.assert_array_equal(whole, part)
+
+
 def test_rotations_are_right_handed_and_orthonormal() -> None:
     rotations = walk_around(1, 8.0).world_from_cam0(np.linspace(0, 8, 50))[:, :3, :3]
     np.testing.assert_allclose(

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from vo.cli.demo import demo_command
 from vo.cli.eval import eval_command
 from vo.cli.run import run_command
 from vo.errors import VoError
@@ -39,3 +40,4 @@ def _vo() -> None:
 
 app.command("run")(run_command)
 app.command("eval")(eval_command)
+app.command("demo")(demo_command)

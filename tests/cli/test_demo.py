@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from data_synth import sequence
+from vo.cli.app import app
+
+
+@pytest.fixture
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = functools.partial(sequence.make_sequence, seconds=1.0, fps=12.0, width=320, height=200)
+    monkeypatch.setattr(sequence, "make_sequence", small)
+
+
+@pytest.mark.usefixtures("_small")
+def test_demo_makes_runs_scores_and_keeps_the_recording(tmp_path: Path) -> None:
+    output = tmp_path / "demo"
+    result = CliRunner().invoke(app, ["demo", "--output", str(output)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert "12 of 12 frames" in result.output
+    assert "ATE, translation" in result.output
+    for name in ("run/trajectory.tum", "run/run.rrd", "run/eval.png", "run/summary.json"):
+        assert (output / name).stat().st_size > 0
+        if name.endswith(("rrd", "png")):
+            assert str(output / name) in result.output.replace("\n", "")
+    recordings = [p for p in output.iterdir() if p.name.startswith("room_v")]
+    assert len(recordings) == 1
+
+    image = next(recordings[0].rglob("*.png"))
+    before = image.stat().st_mtime_ns
+    again = CliRunner().invoke(app, ["demo", "--output", str(output)], catch_exceptions=False)
+    assert again.exit_code == 0, again.output
+    assert "made before" in again.output
+    assert image.stat().st_mtime_ns == before
+
+
+@pytest.mark.usefixtures("_small")
+def test_an_output_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = CliRunner().invoke(app, ["demo", "--output", str(tmp_path / "file" / "demo")])
+    assert result.exit_code == 1
+    assert "error: " in result.output
+    assert "Traceback" not in result.output

@@ -1,0 +1,121 @@
+"""`vo demo`: a synthetic stereo recording, made, run and scored in one command."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from vo.evaluation.inputs import Inputs
+    from vo.evaluation.report import Evaluation
+
+
+def demo_command(
+    output: Annotated[
+        Path, typer.Option(help="Folder for the recording, which is kept, and the results.")
+    ] = Path("out/demo"),
+) -> None:
+    """Show the odometry at work on a synthetic stereo recording with exact truth.
+
+    Makes a walk around a furnished room (the first time only), computes the
+    camera's path from its images, compares it with the truth, and says where
+    the results are.
+    """
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    sequence = _find_or_make_sequence(output, console)
+    results = output / "run"
+    rrd, plot = results / "run.rrd", results / "eval.png"
+    _run(sequence, results, rrd, console)
+    inputs, evaluation = _evaluate(results, sequence, plot)
+    from vo.cli.eval_table import print_evaluation
+
+    print_evaluation(evaluation, inputs, console=console)
+    _print_what_next(console, sequence, results, rrd, plot)
+
+
+def _find_or_make_sequence(output: Path, console: Console) -> Path:
+    """The recording: it appears only when it is whole, so one that is there is good."""
+    from data_synth.sequence import VERSION, make_sequence
+    from vo.errors import OutputError
+
+    sequence = output / f"room_v{VERSION}"
+    if (sequence / "groundtruth.tum").is_file():
+        console.print(f"recording   {sequence} (made before)", soft_wrap=True)
+        return sequence
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("getting the renderer ready", total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, description="rendering", completed=done, total=total)
+
+        try:
+            make_sequence(sequence, on_frame=show)
+        except OutputError:
+            if not (sequence / "groundtruth.tum").is_file():  # else another demo was faster
+                raise
+    console.print(f"recording   {sequence}", soft_wrap=True)
+    return sequence
+
+
+def _run(sequence: Path, results: Path, rrd: Path, console: Console) -> None:
+    from vo.cli.progress import make_progress, warnings_on
+    from vo.config import load_config
+    from vo.run import run
+
+    with warnings_on(console):
+        progress = make_progress(console, quiet=False)
+        summary = run(sequence, results, config=load_config(), rrd=rrd, progress=progress)
+    console.print(
+        f"tracked     {summary.tracked} of {summary.frames} frames, "
+        f"{summary.frames_per_s:.1f} frames/s\n"
+    )
+
+
+def _evaluate(results: Path, sequence: Path, plot: Path) -> tuple[Inputs, Evaluation]:
+    from vo.evaluation.inputs import load_inputs
+    from vo.evaluation.plots import save_plot
+    from vo.evaluation.report import evaluate
+
+    inputs = load_inputs(results, sequence)
+    evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
+    save_plot(plot, evaluation, inputs.reference, "vo demo: path against truth")
+    return inputs, evaluation
+
+
+def _print_what_next(
+    console: Console, sequence: Path, results: Path, rrd: Path, plot: Path
+) -> None:
+    vo, rerun = _program("vo"), _program("rerun")
+    quoted = [shlex.quote(str(path)) for path in (sequence, results, rrd)]
+    lines = (
+        f"\nplot        {plot}",
+        f"for rerun   {rrd}",
+        f"results     {results}",
+        "\nTry next:",
+        f"  {rerun} {quoted[2]}    # look at the run in 3D",
+        f"  {vo} eval {quoted[1]} {quoted[0]} --json    # the same numbers for a script",
+        f"  {vo} run MY_RECORDING --output out/mine    # your own, see README.md",
+        f"  {vo} --help",
+    )
+    for line in lines:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _program(name: str) -> str:
+    """How to call a program of this environment from here."""
+    if shutil.which(name):
+        return name
+    return shlex.quote(os.path.relpath(Path(sys.executable).parent / name))
