@@ -7,6 +7,16 @@ from pathlib import Path
 import pytest
 
 
+@pytest.fixture(scope="session")
+def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Thirty stereo frames with ground truth in the EuRoC layout; not to be written to."""
+    from data_synth.sequence import make_sequence
+
+    folder = tmp_path_factory.mktemp("synthetic") / "walk"
+    make_sequence(folder, seconds=2.0, fps=15.0, width=400, height=250, seed=0)
+    return folder
+
+
 @pytest.fixture
 def shared_data() -> Path:
     """Folder of the real sequences beside the checkout; the test is skipped where it is absent."""

@@ -14,6 +14,7 @@ from vo.errors import EvaluationError, SourceError
 from vo.formats.trajectory import detect_format, kitti_stamps_beside, read_trajectory
 from vo.types import Floats, Mode, Trajectory
 
+_ESTIMATE_NAMES = ("trajectory.tum", "trajectory.tum.partial")  # the latter of a killed run
 _REFERENCE_NAMES = (
     "groundtruth.tum",
     "groundtruth.txt",
@@ -78,10 +79,10 @@ def load_inputs(
 def _estimate_file(path: Path) -> Path:
     if not path.is_dir():
         return path
-    file = path / "trajectory.tum"
-    if not file.is_file():
-        raise SourceError(f"{path} has no trajectory.tum; give a run's folder or a trajectory file")
-    return file
+    for name in _ESTIMATE_NAMES:
+        if (path / name).is_file():
+            return path / name
+    raise SourceError(f"{path} has no trajectory.tum; give a run's folder or a trajectory file")
 
 
 def _reference_file(path: Path) -> Path:

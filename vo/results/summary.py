@@ -66,7 +66,7 @@ class Segment(NamedTuple):
 
 
 class FrameRange(NamedTuple):
-    """Frames without a pose, one after the other, and the reason of the first of them."""
+    """Frames without a pose, one after the other, and the reason of the last of them."""
 
     first: int
     last: int
@@ -189,7 +189,8 @@ def _without_pose(
         state, reason = _why(account, unreadable, frame)
         count[state] += 1
         if follows and ranges[-1].state == state:
-            ranges[-1] = ranges[-1]._replace(last=frame, frames=ranges[-1].frames + 1)
+            frames = ranges[-1].frames + 1
+            ranges[-1] = ranges[-1]._replace(last=frame, frames=frames, reason=reason)
         else:
             ranges.append(FrameRange(frame, frame, 1, state, reason))
         follows = True

@@ -1,0 +1,346 @@
+"""`vo run` as typed: what it prints, how it exits, and what it says of bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from vo.cli.app import app
+from vo.formats.trajectory import read_tum, write_tum
+from vo.types import Trajectory
+
+VO = Path(sys.executable).with_name("vo")
+WIDTH, HEIGHT = 96, 64
+CALIBRATION = "cam0: {{resolution: [96, 64], intrinsics: [{fx}, 80.0, 47.5, 31.5]}}\n"
+
+
+def vo_run(source: Path, output: Path, *arguments: object) -> Result:
+    words = ["run", source, "--output", output, *arguments]
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+def summary_in(folder: Path) -> dict[str, Any]:
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert isinstance(summary, dict)
+    return summary
+
+
+def write_noise(path: Path, seed: int, width: int = WIDTH) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    noise = np.random.default_rng(seed).integers(0, 256, (HEIGHT, width), dtype=np.uint8)
+    assert cv2.imwrite(str(path), noise)
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    """Five images of noise from one camera, with all that belongs to them."""
+    folder = tmp_path / "images"
+    for i in range(5):
+        write_noise(folder / f"{i}.png", i)
+    (folder / "calibration.yaml").write_text(CALIBRATION.format(fx=80.0), encoding="utf-8")
+    stamps = "".join(f"{i / 10}\n" for i in range(5))
+    (folder / "times.txt").write_text(stamps, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "out"
+
+
+# --- good runs -----------------------------------------------------------------------------------
+
+
+def test_ends_with_a_table_and_the_next_command(synthetic_stereo: Path, out: Path) -> None:
+    result = vo_run(synthetic_stereo, out, "--end", 5, "--config", "fast")
+    assert result.exit_code == 0, result.output
+    for words in ("(stereo, euroc)", "5 (100.0 %)", "keyframes", "frames/s", str(out)):
+        assert words in result.stdout
+    assert f"next: vo eval {out} {synthetic_stereo}" in result.stdout
+    assert "\x1b" not in result.output
+    assert "5 frames" in result.stderr
+    assert "frame 1/5" in result.stderr
+
+
+def test_the_next_command_works(synthetic_stereo: Path, out: Path) -> None:
+    vo_run(synthetic_stereo, out, "--end", 5, "--config", "fast")
+    result = CliRunner().invoke(app, ["eval", str(out), str(synthetic_stereo)])
+    assert result.exit_code == 0, result.output
+
+
+def test_quiet_prints_nothing(synthetic_stereo: Path, out: Path) -> None:
+    result = vo_run(synthetic_stereo, out, "--end", 3, "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+    assert summary_in(out)["tracked"] == 3
+
+
+def test_settings_come_from_file_and_flags(synthetic_stereo: Path, out: Path) -> None:
+    own = out.with_name("own.yaml")
+    own.write_text("features: {count: 700, levels: 4}\n", encoding="utf-8")
+    flags = ("--config", own, "--set", "features.count=600", "--set", "seed=3", "--quiet")
+    result = vo_run(synthetic_stereo, out, "--start", 2, "--end", 9, "--stride", 3, *flags)
+    assert result.exit_code == 0, result.output
+    text = (out / "config.yaml").read_text(encoding="utf-8")
+    assert "count: 600" in text
+    assert "levels: 4" in text
+    summary = summary_in(out)
+    assert (summary["seed"], summary["frames"]) == (3, 3)
+    assert [summary[k] for k in ("start", "end", "stride")] == [2, 9, 3]
+
+
+def test_mode_mono_uses_one_camera(synthetic_stereo: Path, out: Path) -> None:
+    result = vo_run(synthetic_stereo, out, "--mode", "mono", "--end", 3)
+    assert result.exit_code == 0, result.output
+    assert summary_in(out)["mode"] == "mono"
+
+
+def test_rrd_is_written_and_offered(synthetic_stereo: Path, out: Path) -> None:
+    rrd = out / "run.rrd"
+    result = vo_run(synthetic_stereo, out, "--end", 3, "--config", "fast", "--rrd", rrd)
+    assert result.exit_code == 0, result.output
+    assert f"next: rerun {rrd}" in result.stdout
+    assert rrd.stat().st_size > 10_000
+
+
+def test_noise_ends_well_with_an_honest_warning(images: Path, out: Path) -> None:
+    result = vo_run(images, out)
+    assert result.exit_code == 0, result.output
+    assert "warning: no frame was tracked" in result.stdout
+    summary = summary_in(out)
+    assert (summary["status"], summary["tracked"], summary["starting"]) == ("finished", 0, 5)
+
+
+def test_help_teaches_with_examples() -> None:
+    result = CliRunner().invoke(app, ["run", "--help"])
+    assert result.exit_code == 0
+    assert "vo run my_sequence/ --output out/" in result.output
+
+
+def test_the_command_imports_nothing_heavy_before_it_runs() -> None:
+    code = (
+        "import sys, vo.cli.run; "
+        "print([m for m in ('numpy', 'rich', 'cv2', 'gtsam', 'rerun') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() in ("[]", "['rich']")  # typer itself may use rich
+
+
+# --- runs that end early -------------------------------------------------------------------------
+
+
+def start_and_signal(source: Path, out: Path, number: signal.Signals) -> subprocess.Popen[str]:
+    """Start a run and send it a signal when it has written three poses."""
+    running = subprocess.Popen(
+        [VO, "run", source, "--output", out, "--config", "fast"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    growing, give_up = out / "causal.tum.partial", time.monotonic() + 60
+    while time.monotonic() < give_up and running.poll() is None:
+        if growing.exists() and growing.read_bytes().count(b"\n") >= 3:
+            break
+        time.sleep(0.01)
+    running.send_signal(number)
+    return running
+
+
+def test_ctrl_c_exits_130_with_one_line(synthetic_stereo: Path, out: Path) -> None:
+    with start_and_signal(synthetic_stereo, out, signal.SIGINT) as running:
+        stdout, stderr = running.communicate(timeout=60)
+    assert running.returncode == 130, stderr
+    assert stdout == ""
+    assert stderr.splitlines()[-1].startswith("interrupted; ")
+    assert "Traceback" not in stderr
+    poses, summary = read_tum(out / "trajectory.tum"), summary_in(out)
+    assert 3 <= len(poses) < 30
+    assert (summary["status"], summary["tracked"]) == ("interrupted", len(poses))
+
+
+def test_a_killed_run_can_still_be_evaluated(synthetic_stereo: Path, out: Path) -> None:
+    with start_and_signal(synthetic_stereo, out, signal.SIGKILL) as running:
+        running.communicate(timeout=60)
+    assert running.returncode == -signal.SIGKILL
+    assert summary_in(out)["status"] == "interrupted"
+    assert len(read_tum(out / "causal.tum.partial")) >= 3
+    result = CliRunner().invoke(app, ["eval", str(out), str(synthetic_stereo)])
+    assert result.exit_code == 0, result.output
+
+
+def test_a_bug_keeps_its_traceback(
+    images: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("vo.odometry.Odometry.step", broken)
+    assert isinstance(vo_run(images, out).exception, ZeroDivisionError)
+
+
+# --- bad input -----------------------------------------------------------------------------------
+
+
+def assert_one_line(result: Result, *words: str) -> None:
+    assert result.exit_code == 1, result.output
+    assert result.stdout == ""
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+    others = [line for line in result.stderr.splitlines() if not line.startswith("error: ")]
+    assert len(errors) == 1, result.stderr
+    assert others == []
+    for word in words:
+        assert word in errors[0]
+
+
+def test_missing_folder(tmp_path: Path, out: Path) -> None:
+    assert_one_line(vo_run(tmp_path / "none", out), "none does not exist")
+    assert not out.exists()
+
+
+def test_folder_without_images(tmp_path: Path, out: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    assert_one_line(vo_run(tmp_path / "empty", out), "holds no images")
+
+
+def test_unreadable_image_in_the_middle_is_skipped(images: Path, out: Path) -> None:
+    data = (images / "2.png").read_bytes()
+    (images / "2.png").write_bytes(data[: len(data) // 2])
+    result = vo_run(images, out)
+    assert result.exit_code == 0, result.output
+    warnings = [w for w in result.stderr.splitlines() if w.startswith("warning: ")]
+    assert len(warnings) == 1
+    assert "frame 2 skipped" in warnings[0]
+    assert "cut off" in warnings[0]
+    summary = summary_in(out)
+    assert [(s["index"], s["stamp_ns"]) for s in summary["skipped"]] == [(2, 200_000_000)]
+    assert summary["frames"] == 5
+
+
+def test_image_of_another_size_in_the_middle_is_skipped(images: Path, out: Path) -> None:
+    write_noise(images / "3.png", 3, width=WIDTH // 2)
+    result = vo_run(images, out)
+    assert result.exit_code == 0, result.output
+    assert "frame 3 skipped" in result.stderr
+    assert "48x64" in result.stderr
+    assert [s["index"] for s in summary_in(out)["skipped"]] == [3]
+
+
+def test_missing_calibration(images: Path, out: Path) -> None:
+    (images / "calibration.yaml").unlink()
+    assert_one_line(vo_run(images, out), "calibration")
+
+
+def test_calibration_file_that_is_not_there(images: Path, out: Path) -> None:
+    result = vo_run(images, out, "--calibration", images / "none.yaml")
+    assert_one_line(result, "none.yaml")
+
+
+@pytest.mark.parametrize("fx", [".nan", "0.0", "-80.0", ".inf"])
+def test_calibration_that_cannot_be_true(images: Path, out: Path, fx: str) -> None:
+    (images / "calibration.yaml").write_text(CALIBRATION.format(fx=fx), encoding="utf-8")
+    assert_one_line(vo_run(images, out), "calibration.yaml", fx.strip(".").removesuffix(".0"))
+
+
+def test_more_images_than_stamps(images: Path, out: Path) -> None:
+    (images / "times.txt").write_text("0.0\n0.1\n0.2\n", encoding="utf-8")
+    assert_one_line(vo_run(images, out), "5", "3")
+
+
+def test_stamps_that_do_not_increase(images: Path, out: Path) -> None:
+    (images / "times.txt").write_text("0.0\n0.1\n0.3\n0.2\n0.4\n", encoding="utf-8")
+    assert_one_line(vo_run(images, out), "times.txt")
+
+
+def test_unknown_setting_names_the_nearest(images: Path, out: Path) -> None:
+    result = vo_run(images, out, "--set", "features.cuont=100")
+    assert_one_line(result, "features.cuont", "did you mean 'features.count'?")
+    assert not out.exists()
+
+
+def test_unknown_preset(images: Path, out: Path) -> None:
+    assert_one_line(vo_run(images, out, "--config", "fats"), "did you mean 'fast'?")
+
+
+def test_unknown_format(images: Path, out: Path) -> None:
+    assert_one_line(vo_run(images, out, "--format", "kiti"), "kiti", "kitti")
+
+
+def test_stereo_asked_for_without_a_right_camera(
+    synthetic_stereo: Path, tmp_path: Path, out: Path
+) -> None:
+    source = tmp_path / "left_only"
+    shutil.copytree(synthetic_stereo / "mav0" / "cam0", source / "mav0" / "cam0")
+    assert_one_line(vo_run(source, out, "--mode", "stereo"), "right camera", "--mode mono")
+
+
+@pytest.mark.parametrize("inside", ["out", "deeper/out"])
+def test_output_that_cannot_be_written(images: Path, tmp_path: Path, inside: str) -> None:
+    (tmp_path / "file").touch()
+    assert_one_line(vo_run(images, tmp_path / "file" / inside), "cannot write to folder")
+
+
+def test_output_that_is_a_file(images: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert_one_line(vo_run(images, tmp_path / "file"), "cannot write to folder")
+
+
+def test_recording_that_cannot_be_written(images: Path, tmp_path: Path, out: Path) -> None:
+    (tmp_path / "file").touch()
+    result = vo_run(images, out, "--rrd", tmp_path / "file" / "run.rrd")
+    assert_one_line(result, "cannot write the recording")
+
+
+def test_start_beyond_the_end(images: Path, out: Path) -> None:
+    assert_one_line(vo_run(images, out, "--start", 5), "only 5 frames")
+
+
+def test_truth_that_overlaps_by_no_stamp(synthetic_stereo: Path, out: Path) -> None:
+    vo_run(synthetic_stereo, out, "--end", 4, "--config", "fast")
+    true = read_tum(synthetic_stereo / "groundtruth.tum")
+    late = out.with_name("late.tum")
+    write_tum(late, Trajectory(true.stamps_ns + 10**12, true.world_from_cam))
+    assert_one_line(CliRunner().invoke(app, ["eval", str(out), str(late)]))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [("--stride", "0"), ("--start", "-1"), ("--end", "-1"), ("--mode", "both"), ("--bogus",)],
+)
+def test_wrong_usage_exits_2(images: Path, out: Path, wrong: tuple[str, ...]) -> None:
+    result = vo_run(images, out, *wrong)
+    assert result.exit_code == 2
+    assert wrong[0] in result.stderr
+    assert not out.exists()
+
+
+def test_a_terminal_gets_a_bar(synthetic_stereo: Path, out: Path) -> None:
+    pty = pytest.importorskip("pty")
+    parent, child = pty.openpty()
+    command = [VO, "run", synthetic_stereo, "-o", out, "--end", "4", "--config", "fast"]
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=child, env=environment) as run:
+        os.close(child)
+        shown = b""
+        while True:
+            try:
+                data = os.read(parent, 4096)
+            except OSError:  # Linux reports the end of the other side so
+                break
+            if not data:
+                break
+            shown += data
+    os.close(parent)
+    assert run.returncode == 0
+    assert "getting ready" in shown.decode()
+    assert "frames/s" in shown.decode()

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vo.results.account import Account
+from vo.results.covariance import COVARIANCE_HEADING, covariance_line
+from vo.results.summary import Placed, RunFacts, Summary, summarise
+from vo.types import Estimate, KeyframePose, Landmarks, Skipped, State, Trajectory, View
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
+EMPTY = np.empty((0, 0), np.uint8)
+VIEW = View(EMPTY, None, np.empty((0, 2), np.float32), EMPTY, EMPTY, np.eye(3))
+
+
+def estimate(
+    frame: int, state: State = State.TRACKING, reason: str = "", ids: Sequence[int] | None = None
+) -> Estimate:
+    landmarks = None if ids is None else Landmarks(np.array(ids), np.zeros((len(ids), 3)))
+    return Estimate(
+        frame_index=frame,
+        stamp_ns=frame * 10**8,
+        state=state,
+        reason=reason,
+        segment=0,
+        world_from_cam0=np.eye(4) if state is State.TRACKING else None,
+        is_keyframe=False,
+        matches=100,
+        inliers=90,
+        keyframes=(),
+        view=VIEW,
+        landmarks=landmarks,
+    )
+
+
+def facts(mode: str = "stereo") -> RunFacts:
+    assert mode in ("mono", "stereo")
+    return RunFacts("data", "kitti", mode, True, 0, 0, 100, 1, 100)  # type: ignore[arg-type]
+
+
+def placed(frames: Sequence[int], segments: Sequence[int] | None = None) -> Placed:
+    """A camera that moves 2 a frame along x."""
+    poses = np.tile(np.eye(4), (len(frames), 1, 1))
+    poses[:, 0, 3] = 2.0 * np.array(frames)
+    segment = np.zeros(len(frames), np.int64) if segments is None else np.array(segments)
+    stamps_ns = np.array(frames, np.int64) * 10**8
+    return Placed(np.array(frames, np.int64), segment, Trajectory(stamps_ns, poses), 2)
+
+
+def summary_of(
+    estimates: Sequence[Estimate],
+    poses: Placed,
+    skipped: Sequence[Skipped] = (),
+    mode: str = "stereo",
+) -> Summary:
+    account = Account()
+    for each in estimates:
+        account.note(each)
+        account.note_time({"read": 1.0 + each.frame_index})
+    return summarise(
+        facts(mode), "finished", account, poses, skipped=skipped, unpaired=0, wall_s=2.0
+    )
+
+
+def test_every_frame_is_placed_or_listed_once() -> None:
+    states = [State.STARTING] * 3 + [State.TRACKING] * 3 + [State.LOST] * 2 + [State.TRACKING] * 2
+    frames = [f for f in range(11) if f != 4]
+    estimates = [estimate(f, s, f"why {f}") for f, s in zip(frames, states, strict=True)]
+    # Frame 2, the first of the mono pair, has got its pose afterwards.
+    poses = placed([2, 3, 5, 6, 9, 10])
+    summary = summary_of(estimates, poses, [Skipped(4, 4 * 10**8, "cut off")])
+    assert summary.frames == 11
+    assert (summary.tracked, summary.starting, summary.lost) == (6, 2, 2)
+    ranges = [(r.first, r.last, r.frames, r.state, r.reason) for r in summary.without_pose]
+    assert ranges == [
+        (0, 1, 2, "starting", "why 1"),
+        (4, 4, 1, "skipped", "cut off"),
+        (7, 8, 2, "lost", "why 8"),
+    ]
+
+
+def test_frames_with_a_stride_make_one_range() -> None:
+    estimates = [estimate(f, State.LOST, "dark") for f in (10, 15, 20)]
+    (only,) = summary_of(estimates, placed([])).without_pose
+    assert (only.first, only.last, only.frames) == (10, 20, 3)
+
+
+def test_a_pose_given_up_later_is_listed_as_lost() -> None:
+    summary = summary_of([estimate(0), estimate(1)], placed([0]))
+    assert (summary.frames, summary.lost) == (2, 1)
+    assert summary.without_pose[0].reason == "its pose was given up later"
+
+
+def test_gaps_between_segments_are_no_path() -> None:
+    frames, segments = [0, 1, 2, 50, 51], [0, 0, 0, 1, 1]
+    summary = summary_of([estimate(f) for f in frames], placed(frames, segments))
+    assert [(s.frames, s.path_m) for s in summary.segments] == [(3, 4.0), (2, 2.0)]
+    assert (summary.segments[1].first_frame, summary.segments[1].last_frame) == (50, 51)
+    assert summary.segments[1].first_stamp_ns == 50 * 10**8
+    assert summary.path_m == 6.0
+    assert "2 segments, each in a world of its own" in summary.warnings
+
+
+def test_warns_of_what_a_reader_must_know() -> None:
+    lost = summary_of(
+        [estimate(0), estimate(1, State.LOST, "dark")], placed([0]), [Skipped(2, 0, "cut off")]
+    )
+    assert "lost in 1 of 3 frames (33%)" in lost.warnings
+    assert any("1 frames skipped" in w for w in lost.warnings)
+    mono = summary_of([estimate(0)], placed([0]), mode="mono")
+    assert mono.length_unit == "map units"
+    assert any("the scale is unknown" in w for w in mono.warnings)
+    none = summary_of([estimate(0, State.STARTING, "3 matches")], placed([]))
+    assert none.warnings == ("no frame was tracked (3 matches)",)
+    assert summary_of([estimate(0)], placed([0])).warnings == ()
+
+
+def test_landmarks_are_counted_once() -> None:
+    estimates = [estimate(0, ids=[0, 1, 2]), estimate(1, ids=[]), estimate(2, ids=[1, 2, 7])]
+    assert summary_of(estimates, placed([0, 1, 2])).landmarks == 4
+
+
+def test_stages_have_median_and_95th_percentile() -> None:
+    estimates = [estimate(f) for f in range(101)]
+    stage = summary_of(estimates, placed(list(range(101)))).stages["read"]
+    assert (stage.median_ms, stage.p95_ms) == (51.0, 96.0)
+
+
+def test_every_key_is_documented_and_plain() -> None:
+    summary = summary_of([estimate(0), estimate(1, State.LOST, "x")], placed([0]))
+    keys = summary.to_dict()
+    assert json.loads(json.dumps(keys, allow_nan=False)) == keys
+    documented = set(re.findall(r"`(\w+)`", DOCS.read_text(encoding="utf-8")))
+    nested = {k for name in ("without_pose", "segments") for k in keys[name][0]}
+    assert (set(keys) | nested) <= documented
+    assert keys["frames_per_s"] == 1.0
+    assert keys["versions"]["gtsam"][0].isdigit()
+    assert keys["peak_rss_mb"] > 10
+
+
+def test_covariance_is_the_upper_triangle() -> None:
+    covariance = np.arange(36.0).reshape(6, 6)
+    keyframe = KeyframePose(7, 123, 1, np.eye(4), covariance)
+    heading, row = COVARIANCE_HEADING.split(","), covariance_line(keyframe).split(",")
+    assert len(heading) == len(row) == 24
+    assert row[:3] == ["123", "7", "1"]
+    values = dict(zip(heading, row, strict=True))
+    assert float(values["c_rx_rx"]) == 0.0
+    assert float(values["c_ry_tx"]) == 9.0
+    assert float(values["c_tz_tz"]) == 35.0
+
+
+def test_unknown_covariance_leaves_fields_empty() -> None:
+    line = covariance_line(KeyframePose(7, 123, 1, np.eye(4), None))
+    assert line == "123,7,1" + "," * 21
