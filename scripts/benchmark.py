@@ -55,7 +55,12 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__)
     add = parser.add_argument
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
-    add("--runs", type=int, default=1, help="runs of each, of which the medians count")
+    add(
+        "--runs",
+        type=int,
+        default=1,
+        help="runs of each, of which the one with the median wall time counts",
+    )
     add("--config", default="default", help="preset or file for `vo run`")
     add("--set", action="append", default=[], metavar="KEY=VALUE", help="setting for `vo run`")
     add("--only", default="", metavar="TEXT", help="only where sequence and mode contain this")
@@ -115,7 +120,7 @@ def _measure(
 
 
 def _case(case: Case, folder: Path, options: argparse.Namespace, work: Path) -> Result:
-    """Medians of all runs on one sequence."""
+    """The run of the median wall time on one sequence."""
     _say(f"{case.name}: ", end="")
     scratch = work / "out"
     result: Result = {"name": case.name, "folder": case.folder, "mode": case.mode, "failed": ""}
@@ -131,8 +136,7 @@ def _case(case: Case, folder: Path, options: argparse.Namespace, work: Path) -> 
         prints.add(hashlib.sha256((out / "trajectory.tum").read_bytes()).hexdigest())
         runs.append({**_of_summary(out, wall_s), **_errors(case, out, folder)})
     runs.sort(key=lambda run: run["wall_ms"])
-    result["stages"] = [run.pop("stages") for run in runs][(len(runs) - 1) // 2]
-    result |= {key: _median([run[key] for run in runs]) for key in runs[0]}
+    result |= runs[(len(runs) - 1) // 2]
     result["same_bits"] = len(prints) == 1 if options.runs > 1 else None
     result["limit_ms"] = limit_ms(folder, case.images, result["frames"])
     ate = "no path" if result["ate_m"] is None else f"ATE {result['ate_m']:.4f} m"
@@ -221,11 +225,6 @@ def limit_ms(folder: Path, patterns: tuple[str, ...], frames: int) -> float:
             list(pool.map(work, files))
             spent_s.append(time.perf_counter() - begin)
     return 1e3 * min(spent_s) / frames
-
-
-def _median(values: list[Any]) -> Any:
-    """The middle one; None where any is missing."""
-    return None if None in values else median_low(values)
 
 
 def _processor() -> str:

@@ -88,7 +88,7 @@ CASES = (
         Peer("libviso2", "200/200", None, 0.030, 0.0048),
     )),
     Case(_HALL, "mono", _MAV[:1], ate=0.10),
-    Case("tum_fr3_cabinet_58_lowtexture", "mono", ("rgb/*.png",), hard=True),
+    Case("tum_fr3_cabinet_58_lowtexture", "mono", ("rgb/*.*",), hard=True),
     Case(SYNTHETIC, "stereo", _MAV),
     Case(SYNTHETIC, "mono", _MAV[:1]),
 )  # fmt: skip
@@ -117,14 +117,15 @@ def judge(case: Case, result: dict[str, Any]) -> list[tuple[str, bool]]:
 def document(report: dict[str, Any], cases: dict[str, Case]) -> str:
     """The whole page as Markdown."""
     results = report["results"]
-    runs = report["runs"]
+    chosen = f"of {report['runs']} runs each the one with the median wall time"
+    chosen = "one run each" if report["runs"] == 1 else chosen
     setting = f"preset `{report['config']}`" + "".join(f", `{s}`" for s in report["set"])
     return "\n".join([
         "# Benchmarks",
         "",
         f"Made by `{AGAIN}`, which does it again. {report['date']}, {report['machine']}; "
-        f"{report['versions']}; {setting}; {'one run' if runs == 1 else f'medians of {runs} runs'}."
-        " Every figure is of the whole command `vo run`, started as a user starts it.",
+        f"{report['versions']}; {setting}; {chosen}. "
+        "Every figure is of the whole command `vo run`, started as a user starts it.",
         "",
         "## Accuracy",
         "",
