@@ -32,7 +32,7 @@ class OrbDetector:
     def detect(self, image: Bytes) -> Keypoints:
         """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order."""
         levels = [
-            self._detect_level(level_image, octave, quota)
+            self._detect_level(level_image, octave, quota, image.shape)
             for octave, (level_image, quota) in enumerate(self._pyramid(image))
         ]
         return Keypoints(
@@ -57,12 +57,15 @@ class OrbDetector:
             levels.append((smaller, int(quotas[octave])))
         return levels
 
-    def _detect_level(self, image: Bytes, octave: int, quota: int) -> Keypoints:
+    def _detect_level(
+        self, image: Bytes, octave: int, quota: int, full_shape: tuple[int, ...]
+    ) -> Keypoints:
         xy, scores = self._fast.detect(image, quota)
         angle = _orientation(image, xy, self._disc)
         descriptor = self._describe(image, xy, angle)
-        scale = self._config.scale_factor**octave
-        # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½.
+        # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
+        # are whole, so s differs a little from a power of the factor, and between u and v.
+        scale = np.array(full_shape[::-1]) / image.shape[::-1]
         full = ((xy + 0.5) * scale - 0.5).astype(np.float32)
         octaves = np.full(len(xy), octave, dtype=np.int32)
         return Keypoints(full, octaves, angle, scores, descriptor)
@@ -98,7 +101,7 @@ def _orientation(image, xy, disc):  # type: ignore[no-untyped-def]
         for dy in range(-radius, radius + 1):
             half = disc[abs(dy)]
             row = image[y0 + dy]
-            total = 0
+            total = np.int64(0)
             for dx in range(-half, half + 1):
                 grey = np.int64(row[x0 + dx])
                 m10 += dx * grey
