@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vo.features.hamming import as_words, hamming
 from vo.features.matching import (
     NO_MATCH,
     agree_in_rotation,
+    as_words,
+    hamming,
     match_epipolar,
     match_everywhere,
     match_windows,
@@ -56,14 +57,15 @@ def _windows(
     ).tolist()
 
 
-def test_hamming_counts_differing_bits() -> None:
+def test_distance_is_the_number_of_differing_bits() -> None:
     rng = np.random.default_rng(0)
-    a, b = _random(rng, 200), _random(rng, 200)
-    b[0] = a[0]
-    b[1] = ~a[1]
-    found = [int(hamming(x, y)) for x, y in zip(as_words(a), as_words(b), strict=True)]
-    np.testing.assert_array_equal(found, np.diag(_distances(a, b)))
-    assert found[0] == 0 and found[1] == 256
+    for mask in (0, 1, 128, 200, 255):
+        query = _random(rng, 1)
+        train = query ^ (_random(rng, 1) & np.uint8(mask))
+        bits = int(_distances(query, train)[0, 0])
+        for limit in (bits - 1, bits):
+            found = match_everywhere(query, train, max_distance=limit, ratio=0.9)
+            assert (found.tolist() == [0]) == (limit == bits)
 
 
 # Windows

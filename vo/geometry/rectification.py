@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vo.errors import CalibrationError
 from vo.geometry import cameras
-from vo.geometry.transforms import make_transform
+from vo.geometry.transforms import inverse, make_transform
 from vo.types import Bytes, Camera, Floats, Rig
 
 _Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
@@ -101,9 +101,9 @@ def working_rig(rig: Rig) -> WorkingRig:
     if rig.cam1 is None or rig.cam1_from_cam0 is None:
         lens = c if c.is_distorted else None
         return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, 0.0, np.eye(4), lens)
+    _check_baseline(inverse(rig.cam1_from_cam0)[:3, 3])
     if _is_rectified(rig):
         baseline = -float(rig.cam1_from_cam0[0, 3])
-        _check_baseline(baseline, abs(baseline))
         return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4))
     return _rectified(c, rig.cam1, rig.cam1_from_cam0)
 
@@ -138,7 +138,6 @@ def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> WorkingRig:
             alpha=0.0,
         )[:4]
     baseline = -float(p1[0, 3] / p1[0, 0])
-    _check_baseline(baseline, float(np.linalg.norm(translation)))
     maps = (_rectify_maps(a, r0, p0, size), _rectify_maps(b, r1, p1, size))
     fx, fy, cx, cy = float(p0[0, 0]), float(p0[1, 1]), float(p0[0, 2]), float(p0[1, 2])
     cam0_from_working = make_transform(r0.T, np.zeros(3))
@@ -184,7 +183,8 @@ def _rectify_maps(
     return first, second
 
 
-def _check_baseline(along_x: float, length: float) -> None:
+def _check_baseline(cam1_in_cam0: Floats) -> None:
+    along_x, length = float(cam1_in_cam0[0]), float(np.linalg.norm(cam1_in_cam0))
     if length <= 0.0 or along_x < 0.5 * length:
         raise CalibrationError(
             f"cam1 must be to the right of cam0, but its baseline along x is {along_x:.4g} m of "

@@ -33,7 +33,7 @@ def triangulate(
     with np.errstate(divide="ignore", invalid="ignore"):
         along1 = ((d1 @ centre) - cosine * (d2 @ centre)) / sine_squared
         along2 = (cosine * (d1 @ centre) - (d2 @ centre)) / sine_squared
-    points = 0.5 * (d1 * along1[:, None] + centre + d2 * along2[:, None])
+        points = 0.5 * (d1 * along1[:, None] + centre + d2 * along2[:, None])
     points[~np.isfinite(points).all(axis=1)] = np.inf
     return points, np.arctan2(np.sqrt(sine_squared), cosine)
 

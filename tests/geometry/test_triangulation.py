@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vo.geometry.transforms import make_transform, se3_exp, transform_points
+from vo.geometry.triangulation import in_front, triangulate
+from vo.types import Floats
+
+SECOND_FROM_FIRST = se3_exp(np.array([0.05, -0.1, 0.02, -0.8, 0.1, 0.3]))
+
+
+def _points(count: int = 100) -> Floats:
+    rng = np.random.default_rng(0)
+    return rng.uniform((-4, -3, 3), (4, 3, 25), (count, 3))
+
+
+def _rays(points: Floats) -> Floats:
+    return np.asarray(points[:, :2] / points[:, 2:])
+
+
+def test_points_are_exact_without_noise() -> None:
+    points = _points()
+    moved = transform_points(SECOND_FROM_FIRST, points)
+    found, _ = triangulate(SECOND_FROM_FIRST, _rays(points), _rays(moved))
+    np.testing.assert_allclose(found, points, rtol=1e-9, atol=1e-9)
+    assert in_front(found, SECOND_FROM_FIRST).all()
+
+
+def test_angles_are_those_between_the_rays() -> None:
+    second_from_first = make_transform(np.eye(3), np.array([-2.0, 0.0, 0.0]))
+    points = np.array([[1.0, 0.0, 1.0], [1.0, 0.0, np.sqrt(3.0)], [1.0, 0.0, 1e6]])
+    moved = transform_points(second_from_first, points)
+    _, angle = triangulate(second_from_first, _rays(points), _rays(moved))
+    np.testing.assert_allclose(np.rad2deg(angle), [90.0, 60.0, np.rad2deg(2e-6)], rtol=1e-6)
+
+
+def test_noise_moves_points_by_what_it_should() -> None:
+    rng = np.random.default_rng(1)
+    points = _points(500)
+    moved = transform_points(SECOND_FROM_FIRST, points)
+    noise = 0.5 / 500  # half a pixel at a focal length of 500
+    rays = _rays(points) + rng.normal(0, noise, (500, 2))
+    found, angle = triangulate(
+        SECOND_FROM_FIRST, rays, _rays(moved) + rng.normal(0, noise, (500, 2))
+    )
+    expected = np.sqrt(2.0) * noise * np.linalg.norm(points, axis=1) / angle
+    error = np.linalg.norm(found - points, axis=1)
+    sure = angle > np.deg2rad(2.0)
+    assert 0.3 < np.median(error[sure] / expected[sure]) < 1.5
+
+
+def test_parallel_rays_give_no_finite_point() -> None:
+    rays = np.array([[0.0, 0.0], [0.3, -0.2], [1.0, 1.0]])
+    sideways = make_transform(np.eye(3), np.array([-1.0, 0.0, 0.0]))
+    found, angle = triangulate(sideways, rays, rays)
+    np.testing.assert_allclose(angle, 0.0, atol=1e-12)
+    far = ~np.isfinite(found).all(axis=1) | (np.linalg.norm(found, axis=1) > 1e6)
+    assert far.all()
+    assert not in_front(found[~np.isfinite(found).all(axis=1)], sideways).any()
+
+
+def test_without_translation_there_is_no_parallax() -> None:
+    turn = se3_exp(np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0]))
+    points = _points()
+    _, angle = triangulate(turn, _rays(points), _rays(transform_points(turn, points)))
+    np.testing.assert_allclose(angle, 0.0, atol=1e-7)
+
+
+def test_diverging_rays_meet_behind_the_cameras() -> None:
+    sideways = make_transform(np.eye(3), np.array([-1.0, 0.0, 0.0]))
+    found, _ = triangulate(sideways, np.array([[-0.1, 0.0]]), np.array([[0.1, 0.0]]))
+    np.testing.assert_allclose(found, [[0.5, 0.0, -5.0]], atol=1e-9)
+    assert not in_front(found, sideways).any()
+
+
+def test_in_front_needs_both_cameras() -> None:
+    ahead = make_transform(np.eye(3), np.array([0.0, 0.0, -2.0]))  # the second is 2 m ahead
+    points = np.array([[0.0, 0, 3], [0, 0, 1], [0, 0, -1], [0, 0, 2], [np.inf] * 3, [np.nan] * 3])
+    assert in_front(points, ahead).tolist() == [True, False, False, False, False, False]
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_points_keep_their_shapes(count: int) -> None:
+    points = _points(count)
+    moved = transform_points(SECOND_FROM_FIRST, points)
+    found, angle = triangulate(SECOND_FROM_FIRST, _rays(points), _rays(moved))
+    assert found.shape == (count, 3) and angle.shape == (count,)
