@@ -114,6 +114,8 @@ def test_warns_of_what_a_reader_must_know() -> None:
     mono = summary_of([estimate(0)], placed([0]), mode="mono")
     assert mono.length_unit == "map units"
     assert any("the scale is unknown" in w for w in mono.warnings)
+    long = summary_of([estimate(0, State.STARTING), estimate(1)], placed([1]))
+    assert long.warnings == ("1 of 2 frames while there was no map",)
     none = summary_of([estimate(0, State.STARTING, "3 matches")], placed([]))
     assert none.warnings == ("no frame was tracked (3 matches)",)
     assert summary_of([estimate(0)], placed([0])).warnings == ()

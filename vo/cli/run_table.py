@@ -43,7 +43,7 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
 
 
 def _frames(summary: Summary) -> str:
-    others = {"before the first map": summary.starting, "skipped": len(summary.skipped)}
+    others = {"while there was no map": summary.starting, "skipped": len(summary.skipped)}
     notes = [f"{count} {what}" for what, count in others.items() if count]
     return ", ".join((str(summary.frames), *notes))
 

@@ -26,6 +26,7 @@ _PACKAGES = {
     "numba": "numba",
 }
 _FEW_INLIERS = 50
+_LONG_START = 0.1  # of all frames
 
 
 @dataclass(frozen=True)
@@ -241,6 +242,8 @@ def _warnings(summary: Summary) -> list[str]:
     if summary.tracked == 0:
         reasons = [r.reason for r in summary.without_pose if r.state != "skipped"]
         warnings.append(f"no frame was tracked ({reasons[-1] if reasons else 'no frame read'})")
+    elif summary.starting > _LONG_START * frames:
+        warnings.append(f"{summary.starting} of {frames} frames while there was no map")
     if lost:
         warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
     if summary.skipped:
