@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from vo.results.account import Account, StageTime
+from vo.results.environment import peak_rss_mb, versions
+from vo.results.unplaced import FrameRange, unplaced_ranges
 from vo.types import Floats, Ints, Skipped, State, Trajectory
 
 Status = Literal["finished", "interrupted", "failed"]
 
 SCHEMA_VERSION = 1
 
-_PACKAGES = {
-    "vo": "vo",
-    "opencv": "opencv-python-headless",
-    "gtsam": "gtsam",
-    "numpy": "numpy",
-    "numba": "numba",
-}
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
 
@@ -64,16 +56,6 @@ class Segment(NamedTuple):
     last_stamp_ns: int
     frames: int
     path_m: float
-
-
-class FrameRange(NamedTuple):
-    """Frames without a pose, one after the other, and the reason of the last of them."""
-
-    first: int
-    last: int
-    frames: int
-    state: str
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -146,7 +128,7 @@ def summarise(
     error: str | None = None,
 ) -> Summary:
     """Put a run into numbers, as far as it has come."""
-    ranges, count = _without_pose(account, placed.frame, skipped)
+    ranges, count = unplaced_ranges(account, placed.frame, skipped)
     segments = _segments(placed)
     return Summary(
         status=status,
@@ -165,46 +147,10 @@ def summarise(
         path_m=round(sum(s.path_m for s in segments), 6),
         wall_s=round(wall_s, 3),
         stages=account.stages(),
-        peak_rss_mb=round(_peak_rss_mb(), 1),
-        versions=_versions(),
+        peak_rss_mb=round(peak_rss_mb(), 1),
+        versions=versions(),
         median_inliers=account.median_inliers,
     )
-
-
-def _without_pose(
-    account: Account, placed: Ints, skipped: Sequence[Skipped]
-) -> tuple[list[FrameRange], dict[str, int]]:
-    """Runs of frames in the same state, and how many frames in each state.
-
-    A frame that had no pose when taken in may have one now: the first of a mono pair.
-    """
-    has_pose = set(placed.tolist())
-    unreadable = {s.index: s.reason for s in skipped}
-    ranges: list[FrameRange] = []
-    count = {State.STARTING.value: 0, State.LOST.value: 0, "skipped": 0}
-    follows = False
-    for frame in sorted({*account.frames, *unreadable}):
-        if frame in has_pose:
-            follows = False
-            continue
-        state, reason = _why(account, unreadable, frame)
-        count[state] += 1
-        if follows and ranges[-1].state == state:
-            frames = ranges[-1].frames + 1
-            ranges[-1] = ranges[-1]._replace(last=frame, frames=frames, reason=reason)
-        else:
-            ranges.append(FrameRange(frame, frame, 1, state, reason))
-        follows = True
-    return ranges, count
-
-
-def _why(account: Account, unreadable: Mapping[int, str], frame: int) -> tuple[str, str]:
-    if frame in unreadable:
-        return "skipped", unreadable[frame]
-    if frame not in account.unplaced:
-        return State.LOST.value, "its pose was given up later"
-    state, reason = account.unplaced[frame]
-    return (State.STARTING if state is State.STARTING else State.LOST).value, reason
 
 
 def _segments(placed: Placed) -> list[Segment]:
@@ -259,19 +205,3 @@ def _warnings(summary: Summary) -> list[str]:
             "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
         )
     return warnings
-
-
-def _peak_rss_mb() -> float:
-    """Largest memory of this process so far: the system counts KiB, on macOS bytes."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for name, package in _PACKAGES.items():
-        try:
-            found[name] = version(package)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
