@@ -6,8 +6,6 @@ import pytest
 from vo.features.matching import (
     NO_MATCH,
     agree_in_rotation,
-    as_words,
-    hamming,
     match_epipolar,
     match_everywhere,
     match_windows,

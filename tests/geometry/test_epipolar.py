@@ -147,3 +147,13 @@ def test_transfer_errors_are_squared_distances_in_each_view() -> None:
     in_second, in_first = epipolar.transfer_errors(double, first, second)
     assert in_second.tolist() == [16.0]
     assert in_first.tolist() == [4.0]
+
+
+@pytest.mark.parametrize("length", [0.003, 0.03, 0.3])
+def test_the_sign_of_the_motion_is_right_however_short_it_is(length: float) -> None:
+    points = _general(200)
+    short = make_transform(MOTION[:3, :3], length * MOTION[:3, 3])
+    first, second = _project(points), _project(transform_points(short, points))
+    motion, _ = _motion(first, second)
+    assert _rotation_error_deg(motion) < 0.01
+    assert _direction_error_deg(motion, MOTION) < 1.0

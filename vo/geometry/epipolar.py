@@ -8,6 +8,10 @@ import numpy as np
 from vo.geometry.transforms import make_transform, skew
 from vo.types import Bools, Floats
 
+# Depth in lengths of the translation up to which points have a say in the sign of the motion.
+# OpenCV's own 50 leaves none where the camera has moved little, and then any of the four wins.
+_FARTHEST = 1e6
+
 
 def find_essential(
     first: Floats, second: Floats, matrix: Floats, threshold_px: float
@@ -32,11 +36,12 @@ def recover_motion(
 ) -> Floats:
     """second_from_first (4, 4), with a translation of length 1, that puts most points in front."""
     mask = inlier.astype(np.uint8)[:, None].copy()
-    _, rotation, translation, _ = cv2.recoverPose(
+    _, rotation, translation, _, _ = cv2.recoverPose(
         essential,
         np.ascontiguousarray(first),
         np.ascontiguousarray(second),
         np.ascontiguousarray(matrix),
+        distanceThresh=_FARTHEST,
         mask=mask,
     )
     return make_transform(rotation, translation)
@@ -90,8 +95,8 @@ def epipolar_errors(fundamental: Floats, first: Floats, second: Floats) -> tuple
 
 def transfer_errors(homography: Floats, first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Squared transfer errors (N,) of a homography in the second and in the first view, px^2."""
-    inverse: Floats = np.linalg.inv(homography)
-    return _transfer(homography, first, second), _transfer(inverse, second, first)
+    backwards = np.asarray(np.linalg.inv(homography), dtype=np.float64)
+    return _transfer(homography, first, second), _transfer(backwards, second, first)
 
 
 def _transfer(homography: Floats, source: Floats, target: Floats) -> Floats:

@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vo.config import StartConfig
+from vo.geometry.transforms import rotation_angle, se3_exp, transform_points
+from vo.tracking.two_view import TwoView, start_two_view
+from vo.types import Floats
+
+MATRIX = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
+CONFIG = StartConfig()
+SIDEWAYS = se3_exp(np.array([0.02, -0.05, 0.01, -0.6, 0.1, 0.05]))
+FORWARD = se3_exp(np.array([0.01, -0.02, 0.0, 0.05, -0.02, -1.0]))
+
+
+def _project(points: Floats) -> Floats:
+    pixels = points @ MATRIX.T
+    return np.asarray(pixels[:, :2] / pixels[:, 2:])
+
+
+def _rays(count: int, seed: int) -> Floats:
+    rng = np.random.default_rng(seed)
+    flat = rng.uniform((-0.44, -0.33), (0.44, 0.33), (count, 2))
+    return np.hstack([flat, np.ones((count, 1))])
+
+
+def _room(count: int = 400, seed: int = 0) -> Floats:
+    depth = np.random.default_rng(seed + 100).uniform(3.0, 12.0, (count, 1))
+    return np.asarray(_rays(count, seed) * depth)
+
+
+def _wall(count: int = 400, seed: int = 0) -> Floats:
+    normal = np.array([0.3, -0.2, 1.0])
+    rays = _rays(count, seed)
+    return np.asarray(rays * (6.0 / (rays @ normal))[:, None])
+
+
+def _start(
+    points: Floats,
+    motion: Floats,
+    *,
+    noise: float = 0.2,
+    outliers: float = 0.0,
+    seed: int = 0,
+) -> TwoView | str:
+    rng = np.random.default_rng(seed)
+    first, second = _project(points), _project(transform_points(motion, points))
+    first = first + noise * rng.standard_normal(first.shape)
+    second = second + noise * rng.standard_normal(second.shape)
+    wrong = int(outliers * len(points))
+    second[:wrong] = rng.uniform((0, 0), (640, 480), (wrong, 2))
+    return start_two_view(first, second, MATRIX, CONFIG)
+
+
+def _errors_deg(found: TwoView, motion: Floats) -> tuple[float, float]:
+    turn = rotation_angle(found.second_from_first[:3, :3].T @ motion[:3, :3])
+    a, b = found.second_from_first[:3, 3], motion[:3, 3]
+    direction = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
+    return float(np.rad2deg(turn)), float(np.rad2deg(direction))
+
+
+@pytest.mark.parametrize("motion", [SIDEWAYS, FORWARD], ids=["sideways", "forward"])
+@pytest.mark.parametrize("outliers", [0.0, 0.2])
+def test_a_scene_with_depth_is_started_by_the_essential_matrix(
+    motion: Floats, outliers: float
+) -> None:
+    points = _room()
+    found = _start(points, motion, outliers=outliers)
+    assert isinstance(found, TwoView), found
+    assert found.model == "essential"
+    turn, direction = _errors_deg(found, motion)
+    assert turn < 0.1
+    assert direction < 0.5
+    assert np.linalg.norm(found.second_from_first[:3, 3]) == pytest.approx(1.0)
+    wrong = int(outliers * len(points))
+    assert found.good[:wrong].mean() < 0.2 if wrong else True
+    assert found.good[wrong:].mean() > 0.6
+
+
+def test_points_are_right_up_to_scale_without_noise() -> None:
+    points = _room()
+    found = _start(points, SIDEWAYS, noise=0.0)
+    assert isinstance(found, TwoView), found
+    scaled = found.points * np.linalg.norm(SIDEWAYS[:3, 3])
+    np.testing.assert_allclose(scaled[found.good], points[found.good], rtol=1e-3, atol=1e-3)
+
+
+def test_good_points_lie_close_to_the_truth_with_noise() -> None:
+    points = _room()
+    found = _start(points, SIDEWAYS, outliers=0.2)
+    assert isinstance(found, TwoView), found
+    scaled = found.points * np.linalg.norm(SIDEWAYS[:3, 3])
+    good = np.flatnonzero(found.good & (np.arange(len(points)) >= 80))
+    error = np.linalg.norm(scaled[good] - points[good], axis=1) / points[good, 2]
+    assert np.median(error) < 0.02
+
+
+def test_a_plane_is_started_by_the_homography_or_waits_where_two_motions_fit() -> None:
+    results = [_start(_wall(seed=s), SIDEWAYS, outliers=0.1, seed=s) for s in range(20)]
+    found = [r for r in results if isinstance(r, TwoView)]
+    assert len(found) >= 12
+    assert {f.model for f in found} == {"homography"}
+    for turn, direction in (_errors_deg(f, SIDEWAYS) for f in found):
+        assert turn < 0.2
+        assert direction < 1.0
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_pure_rotation_never_makes_a_map(seed: int) -> None:
+    axis = np.random.default_rng(seed).normal(size=3)
+    turn = 0.15 * axis / np.linalg.norm(axis)
+    points = _room(seed=seed)
+    outliers = 0.1 if seed % 2 else 0.0
+    assert isinstance(
+        _start(points, se3_exp(np.r_[turn, 0, 0, 0]), outliers=outliers, seed=seed), str
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_standing_still_never_makes_a_map(seed: int) -> None:
+    result = _start(_room(seed=seed), np.eye(4), noise=0.5, seed=seed)
+    assert result == "the image hardly moves"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_standing_still_while_few_things_move_never_makes_a_map(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = _project(_room(seed=seed))
+    second = first + 0.3 * rng.standard_normal(first.shape)
+    second[:150] += (25.0, 3.0)
+    assert isinstance(start_two_view(first, second, MATRIX, CONFIG), str)
+
+
+def test_too_little_parallax_is_told_in_degrees() -> None:
+    turn_and_step = se3_exp(np.array([0.0, 0.03, 0.0, -0.03, 0.0, 0.0]))
+    result = _start(_room(), turn_and_step, noise=0.05)
+    assert isinstance(result, str)
+    assert "parallax" in result and "1.0° needed" in result
+
+
+def test_too_few_matches_are_told_by_number() -> None:
+    few = CONFIG.min_matches - 1
+    result = _start(_room(few), SIDEWAYS)
+    assert isinstance(result, str)
+    assert f"{few} matches" in result and f"{CONFIG.min_matches} needed" in result
+
+
+def test_matches_without_any_sense_make_no_map() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.uniform((0, 0), (640, 480), (2, 300, 2))
+    assert isinstance(start_two_view(first, second, MATRIX, CONFIG), str)
