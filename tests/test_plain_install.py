@@ -32,7 +32,6 @@ def uses_of_scipy(source: str) -> list[str]:
     ]
 
 
-@pytest.mark.xfail(strict=True, reason="vo/geometry/pnp.py still has two `@` in compiled functions")
 def test_compiled_functions_do_without_scipy() -> None:
     files = [p for package in ("vo", "data_synth") for p in (ROOT / package).rglob("*.py")]
     found = {str(p.relative_to(ROOT)): uses_of_scipy(p.read_text("utf-8")) for p in files}

@@ -100,6 +100,9 @@ class MappingConfig(_Section):
 
     new_per_keyframe: int = Field(600, ge=20, description="most new landmarks of a keyframe")
     min_parallax_deg: float = Field(1.0, gt=0, description="mono: least parallax of a landmark")
+    look_back: int = Field(
+        4, ge=0, description="keyframes in which new landmarks are looked for afterwards"
+    )
     neighbours: int = Field(4, ge=1, description="mono: keyframes to triangulate with")
     min_found_share: float = Field(
         0.25,

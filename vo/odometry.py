@@ -21,7 +21,7 @@ from vo.pipeline import observe
 from vo.pipeline.adjust import adjust, cull
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
-from vo.pipeline.grow import far_from, grow_mono, grow_stereo
+from vo.pipeline.grow import far_from, grow_mono, grow_stereo, look_back
 from vo.pipeline.history import History
 from vo.pipeline.observe import Observed
 from vo.pipeline.start import MonoStart, add_keyframe, map_from_pair
@@ -157,14 +157,10 @@ class Odometry:
         visible = observe.visible_landmarks(self._map, self._rig, pose)
         visible = observe.most_promising(self._map, visible, config.max_landmarks)
         observed = observe.align_landmarks(
-            self._map,
-            visible,
-            visible.image_xy,
-            pose,
-            frame,
-            self._rig,
-            config,
-            self._config.stereo,
+            self._map, visible, pose, frame.image0, self._rig, config
+        )
+        observed = observe.with_disparity(
+            observed, self._map, pose, frame, self._rig, config, self._config.stereo
         )
         fit = observe.fit_pose(self._map, observed, pose, self._rig, config)
         self._map.visible[visible.rows] += 1
@@ -229,6 +225,7 @@ class Odometry:
             grow_stereo(self._map, keyframe, frame, self._rig, self._detector, self._config)
         else:
             grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)
+        look_back(self._map, keyframe, self._rig, self._config)
 
     def _smooth(self, keyframe: Keyframe, clock: Stopwatch) -> list[Keyframe]:
         """Adjust the window that ends with this keyframe, and hang the frame on it."""

@@ -56,7 +56,7 @@ def _corners(
     keypoints = detector.detect(part)
     if not keypoints:
         return np.empty((0, 2), np.int32), np.empty(0, np.float32)
-    xy = cv2.KeyPoint.convert(keypoints).astype(np.int32) + (left - _RING, top - _RING)
+    xy = np.asarray(cv2.KeyPoint.convert(keypoints)) + (left - _RING, top - _RING)
     scores = np.fromiter((k.response for k in keypoints), np.float32, len(keypoints))
     return xy.astype(np.int32), scores
 

@@ -146,8 +146,7 @@ def _gauss_newton(  # type: ignore[no-untyped-def]
             break
         for m in range(6):
             h[m, m] += 1e-9 + 1e-9 * h[m, m]
-        xi = np.linalg.solve(h, b)
-        transform = _exp(xi) @ transform
+        transform = _product(_exp(_solve(h, b)), transform)
     return transform, residual, information
 
 
@@ -162,6 +161,45 @@ def _exp(xi):  # type: ignore[no-untyped-def]
     if angle > 1e-12:
         a = np.sin(angle) / angle
         c = (1.0 - np.cos(angle)) / (angle * angle)
-        result[:3, :3] += a * k + c * (k @ k)
+        result[:3, :3] += a * k + c * _product(k, k)
     result[0, 3], result[1, 3], result[2, 3] = xi[3], xi[4], xi[5]
     return result
+
+
+# numba's own `@` and `np.linalg` need scipy, which is not installed with this package.
+@numba.njit(cache=True, nogil=True)
+def _product(a, b):  # type: ignore[no-untyped-def]
+    result = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for m in range(b.shape[1]):
+                result[i, m] += a[i, k] * b[k, m]
+    return result
+
+
+@numba.njit(cache=True, nogil=True)
+def _solve(h, b):  # type: ignore[no-untyped-def]
+    """x of h x = b for a symmetric positive definite h (Cholesky); zeros where it is not."""
+    n = len(b)
+    low = np.zeros((n, n))
+    x = b.copy()
+    for i in range(n):
+        for j in range(i + 1):
+            rest = h[i, j]
+            for k in range(j):
+                rest -= low[i, k] * low[j, k]
+            if i > j:
+                low[i, j] = rest / low[j, j]
+            elif rest > 0.0:
+                low[i, i] = np.sqrt(rest)
+            else:
+                return np.zeros(n)
+    for i in range(n):
+        for k in range(i):
+            x[i] -= low[i, k] * x[k]
+        x[i] /= low[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= low[k, i] * x[k]
+        x[i] /= low[i, i]
+    return x

@@ -12,7 +12,7 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import in_front, triangulate
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.observe import measure_disparity
+from vo.pipeline.observe import align_landmarks, among, measure_disparity, visible_landmarks
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Floats, Ints
 
@@ -111,6 +111,29 @@ def grow_mono(
         if room > 0:
             added += _grow_between(world, keyframe, other, image, rig, config, room)
     return added
+
+
+def look_back(world: Map, keyframe: Keyframe, rig: WorkingRig, config: Config) -> None:
+    """Find the newest landmarks in the keyframes before, which did not know them yet."""
+    new = np.flatnonzero((world.last_seen == keyframe.id) & (world.found <= 1))
+    for other in world.keyframes[-1 - config.mapping.look_back : -1]:
+        unseen = new[~np.isin(world.id[new], other.landmark)]
+        visible = visible_landmarks(world, rig, other.world_from_cam)
+        observed = align_landmarks(
+            world,
+            among(visible, unseen),
+            other.world_from_cam,
+            world.images[other.slot],
+            rig,
+            config.tracking,
+        )
+        other.add_observations(
+            world.id[observed.rows],
+            observed.xy,
+            observed.image_xy,
+            observed.disparity,
+            observed.sigma_px,
+        )
 
 
 def _grow_between(

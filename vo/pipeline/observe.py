@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -80,8 +80,6 @@ def visible_landmarks(world: Map, rig: WorkingRig, world_from_cam: Floats) -> Vi
         & (image_xy[:, 0] < rig.width - _BORDER_PX)
         & (image_xy[:, 1] < rig.height - _BORDER_PX)
     )
-    # Distortion is a polynomial: far outside the image it may fold back in.
-    inside &= np.abs(xy - (rig.cx, rig.cy)).max(axis=1) < 4.0 * rig.width
     reference_centre = world.reference_poses()[rows, :3, 3]
     now = np.linalg.norm(world.xyz[rows] - world_from_cam[:3, 3], axis=1)
     then = np.linalg.norm(world.xyz[rows] - reference_centre, axis=1)
@@ -95,8 +93,15 @@ def most_promising(world: Map, visible: Visible, count: int) -> Visible:
     if len(visible.rows) <= count:
         return visible
     found = np.minimum(world.found[visible.rows], 20)
-    order = np.lexsort((-visible.rows, -found))[:count]
-    kept = np.sort(order)
+    return _some(visible, np.sort(np.lexsort((-visible.rows, -found))[:count]))
+
+
+def among(visible: Visible, rows: Ints) -> Visible:
+    """Those of the landmarks that are in these rows of the map."""
+    return _some(visible, np.flatnonzero(np.isin(visible.rows, rows)))
+
+
+def _some(visible: Visible, kept: Ints) -> Visible:
     return Visible(
         visible.rows[kept],
         visible.xy[kept],
@@ -186,47 +191,54 @@ def pose_from_matches(
 def align_landmarks(
     world: Map,
     visible: Visible,
-    start_xy: Floats,
+    world_from_cam: Floats,
+    image: Bytes,
+    rig: WorkingRig,
+    config: TrackingConfig,
+) -> Observed:
+    """Find landmarks to sub-pixel in an image seen from about this pose; no disparities yet."""
+    rows = visible.rows
+    found = align_patches(
+        world.images,
+        world.reference_slots()[rows],
+        world.reference_xy[rows],
+        patch_warp(world, visible, rig, world_from_cam),
+        image,
+        visible.image_xy,
+        half_px=config.patch_half_px,
+    )
+    shift = np.linalg.norm(found.xy - visible.image_xy, axis=1)
+    ideal = rig.ideal_from_image(found.xy)
+    kept = found.converged & (found.score >= config.min_patch_score)
+    kept &= (shift <= config.max_shift_px) & np.isfinite(ideal).all(axis=1)
+    return Observed(
+        rows=rows[kept],
+        image_xy=found.xy[kept],
+        xy=ideal[kept],
+        disparity=np.full(int(kept.sum()), np.nan),
+        sigma_px=np.full(int(kept.sum()), config.sigma_px),
+        score=found.score[kept],
+        scale=visible.scale[kept],
+    )
+
+
+def with_disparity(
+    observed: Observed,
+    world: Map,
     world_from_cam: Floats,
     frame: WorkingFrame,
     rig: WorkingRig,
     config: TrackingConfig,
     stereo: StereoConfig,
 ) -> Observed:
-    """Find landmarks to sub-pixel, each from `start_xy` (n, 2) of the working image on."""
-    rows = visible.rows
-    warp = patch_warp(world, visible, rig, world_from_cam)
-    found = align_patches(
-        world.images,
-        world.reference_slots()[rows],
-        world.reference_xy[rows],
-        warp,
-        frame.image0,
-        start_xy,
-        half_px=config.patch_half_px,
-    )
-    shift = np.linalg.norm(found.xy - visible.image_xy, axis=1)
-    kept = found.converged & (found.score >= config.min_patch_score)
-    kept &= shift <= config.max_shift_px
-    rows, image_xy = rows[kept], found.xy[kept]
-    disparity = np.full(len(rows), np.nan)
-    if frame.image1 is not None:
-        guess = rig.fx * rig.baseline_m / visible.depth[kept]
-        disparity = measure_disparity(
-            frame.image0, frame.image1, image_xy, guess, rig, config, stereo
-        )
-    sigma = np.full(len(rows), config.sigma_px)
-    ideal = rig.ideal_from_image(image_xy)
-    good = np.isfinite(ideal).all(axis=1)
-    return Observed(
-        rows[good],
-        image_xy[good],
-        ideal[good],
-        disparity[good],
-        sigma[good],
-        found.score[kept][good],
-        visible.scale[kept][good],
-    )
+    """The same landmarks with their disparities, where there is a right image."""
+    if frame.image1 is None:
+        return observed
+    in_cam = transform_points(inverse(world_from_cam), world.xyz[observed.rows])
+    guess = rig.fx * rig.baseline_m / in_cam[:, 2]
+    xy = observed.image_xy
+    disparity = measure_disparity(frame.image0, frame.image1, xy, guess, rig, config, stereo)
+    return replace(observed, disparity=disparity)
 
 
 def measure_disparity(
