@@ -122,7 +122,7 @@ def _linearised(
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
     by_pose = np.concatenate([by_cam @ cross, -by_cam], axis=2)
     by_point = by_cam @ rotation.T
-    weight = np.sqrt(np.where(residual[rows] > huber, huber / residual[rows], 1.0))[:, None]
+    weight = np.sqrt(huber / np.maximum(residual[rows], huber))[:, None]
     weight = np.repeat(weight, 3, axis=1)
     weight[np.isnan(disparity), 2] = 0.0
     error = np.where(weight > 0, error, 0.0) * weight

@@ -41,6 +41,8 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
 
 def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> WindowSolution:
     used = np.flatnonzero(point_ok[problem.point])
+    if len(used) == 0:
+        raise RuntimeError("no point holds the poses")
     graph, values = _build(problem, point_ok, used, config)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(config.iterations)
@@ -185,7 +187,7 @@ def _covariances(
         marginals = gtsam.Marginals(graph, result)
         for k in range(keyframes):
             covariance[k] = 0.0 if problem.fixed[k] else marginals.marginalCovariance(_pose(k))
-    except RuntimeError as error:
+    except (RuntimeError, IndexError) as error:  # the latter for a pose that sees nothing
         _log.debug("no covariance: %s", error)
     return covariance
 
