@@ -1,0 +1,140 @@
+"""The path so far, the watch over disparities, the stopwatch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vo.geometry.transforms import se3_exp
+from vo.pipeline.disparity_watch import DisparityWatch
+from vo.pipeline.history import History
+from vo.pipeline.stopwatch import Stopwatch
+from vo.smoothing.disparity_offset import DisparityOffset
+from vo.types import Floats, KeyframePose
+
+# History
+
+
+def _pose(number: float) -> Floats:
+    return se3_exp(np.array([0.02, -0.01, 0.03, 0.5, 0.1, 1.0]) * number)
+
+
+def _store(history: History, keyframe: int, frame: int, pose: Floats) -> None:
+    history.keyframes[keyframe] = KeyframePose(frame, 100 * frame, 0, pose, None)
+
+
+def _history() -> History:
+    """Frames 0 to 9, of which 0, 4 and 8 are keyframes."""
+    history = History()
+    for frame in range(10):
+        keyframe = frame // 4
+        if frame % 4 == 0:
+            _store(history, keyframe, frame, _pose(frame))
+        history.add(frame, 100 * frame, 0, keyframe, _pose(frame))
+    return history
+
+
+def test_frames_are_where_they_were_put() -> None:
+    trajectory = _history().trajectory()
+    assert trajectory.stamps_ns.tolist() == [100 * f for f in range(10)]
+    expected = np.stack([_pose(f) for f in range(10)])
+    np.testing.assert_allclose(trajectory.world_from_cam, expected, atol=1e-12)
+
+
+def test_frames_move_with_their_keyframe_and_only_with_it() -> None:
+    history = _history()
+    move = se3_exp(np.array([0.1, 0.2, -0.1, 3.0, -1.0, 2.0]))
+    _store(history, 1, 4, move @ _pose(4))
+    found = history.trajectory().world_from_cam
+    for frame in range(10):
+        expected = move @ _pose(frame) if 4 <= frame < 8 else _pose(frame)
+        np.testing.assert_allclose(found[frame], expected, atol=1e-12)
+        np.testing.assert_allclose(history.pose(history.frames[frame]), expected, atol=1e-12)
+
+
+def test_rows_are_found_by_frame_number() -> None:
+    history = History()
+    for keyframe, frame in enumerate((3, 7, 12)):
+        _store(history, keyframe, frame, _pose(frame))
+        history.add(frame, 100 * frame, 0, keyframe, _pose(frame))
+    assert [history.first_row(f) for f in (0, 3, 4, 7, 12, 13)] == [0, 0, 1, 1, 2, 3]
+    assert [history.first_keyframe_row(f) for f in (0, 3, 4, 12, 13)] == [0, 0, 1, 2, 3]
+
+
+def test_without_frames_the_path_is_empty() -> None:
+    trajectory = History().trajectory()
+    assert len(trajectory) == 0
+    assert trajectory.positions.shape == (0, 3)
+
+
+# Disparity watch
+
+
+def _watch(
+    truth_px: float, *, noise_px: float, sigma_px: float, windows: int, seed: int
+) -> tuple[DisparityWatch, int]:
+    """A watch after some windows, each of which sees what is left of the truth."""
+    rng = np.random.default_rng(seed)
+    watch, changes = DisparityWatch(), 0
+    for _ in range(windows):
+        left = truth_px - watch.applied_px + noise_px * rng.standard_normal()
+        changes += watch.update(DisparityOffset(left, sigma_px)) is not None
+    return watch, changes
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_around_zero_is_not_corrected(seed: int) -> None:
+    watch, changes = _watch(0.0, noise_px=0.05, sigma_px=0.05, windows=50, seed=seed)
+    assert changes == 0
+    assert watch.applied_px == 0.0
+
+
+@pytest.mark.parametrize("truth_px", [0.5, -0.5, 2.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_real_offset_is_corrected_soon_and_then_left_alone(truth_px: float, seed: int) -> None:
+    early, _ = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=2, seed=seed)
+    assert early.applied_px == pytest.approx(truth_px, abs=0.15)
+    late, changes = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=50, seed=seed)
+    assert late.applied_px == pytest.approx(truth_px, abs=0.08)
+    assert changes <= 5
+
+
+def test_the_watch_tells_which_offset_to_apply() -> None:
+    watch = DisparityWatch()
+    assert watch.estimate_px == 0.0
+    assert watch.update(DisparityOffset(0.6, 0.01)) == pytest.approx(0.6)
+    assert watch.applied_px == pytest.approx(0.6)
+    assert watch.update(DisparityOffset(0.0, 0.01)) is None
+    assert watch.estimate_px == pytest.approx(0.6)
+
+
+def test_unsure_windows_change_nothing() -> None:
+    watch, changes = _watch(0.5, noise_px=0.1, sigma_px=2.0, windows=10, seed=0)
+    assert changes == 0
+
+
+def test_sure_windows_count_more_than_unsure_ones() -> None:
+    watch = DisparityWatch()
+    watch.update(DisparityOffset(5.0, 10.0))
+    watch.update(DisparityOffset(0.4, 0.02))
+    assert watch.estimate_px == pytest.approx(0.4, abs=0.01)
+
+
+# Stopwatch
+
+
+def test_each_stage_is_counted_and_repeated_ones_are_added() -> None:
+    clock = Stopwatch()
+    for name in ("match", "align", "match"):
+        before = clock.stage_ms.get(name, 0.0)
+        with clock.stage(name):
+            sum(range(1000))
+        assert clock.stage_ms[name] > before
+    assert list(clock.stage_ms) == ["match", "align"]
+
+
+def test_a_stage_that_fails_is_counted_too() -> None:
+    clock = Stopwatch()
+    with pytest.raises(KeyError), clock.stage("map"):
+        raise KeyError
+    assert clock.stage_ms["map"] >= 0.0
