@@ -117,7 +117,7 @@ class SmoothingConfig(_Section):
 
     window: int = Field(8, ge=2, description="keyframes whose poses are adjusted")
     fixed: int = Field(8, ge=1, description="older keyframes that hold the window in place")
-    max_landmarks: int = Field(800, ge=50, description="most landmarks adjusted")
+    max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
     iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
     relative_error_tolerance: float = Field(1e-4, gt=0, description="when to stop earlier")
     huber: float = Field(1.5, gt=0, description="standard deviations from which it counts less")

@@ -230,13 +230,7 @@ class Odometry:
     def _smooth(self, keyframe: Keyframe, clock: Stopwatch) -> list[Keyframe]:
         """Adjust the window that ends with this keyframe, and hang the frame on it."""
         self._store(keyframe)
-        self.history.add(
-            keyframe.frame_index,
-            keyframe.stamp_ns,
-            self._segment,
-            keyframe.id,
-            self._cam0(keyframe.world_from_cam),
-        )
+        self._hang(keyframe)
         with clock.stage("smooth"):
             smoothed, left_over = adjust(self._map, self._rig, self._config)
             offset = None if left_over is None else self._disparity_watch.update(left_over)
@@ -277,6 +271,7 @@ class Odometry:
         everything = np.ones(len(frame.keypoints), dtype=bool)
         anchor = self._motion.last
         keyframe = add_keyframe(self._map, frame, anchor, self._segment, everything)
+        keyframe.covariance = np.zeros((6, 6))  # what comes later is measured against it
         count = grow_stereo(self._map, keyframe, frame, self._rig, self._detector, self._config)
         if count >= self._config.start.min_points:
             return keyframe
@@ -293,16 +288,24 @@ class Odometry:
         first, second = map_from_pair(
             self._map, pair, self._motion.last, self._median_depth, self._segment, sigma_px
         )
-        self._mono_start.restart()
         self._store(first)
-        self.history.add(
-            first.frame_index,
-            first.stamp_ns,
-            self._segment,
-            first.id,
-            self._cam0(first.world_from_cam),
-        )
+        self._hang(first)
+        adjust(self._map, self._rig, self._config)
+        for waiting in self._mono_start.waiting:
+            self._place(waiting, first)
+        self._mono_start.restart()
         return second
+
+    def _place(self, frame: WorkingFrame, first: Keyframe) -> None:
+        """Give a frame that waited for the first map its pose in it, if it has one there."""
+        rows, keypoints = observe.match_without_prediction(self._map, frame, self._config.tracking)
+        pose = self._pose_of(frame, rows, keypoints)
+        if pose is None:
+            return
+        tracked = self._refined(frame, pose)
+        if int(tracked.inlier.sum()) >= self._config.tracking.min_inliers:
+            pose = self._cam0(tracked.world_from_cam)
+            self.history.add(frame.index, frame.stamp_ns, self._segment, first.id, pose)
 
     def _lose(self) -> str:
         """Note a frame that could not be placed; give the map up after too many of them."""
@@ -318,6 +321,12 @@ class Odometry:
         return f"fewer than {self._config.tracking.min_inliers} landmarks agree"
 
     # --- keeping the books ------------------------------------------------------------------
+
+    def _hang(self, keyframe: Keyframe) -> None:
+        """Enter a keyframe's own frame into the path."""
+        pose = self._cam0(keyframe.world_from_cam)
+        index, stamp_ns = keyframe.frame_index, keyframe.stamp_ns
+        self.history.add(index, stamp_ns, keyframe.segment, keyframe.id, pose)
 
     def _note(self, frame: WorkingFrame, world_from_cam: Floats) -> None:
         newest = self._map.keyframes[-1]

@@ -179,7 +179,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _solve(h, b):  # type: ignore[no-untyped-def]
-    """x of h x = b for a symmetric positive definite h (Cholesky); zeros where it is not."""
+    """X of h x = b for a symmetric positive definite h (Cholesky); zeros where it is not."""
     n = len(b)
     low = np.zeros((n, n))
     x = b.copy()

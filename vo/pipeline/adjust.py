@@ -10,7 +10,7 @@ from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
 from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.window import smooth
-from vo.types import Bools, Ints, WindowProblem
+from vo.types import Bools, Floats, Ints, WindowProblem
 
 
 def adjust(
@@ -38,10 +38,12 @@ def adjust(
     if rig.is_stereo and config.stereo.offset_correction:
         offset = disparity_offset(problem, solution, config.smoothing)
     anchor = keyframes[int(np.flatnonzero(fixed)[-1])]
+    before = problem.world_from_cam
     for k in np.flatnonzero(~fixed):
         keyframes[k].world_from_cam = solution.world_from_cam[k]
         keyframes[k].covariance = _chained(anchor, keyframes[k], solution.covariance[k])
     world.xyz[rows] = solution.points
+    _carry_along(world, before, rows)
     wrong = (solution.residual > config.smoothing.gate) | ~solution.point_ok[problem.point]
     _drop_observations(world, keyframes, problem, rows, wrong)
     return [k for k, f in zip(keyframes, fixed, strict=True) if not f], offset
@@ -70,7 +72,8 @@ def _window(
     free_rows = [r for r, f in zip(rows, fixed, strict=True) if not f]
     seen_free = np.bincount(np.concatenate(free_rows), minlength=len(world))
     candidates = np.flatnonzero((seen >= 2) & (seen_free >= 1))
-    order = np.argsort(-seen[candidates], kind="stable")[: config.smoothing.max_landmarks]
+    rank = _best_rank(rows, seen, len(world))[candidates]
+    order = np.lexsort((-seen[candidates], rank))[: config.smoothing.max_landmarks]
     chosen = np.sort(candidates[order])
     point_of = np.full(len(world), -1)
     point_of[chosen] = np.arange(len(chosen))
@@ -90,6 +93,30 @@ def _window(
         sigma_px=np.concatenate([k.sigma_px for k in keyframes])[used],
     )
     return problem, chosen
+
+
+def _best_rank(rows: list[Ints], seen: Ints, count: int) -> Ints:
+    """The place of each landmark among those of a keyframe, most seen first; its best place.
+
+    Taking landmarks by this place gives every keyframe its share of them, also one that has just
+    turned to a part of the scene that no other keyframe has seen for long.
+    """
+    best = np.full(count, np.iinfo(np.int64).max)
+    for mine in rows:
+        order = mine[np.argsort(-seen[mine], kind="stable")]
+        best[order] = np.minimum(best[order], np.arange(len(order)))
+    return best
+
+
+def _carry_along(world: Map, before: Floats, chosen: Ints) -> None:
+    """Let landmarks outside of the window's problem follow their reference keyframe."""
+    others = np.ones(len(world), dtype=bool)
+    others[chosen] = False
+    at = world.reference[others] - world.keyframes[0].id
+    after = np.stack([k.world_from_cam for k in world.keyframes])
+    moved = (after @ inverse(before))[at]
+    xyz = world.xyz[others]
+    world.xyz[others] = np.einsum("nij,nj->ni", moved[:, :3, :3], xyz) + moved[:, :3, 3]
 
 
 def _chained(anchor: Keyframe, keyframe: Keyframe, relative: np.ndarray) -> np.ndarray | None:

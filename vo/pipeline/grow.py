@@ -17,6 +17,7 @@ from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Floats, Ints
 
 _CELL_PX = 6.0
+_NEIGHBOURS = 3
 
 
 def far_from(xy: Floats, taken_xy: Floats) -> Bools:
@@ -97,7 +98,25 @@ def stereo_disparity(
     disparity[found] = measure_disparity(
         frame.image0, frame.image1, xy[found], guess, rig, config.tracking, config.stereo
     )
-    return disparity
+    return _filled_from_neighbours(disparity, xy, frame, rig, config)
+
+
+def _filled_from_neighbours(
+    disparity: Floats, xy: Floats, frame: WorkingFrame, rig: WorkingRig, config: Config
+) -> Floats:
+    """Try features without a partner, such as those in grass, at the disparity of those beside."""
+    assert frame.image1 is not None
+    known, missing = np.flatnonzero(~np.isnan(disparity)), np.flatnonzero(np.isnan(disparity))
+    if len(known) < _NEIGHBOURS or len(missing) == 0:
+        return disparity
+    distance = np.linalg.norm(xy[missing][:, None] - xy[known][None], axis=2)
+    nearest = np.argpartition(distance, _NEIGHBOURS - 1, axis=1)[:, :_NEIGHBOURS]
+    guess = np.median(disparity[known[nearest]], axis=1)
+    filled = disparity.copy()
+    filled[missing] = measure_disparity(
+        frame.image0, frame.image1, xy[missing], guess, rig, config.tracking, config.stereo
+    )
+    return filled
 
 
 def grow_mono(

@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.config import Config
 from vo.features.alignment import align_patches
-from vo.features.matching import agree_in_rotation, match_windows
+from vo.features.matching import agree_in_rotation, match_everywhere, match_windows
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Keyframe, Map
@@ -16,6 +16,8 @@ from vo.pipeline.grow import far_from
 from vo.pipeline.working_frame import WorkingFrame
 from vo.tracking.two_view import TwoView, start_two_view
 from vo.types import Bools, Floats, Ints
+
+_MOST_WAITING = 30  # frames kept in memory to be placed once there is a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +40,12 @@ class MonoStart:
         self._config = config
         self._reference: WorkingFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
+        self.waiting: list[WorkingFrame] = []  # the frames since the reference, newest last
 
     def restart(self) -> None:
         """Forget the reference frame."""
         self._reference = None
+        self.waiting = []
 
     def attempt(self, frame: WorkingFrame) -> FirstPair | str:
         """A first map from the reference frame and this one, or why there is none yet."""
@@ -55,11 +59,13 @@ class MonoStart:
         reference_xy = self._reference.ideal_xy[query]
         result = start_two_view(reference_xy, xy, self._rig.matrix, self._config.start)
         if isinstance(result, str):
+            self.waiting = [*self.waiting[1 - _MOST_WAITING :], frame]
             return result
         return FirstPair(self._reference, frame, query, image_xy, xy, result)
 
     def _begin(self, frame: WorkingFrame, reason: str) -> str:
         self._reference = frame
+        self.waiting = []
         self._expected_xy = frame.keypoints.xy.astype(np.float64)
         return reason
 
@@ -79,6 +85,13 @@ class MonoStart:
             max_distance=tracking.max_hamming,
             ratio=tracking.ratio,
         )
+        if int((matched >= 0).sum()) < self._config.start.min_matches:
+            matched = match_everywhere(
+                a.descriptor,
+                b.descriptor,
+                max_distance=tracking.max_hamming,
+                ratio=tracking.ratio,
+            )
         query = np.flatnonzero(matched >= 0)
         query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
         start = b.xy[matched[query]].astype(np.float64)
@@ -107,6 +120,7 @@ def map_from_pair(
     motion[:3, 3] *= scale
     query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)
     first = add_keyframe(world, pair.reference, anchor, segment, _others(pair.reference, query))
+    first.covariance = np.zeros((6, 6))  # what comes later is measured against it
     taken = pair.image_xy[good]
     free = far_from(pair.current.keypoints.xy.astype(np.float64), taken)
     second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free)
