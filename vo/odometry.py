@@ -272,6 +272,7 @@ class Odometry:
         anchor = self._motion.last
         keyframe = add_keyframe(self._map, frame, anchor, self._segment, everything)
         keyframe.covariance = np.zeros((6, 6))  # what comes later is measured against it
+        keyframe.covariance = np.zeros((6, 6))  # what comes later is measured against it
         count = grow_stereo(self._map, keyframe, frame, self._rig, self._detector, self._config)
         if count >= self._config.start.min_points:
             return keyframe

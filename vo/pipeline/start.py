@@ -121,6 +121,7 @@ def map_from_pair(
     query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)
     first = add_keyframe(world, pair.reference, anchor, segment, _others(pair.reference, query))
     first.covariance = np.zeros((6, 6))  # what comes later is measured against it
+    first.covariance = np.zeros((6, 6))  # what comes later is measured against it
     taken = pair.image_xy[good]
     free = far_from(pair.current.keypoints.xy.astype(np.float64), taken)
     second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free)
