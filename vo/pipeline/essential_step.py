@@ -10,6 +10,7 @@ from vo.geometry import epipolar
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Map
+from vo.pipeline.view import Seen
 from vo.pipeline.working_frame import WorkingFrame
 from vo.tracking.scale import scale_from_points
 from vo.types import Floats, Floats32, Ints
@@ -20,10 +21,8 @@ _SAME_PX = 3.0
 
 def essential_step(
     world: Map,
-    last: WorkingFrame,
+    last: Seen,
     world_from_last: Floats,
-    last_ids: Ints,
-    last_xy: Floats,
     frame: WorkingFrame,
     rig: WorkingRig,
     config: Config,
@@ -32,16 +31,14 @@ def essential_step(
 
     Args:
         world: the map.
-        last: the last tracked frame.
+        last: the last tracked frame and what it sees.
         world_from_last: its pose.
-        last_ids: landmarks that it sees.
-        last_xy: (n, 2) where, in its image.
         frame: the frame to place.
         rig: the working camera.
         config: all settings.
     """
     tracking = config.tracking
-    a, b = last.keypoints, frame.keypoints
+    a, b = last.frame.keypoints, frame.keypoints
     matched = match_everywhere(
         a.descriptor, b.descriptor, max_distance=tracking.max_hamming, ratio=tracking.ratio
     )
@@ -49,13 +46,13 @@ def essential_step(
     query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
     if len(query) < config.start.min_matches:
         return None
-    first, second = last.ideal_xy[query], frame.ideal_xy[matched[query]]
+    first, second = last.frame.ideal_xy[query], frame.ideal_xy[matched[query]]
     found = epipolar.find_essential(first, second, rig.matrix, config.start.threshold_px)
     if found is None or int(found[1].sum()) < config.start.min_points:
         return None
     motion = epipolar.recover_motion(found[0], first, second, rig.matrix, found[1])
     query, second = query[found[1]], second[found[1]]
-    rows, at = _landmarks_of(world, a.xy[query], last_ids, last_xy)
+    rows, at = _landmarks_of(world, a.xy[query], last.ids, last.image_xy)
     in_last = transform_points(inverse(world_from_last), world.xyz[rows])
     rays = (second[at] - (rig.cx, rig.cy)) / (rig.fx, rig.fy)
     scale, support = scale_from_points(motion, in_last, rays)

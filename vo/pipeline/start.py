@@ -13,6 +13,7 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.grow import far_from
+from vo.pipeline.keyframe import add_keyframe
 from vo.pipeline.working_frame import WorkingFrame
 from vo.tracking.two_view import TwoView, start_two_view
 from vo.types import Bools, Floats, Ints
@@ -121,7 +122,6 @@ def map_from_pair(
     query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)
     first = add_keyframe(world, pair.reference, anchor, segment, _others(pair.reference, query))
     first.covariance = np.zeros((6, 6))  # what comes later is measured against it
-    first.covariance = np.zeros((6, 6))  # what comes later is measured against it
     taken = pair.image_xy[good]
     free = far_from(pair.current.keypoints.xy.astype(np.float64), taken)
     second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free)
@@ -140,22 +140,6 @@ def map_from_pair(
     first.add_observations(ids, pair.reference.ideal_xy[query], reference_xy, none, sigma)
     second.add_observations(ids, pair.xy[good], taken, none, sigma)
     return first, second
-
-
-def add_keyframe(
-    world: Map, frame: WorkingFrame, world_from_cam: Floats, segment: int, free: Bools
-) -> Keyframe:
-    """Store a working frame as keyframe."""
-    return world.add_keyframe(
-        frame_index=frame.index,
-        stamp_ns=frame.stamp_ns,
-        segment=segment,
-        image=frame.image0,
-        world_from_cam=world_from_cam,
-        keypoints=frame.keypoints,
-        ideal_xy=frame.ideal_xy,
-        free=free,
-    )
 
 
 def _others(frame: WorkingFrame, used: Ints) -> Bools:
