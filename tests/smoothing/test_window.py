@@ -268,3 +268,17 @@ def test_uncertainty_grows_away_from_the_fixed_poses(stereo: bool, fixed: int) -
     np.testing.assert_allclose(covariance, np.swapaxes(covariance, 1, 2), atol=1e-12)
     size = np.einsum("kii->k", covariance[:, 3:, 3:])
     assert size[-1] > 1.2 * size[fixed] > 0
+
+
+@pytest.mark.parametrize(("stereo", "fixed"), KINDS)
+@pytest.mark.parametrize("distance", [1e5, 1e9, 1e14])
+def test_points_without_parallax_leave_the_covariance_finite(stereo, fixed, distance):
+    window = drive(stereo=stereo, fixed=fixed)
+    directions = np.array([[0.1, 0.05, 1.0], [-0.2, 0.1, 1.0], [0.0, 0.0, 1.0]])
+    seen, pixels = [], []
+    for direction in directions:
+        ray = direction @ window.world_from_cam[:5, :3, :3]
+        pixels.append(ray[:, :2] / ray[:, 2:] * 500.0 + (320.0, 200.0))
+        seen.append(np.arange(5))
+    problem = _plus_points(window, distance * directions, seen, pixels)
+    assert np.isfinite(smooth(problem, PATIENT).covariance).all()

@@ -18,6 +18,9 @@ _log = logging.getLogger(__name__)
 
 _ANCHOR_SIGMAS = np.full(6, 1e-6)
 _ATTEMPTS = 3
+# Standard deviation of a loosely held point, in units of its distance; GTSAM takes a point that
+# is known a few thousand times worse in depth than across for singular.
+_LOOSE = 1.0
 
 
 def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
@@ -60,7 +63,7 @@ def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> 
         raise RuntimeError("poses are not finite")
     behind = np.zeros(len(points), dtype=bool)
     behind[problem.point[depth <= 0]] = True
-    covariance = _covariances(graph, result, problem)
+    covariance = _covariances(graph, result, problem, np.flatnonzero(point_ok))
     return WindowSolution(world_from_cam, covariance, points, point_ok & ~behind, residual, True)
 
 
@@ -179,17 +182,43 @@ def _points_first(
 
 
 def _covariances(
-    graph: gtsam.NonlinearFactorGraph, result: gtsam.Values, problem: WindowProblem
+    graph: gtsam.NonlinearFactorGraph, result: gtsam.Values, problem: WindowProblem, points: Ints
 ) -> Floats:
+    """(K, 6, 6) of the free poses, 0 of the fixed ones, NaN of poses that nothing holds."""
     keyframes = len(problem.world_from_cam)
     covariance = np.full((keyframes, 6, 6), np.nan)
+    covariance[problem.fixed] = 0.0
+    marginals: gtsam.Marginals | None
     try:
         marginals = gtsam.Marginals(graph, result)
-        for k in range(keyframes):
-            covariance[k] = 0.0 if problem.fixed[k] else marginals.marginalCovariance(_pose(k))
-    except (RuntimeError, IndexError) as error:  # the latter for a pose that sees nothing
-        _log.debug("no covariance: %s", error)
+    except (RuntimeError, IndexError) as error:
+        # A point without parallax makes the whole system singular. Held very loosely, it tells
+        # the poses nothing about its depth, as it should be.
+        _log.debug("covariance with all points held loosely: %s", error)
+        marginals = _loosely_held(graph, result, points)
+    for k in np.flatnonzero(~problem.fixed).tolist() if marginals is not None else []:
+        try:
+            covariance[k] = marginals.marginalCovariance(_pose(k))
+        except (RuntimeError, IndexError) as error:  # the latter for a pose that sees nothing
+            _log.debug("no covariance of keyframe %d in the window: %s", k, error)
     return covariance
+
+
+def _loosely_held(
+    graph: gtsam.NonlinearFactorGraph, result: gtsam.Values, points: Ints
+) -> gtsam.Marginals | None:
+    held = gtsam.NonlinearFactorGraph(graph)
+    centre = result.atPose3(_pose(0)).translation()
+    for m in points.tolist():
+        at = result.atPoint3(_point(m))
+        distance = max(float(np.linalg.norm(at - centre)), 1e-3)
+        loose = gtsam.noiseModel.Isotropic.Sigma(3, _LOOSE * distance)
+        held.add(gtsam.PriorFactorPoint3(_point(m), at, loose))
+    try:
+        return gtsam.Marginals(held, result)
+    except (RuntimeError, IndexError) as error:
+        _log.debug("no covariance: %s", error)
+        return None
 
 
 def _well_seen(problem: WindowProblem) -> Bools:
