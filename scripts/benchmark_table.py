@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-AGAIN = "scripts/benchmark --runs 3 --write"
-
 PEERS_NOTE = """\
 Peers were measured on the same files, another day, with evo 1.38.1; medians of 3 runs. ORB-SLAM3
 is V1.0 with 2000 features and loop closing off; it was allowed to finish mapping after every frame,
@@ -123,7 +121,8 @@ def document(report: dict[str, Any], cases: dict[str, Case]) -> str:
     return "\n".join([
         "# Benchmarks",
         "",
-        f"Made by `{AGAIN}`, which does it again. {report['date']}, {report['machine']}; "
+        f"Made by `scripts/benchmark --runs {report['runs']} --write`, which makes it again. "
+        f"{report['date']}, {report['machine']}; "
         f"{report['versions']}; {setting}; {chosen}. "
         "Every figure is of the whole command `vo run`, started as a user starts it.",
         "",
