@@ -78,6 +78,9 @@ class KeyframeConfig(_Section):
     min_tracked_share: float = Field(
         0.75, gt=0, le=1, description="share of the last keyframe's landmarks still tracked"
     )
+    min_tracked: int = Field(
+        200, ge=0, description="fewer tracked landmarks than this ask for one, if moving"
+    )
     min_parallax_deg: float = Field(1.5, gt=0, description="median parallax with the last keyframe")
     max_gap_s: float = Field(1.0, gt=0, description="longest time between two, if moving")
 
@@ -119,7 +122,7 @@ class SmoothingConfig(_Section):
     fixed: int = Field(8, ge=1, description="older keyframes that hold the window in place")
     max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
     iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
-    relative_error_tolerance: float = Field(1e-4, gt=0, description="when to stop earlier")
+    relative_error_tolerance: float = Field(1e-2, gt=0, description="when to stop earlier")
     huber: float = Field(1.5, gt=0, description="standard deviations from which it counts less")
     gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")

@@ -7,6 +7,7 @@ and are smoothed together with the keyframes before them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import cv2
@@ -77,26 +78,34 @@ class Odometry:
     # --- placing a frame in the map ---------------------------------------------------------
 
     def _track(self, frame: WorkingFrame, clock: Stopwatch) -> Tracked | None:
-        with clock.stage("match"):
-            pose = self._first_pose(frame)
-        if pose is None:
-            return None
-        with clock.stage("align"):
-            return refine(self._map, frame, pose, self._rig, self._config)
+        """Each first pose is tried until patches confirm one."""
+        poses = self._first_poses(frame)
+        while True:
+            with clock.stage("match"):
+                pose = next(poses, None)
+            if pose is None:
+                return None
+            with clock.stage("align"):
+                tracked = refine(self._map, frame, pose, self._rig, self._config)
+            if tracked is not None:
+                return tracked
 
-    def _first_pose(self, frame: WorkingFrame) -> Floats | None:
-        """Near the prediction; else anywhere; else, mono only, by the essential matrix."""
-        pose = None
+    def _first_poses(self, frame: WorkingFrame) -> Iterator[Floats]:
+        """Near the prediction; as predicted; anywhere; mono, by the essential matrix."""
+        world, rig, config = self._map, self._rig, self._config
         if self._state is State.TRACKING:
             predicted = self._motion.predict(frame.stamp_ns)
-            pose = place_near(self._map, frame, predicted, self._rig, self._config)
-        if pose is None:
-            pose = place_anywhere(self._map, frame, self._rig, self._config)
-        if pose is None and not self._rig.is_stereo and self._last is not None:
-            pose = essential_step(
-                self._map, self._last, self._motion.last, frame, self._rig, self._config
-            )
-        return pose
+            near = place_near(world, frame, predicted, rig, config)
+            if near is not None:
+                yield near
+            yield predicted
+        anywhere = place_anywhere(world, frame, rig, config)
+        if anywhere is not None:
+            yield anywhere
+        if not rig.is_stereo and self._last is not None:
+            step = essential_step(world, self._last, self._motion.last, frame, rig, config)
+            if step is not None:
+                yield step
 
     # --- extending the map ------------------------------------------------------------------
 

@@ -116,21 +116,29 @@ CONFIG = KeyframeConfig(min_tracked_share=0.75, min_parallax_deg=1.5, max_gap_s=
 
 
 @pytest.mark.parametrize(
-    ("share", "parallax_deg", "elapsed_s", "needed"),
+    ("tracked", "parallax_deg", "elapsed_s", "needed"),
     [
-        (0.9, 0.5, 0.5, False),
-        (0.74, 0.0, 0.0, True),
-        (0.76, 0.0, 0.0, False),
-        (0.9, 1.6, 0.1, True),
-        (0.9, 1.4, 0.1, False),
-        (0.9, 0.5, 1.0, True),
-        (0.9, 0.0, 60.0, False),
+        (900, 0.5, 0.5, False),
+        (740, 0.0, 0.0, True),
+        (760, 0.0, 0.0, False),
+        (900, 1.6, 0.1, True),
+        (900, 1.4, 0.1, False),
+        (900, 0.5, 1.0, True),
+        (900, 0.0, 60.0, False),
     ],
 )
 def test_keyframes_come_with_lost_landmarks_parallax_or_time_in_motion(
-    share: float, parallax_deg: float, elapsed_s: float, needed: bool
+    tracked: int, parallax_deg: float, elapsed_s: float, needed: bool
 ) -> None:
-    assert needs_keyframe(share, np.deg2rad(parallax_deg), elapsed_s, CONFIG) == needed
+    parallax = np.deg2rad(parallax_deg)
+    assert needs_keyframe(tracked, 1000, parallax, elapsed_s, CONFIG) == needed
+
+
+@pytest.mark.parametrize(("parallax_deg", "needed"), [(0.0, False), (0.2, False), (0.5, True)])
+def test_few_landmarks_ask_for_a_keyframe_once_the_camera_has_moved(
+    parallax_deg: float, needed: bool
+) -> None:
+    assert needs_keyframe(150, 160, np.deg2rad(parallax_deg), 0.1, CONFIG) == needed
 
 
 def test_parallax_is_the_median_angle_at_the_points() -> None:

@@ -24,9 +24,8 @@ def wants_keyframe(world: Map, frame: WorkingFrame, tracked: Tracked, config: Co
     parallax = median_parallax(
         world.xyz[rows], last.world_from_cam[:3, 3], tracked.world_from_cam[:3, 3]
     )
-    share = len(rows) / max(len(last.landmark), 1)
     elapsed_s = (frame.stamp_ns - last.stamp_ns) * 1e-9
-    return needs_keyframe(share, parallax, elapsed_s, config.keyframes)
+    return needs_keyframe(len(rows), len(last.landmark), parallax, elapsed_s, config.keyframes)
 
 
 def add_keyframe(

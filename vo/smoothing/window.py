@@ -196,7 +196,9 @@ def _covariances(
         # the poses nothing about its depth, as it should be.
         _log.debug("covariance with all points held loosely: %s", error)
         marginals = _loosely_held(graph, result, points)
-    for k in np.flatnonzero(~problem.fixed).tolist() if marginals is not None else []:
+    if marginals is None:
+        return covariance
+    for k in np.flatnonzero(~problem.fixed).tolist():
         try:
             covariance[k] = marginals.marginalCovariance(_pose(k))
         except (RuntimeError, IndexError) as error:  # the latter for a pose that sees nothing

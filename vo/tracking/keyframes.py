@@ -9,22 +9,23 @@ from vo.types import Floats
 
 
 def needs_keyframe(
-    tracked_share: float, parallax_rad: float, elapsed_s: float, config: KeyframeConfig
+    tracked: int, last_tracked: int, parallax_rad: float, elapsed_s: float, config: KeyframeConfig
 ) -> bool:
     """Whether the map should be extended here.
 
     Args:
-        tracked_share: landmarks tracked now, as a share of those the last keyframe had.
+        tracked: landmarks tracked now.
+        last_tracked: landmarks of the last keyframe.
         parallax_rad: median angle between the rays to landmarks, now and at the last keyframe.
         elapsed_s: since the last keyframe.
         config: the limits.
     """
-    if tracked_share < config.min_tracked_share:
+    if tracked < config.min_tracked_share * last_tracked:
         return True
     if parallax_rad > np.deg2rad(config.min_parallax_deg):
         return True
     moving = parallax_rad > 0.2 * np.deg2rad(config.min_parallax_deg)
-    return moving and elapsed_s >= config.max_gap_s
+    return moving and (elapsed_s >= config.max_gap_s or tracked < config.min_tracked)
 
 
 def median_parallax(points: Floats, first_centre: Floats, second_centre: Floats) -> float:
