@@ -52,6 +52,9 @@ class TrackingConfig(_Section):
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
     gate: float = Field(3.5, gt=0, description="standard deviations from which it is an outlier")
     min_inliers: int = Field(20, ge=6, description="fewer agreeing landmarks than this is lost")
+    min_share: float = Field(
+        0.15, ge=0, le=1, description="and a smaller share of the landmarks in view too"
+    )
     recover_frames: int = Field(
         10, ge=0, description="frames to look for the old map before a new segment is begun"
     )
@@ -88,7 +91,7 @@ class KeyframeConfig(_Section):
 class StereoConfig(_Section):
     """Left and right."""
 
-    max_row_offset_px: float = Field(1.5, gt=0, description="most that matched rows may differ")
+    max_row_offset_px: float = Field(2.5, gt=0, description="most that matched rows may differ")
     min_disparity_px: float = Field(1.5, gt=0, description="least disparity of a new landmark")
     offset_correction: bool = Field(
         True, description="estimate and correct a constant error of all disparities"

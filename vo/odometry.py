@@ -93,11 +93,11 @@ class Odometry:
     def _first_poses(self, frame: WorkingFrame) -> Iterator[Floats]:
         """Near the prediction; as predicted; anywhere; mono, by the essential matrix."""
         world, rig, config = self._map, self._rig, self._config
+        predicted = self._motion.predict(frame.stamp_ns)
+        near = place_near(world, frame, predicted, rig, config)
+        if near is not None:
+            yield near
         if self._state is State.TRACKING:
-            predicted = self._motion.predict(frame.stamp_ns)
-            near = place_near(world, frame, predicted, rig, config)
-            if near is not None:
-                yield near
             yield predicted
         anywhere = place_anywhere(world, frame, rig, config)
         if anywhere is not None:
@@ -124,7 +124,7 @@ class Odometry:
         return self._smooth(keyframe, clock)
 
     def _grow(self, keyframe: Keyframe, frame: WorkingFrame) -> None:
-        if self._rig.is_stereo:
+        if frame.image1 is not None:
             grow_stereo(self._map, keyframe, frame, self._rig, self._detector, self._config)
         else:
             grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from vo.config import Config
+from vo.geometry.points import refine_points
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
 from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.window import smooth
-from vo.types import Bools, Floats, Ints, WindowProblem
+from vo.types import Bools, Ints, WindowProblem
 
 
 def adjust(
@@ -38,12 +39,11 @@ def adjust(
     if rig.is_stereo and config.stereo.offset_correction:
         offset = disparity_offset(problem, solution, config.smoothing)
     anchor = keyframes[int(np.flatnonzero(fixed)[-1])]
-    before = problem.world_from_cam
     for k in np.flatnonzero(~fixed):
         keyframes[k].world_from_cam = solution.world_from_cam[k]
         keyframes[k].covariance = _chained(anchor, keyframes[k], solution.covariance[k])
     world.xyz[rows] = solution.points
-    _carry_along(world, before, rows)
+    _refine_others(world, rig, rows, config)
     wrong = (solution.residual > config.smoothing.gate) | ~solution.point_ok[problem.point]
     _drop_observations(world, keyframes, problem, rows, wrong)
     return [k for k, f in zip(keyframes, fixed, strict=True) if not f], offset
@@ -108,15 +108,31 @@ def _best_rank(rows: list[Ints], seen: Ints, count: int) -> Ints:
     return best
 
 
-def _carry_along(world: Map, before: Floats, chosen: Ints) -> None:
-    """Let landmarks outside of the window's problem follow their reference keyframe."""
+def _refine_others(world: Map, rig: WorkingRig, chosen: Ints, config: Config) -> None:
+    """Bring landmarks that took no part in the window into line with the adjusted poses.
+
+    They were triangulated from poses that have moved since, all in the same wrong way.
+    """
+    keyframes = world.keyframes
+    rows = np.concatenate([world.rows(k.landmark) for k in keyframes])
+    camera = np.repeat(np.arange(len(keyframes)), [len(k.landmark) for k in keyframes])
     others = np.ones(len(world), dtype=bool)
     others[chosen] = False
-    at = world.reference[others] - world.keyframes[0].id
-    after = np.stack([k.world_from_cam for k in world.keyframes])
-    moved = (after @ inverse(before))[at]
-    xyz = world.xyz[others]
-    world.xyz[others] = np.einsum("nij,nj->ni", moved[:, :3, :3], xyz) + moved[:, :3, 3]
+    used = others[rows]
+    place = np.cumsum(others) - 1
+    world.xyz[others] = refine_points(
+        world.xyz[others],
+        inverse(np.stack([k.world_from_cam for k in keyframes])),
+        place[rows[used]],
+        camera[used],
+        np.concatenate([k.xy for k in keyframes])[used],
+        np.concatenate([k.disparity for k in keyframes])[used],
+        np.concatenate([k.sigma_px for k in keyframes])[used],
+        config.smoothing.sigma_disparity_px,
+        (rig.fx, rig.fy, rig.cx, rig.cy),
+        rig.fx * rig.baseline_m,
+        huber=config.smoothing.huber,
+    )
 
 
 def _chained(anchor: Keyframe, keyframe: Keyframe, relative: np.ndarray) -> np.ndarray | None:

@@ -46,10 +46,12 @@ def grow_stereo(
     """Landmarks from the free features of a keyframe that have a partner in the right image."""
     if frame.image1 is None:
         return 0
-    rows = _strongest(keyframe, np.flatnonzero(keyframe.free), config.mapping.new_per_keyframe)
-    disparity = stereo_disparity(frame, rows, rig, detector, config)
-    matched = ~np.isnan(disparity) & (disparity >= config.stereo.min_disparity_px)
-    rows, disparity = rows[matched], disparity[matched]
+    free = np.flatnonzero(keyframe.free)
+    disparity = np.full(len(keyframe.keypoints), np.nan)
+    disparity[free] = stereo_disparity(frame, free, rig, detector, config)
+    matched = np.flatnonzero(disparity >= config.stereo.min_disparity_px)
+    rows = _strongest(keyframe, matched, config.mapping.new_per_keyframe)
+    disparity = disparity[rows]
     xy = keyframe.ideal_xy[rows]
     in_cam = rig.back_project(xy, rig.fx * rig.baseline_m / disparity)
     _add(

@@ -76,7 +76,8 @@ def refine(
     fit = observe.fit_pose(world, observed, pose, rig, config.tracking)
     world.visible[visible.rows] += 1
     world.found[observed.rows[fit.inlier]] += 1
-    if int(fit.inlier.sum()) < config.tracking.min_inliers:
+    needed = max(config.tracking.min_inliers, config.tracking.min_share * len(visible.rows))
+    if int(fit.inlier.sum()) < needed:
         return None
     ids = world.id[observed.rows]
     return Tracked(inverse(fit.cam_from_world), ids, observed, fit.inlier)
