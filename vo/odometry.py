@@ -21,7 +21,7 @@ from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import adjust, cull
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
-from vo.pipeline.grow import grow_mono, grow_stereo, look_back
+from vo.pipeline.grow import grow_mono, grow_stereo, look_back, looks_swapped
 from vo.pipeline.history import History
 from vo.pipeline.keyframe import add_keyframe, add_tracked, wants_keyframe
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
@@ -179,6 +179,8 @@ class Odometry:
         if count >= self._config.start.min_points:
             return keyframe
         self._map.clear()
+        if looks_swapped(frame, self._rig, self._detector, self._config):
+            return "disparities are negative: left and right images seem to be swapped"
         needed = self._config.start.min_points
         return f"{count} landmarks from left and right, {needed} needed"
 

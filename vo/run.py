@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import logging
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -123,11 +127,13 @@ class _Run:
             SourceError: not one could be read.
         """
         clock = Stopwatch()
-        for frame in _timed(frames, clock):
-            self._take_in(frame, clock)
-            self._account.note_time(clock.stage_ms)
-            clock.stage_ms.clear()
-            self._refresh_if_due()
+        with _interrupt_between_frames() as check:
+            for frame in _timed(frames, clock):
+                self._take_in(frame, clock)
+                self._account.note_time(clock.stage_ms)
+                clock.stage_ms.clear()
+                self._refresh_if_due()
+                check()
         if not self._account.frames:
             raise _nothing_readable(self._source)
 
@@ -215,6 +221,7 @@ class _Run:
             skipped=self._source.skipped,
             unpaired=self._source.unpaired,
             wall_s=time.perf_counter() - self._begun,
+            disparity_offset_px=self._odometry.disparity_offset_px,
             error=error,
         )
         self._folder.write_summary(summary.to_dict())
@@ -244,6 +251,35 @@ def _make_recorder(rrd: Path | None) -> Recorder:
     from vo.recording.rerun_recorder import RerunRecorder  # rerun takes long to import
 
     return RerunRecorder(rrd)
+
+
+@contextmanager
+def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
+    """Ctrl-C waits until the frame in hand is done and `check` is called; a second one does not.
+
+    In the middle of a frame it could leave the map half changed, and compiled code answers it
+    with an error of its own.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None  # signals reach the main thread only
+        return
+    asked = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _timed(frames: Iterator[Frame], clock: Stopwatch) -> Iterator[Frame]:

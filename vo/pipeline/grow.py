@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vo.config import Config
@@ -101,6 +103,18 @@ def stereo_disparity(
         frame.image0, frame.image1, xy[found], guess, rig, config.tracking, config.stereo
     )
     return _filled_from_neighbours(disparity, xy, frame, rig, config)
+
+
+def looks_swapped(
+    frame: WorkingFrame, rig: WorkingRig, detector: OrbDetector, config: Config
+) -> bool:
+    """Whether the right image would make a good left one: features lie on the wrong side."""
+    if frame.image1 is None:
+        return False
+    keypoints = detector.detect(frame.image1)
+    mirrored = replace(frame, image0=frame.image1, image1=frame.image0, keypoints=keypoints)
+    disparity = stereo_disparity(mirrored, np.arange(len(keypoints)), rig, detector, config)
+    return int((disparity >= config.stereo.min_disparity_px).sum()) >= config.start.min_points
 
 
 def _filled_from_neighbours(

@@ -17,6 +17,7 @@ Status = Literal["finished", "interrupted", "failed"]
 
 SCHEMA_VERSION = 1
 
+_WORTH_TELLING_PX = 0.05
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
 
@@ -81,6 +82,7 @@ class Summary:
     peak_rss_mb: float
     versions: Mapping[str, str]
     median_inliers: float | None
+    disparity_offset_px: float
 
     @property
     def length_unit(self) -> str:
@@ -125,6 +127,7 @@ def summarise(
     skipped: Sequence[Skipped],
     unpaired: int,
     wall_s: float,
+    disparity_offset_px: float = 0.0,
     error: str | None = None,
 ) -> Summary:
     """Put a run into numbers, as far as it has come."""
@@ -150,6 +153,7 @@ def summarise(
         peak_rss_mb=round(peak_rss_mb(), 1),
         versions=versions(),
         median_inliers=account.median_inliers,
+        disparity_offset_px=round(disparity_offset_px, 4),
     )
 
 
@@ -198,6 +202,11 @@ def _warnings(summary: Summary) -> list[str]:
         warnings.append(f"{summary.unpaired} frames used without their right image")
     if summary.tracked and (summary.median_inliers or 0.0) < _FEW_INLIERS:
         warnings.append(f"poor tracking: median of {summary.median_inliers or 0:.0f} inliers")
+    if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX:
+        warnings.append(
+            f"all disparities were off by {summary.disparity_offset_px:+.2f} px and have been "
+            "corrected: the stereo calibration is slightly wrong"
+        )
     if len(summary.segments) > 1:
         warnings.append(f"{len(summary.segments)} segments, each in a world of its own")
     if summary.facts.mode == "mono" and summary.tracked:
