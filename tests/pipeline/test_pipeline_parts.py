@@ -92,7 +92,7 @@ def test_noise_around_zero_is_not_corrected(seed: int) -> None:
 @pytest.mark.parametrize("truth_px", [0.5, -0.5, 2.0])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_real_offset_is_corrected_soon_and_then_left_alone(truth_px: float, seed: int) -> None:
-    early, _ = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=2, seed=seed)
+    early, _ = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=3, seed=seed)
     assert early.applied_px == pytest.approx(truth_px, abs=0.15)
     late, changes = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=50, seed=seed)
     assert late.applied_px == pytest.approx(truth_px, abs=0.08)
@@ -102,10 +102,22 @@ def test_a_real_offset_is_corrected_soon_and_then_left_alone(truth_px: float, se
 def test_the_watch_tells_which_offset_to_apply() -> None:
     watch = DisparityWatch()
     assert watch.estimate_px == 0.0
+    for _ in range(2):  # a single window proves nothing
+        assert watch.update(DisparityOffset(0.6, 0.01)) is None
     assert watch.update(DisparityOffset(0.6, 0.01)) == pytest.approx(0.6)
     assert watch.applied_px == pytest.approx(0.6)
     assert watch.update(DisparityOffset(0.0, 0.01)) is None
     assert watch.estimate_px == pytest.approx(0.6)
+
+
+def test_an_offset_that_comes_back_to_nothing_is_taken_back() -> None:
+    watch = DisparityWatch()
+    for _ in range(3):
+        watch.update(DisparityOffset(0.4, 0.01))
+    assert watch.applied_px == pytest.approx(0.4)
+    for _ in range(30):
+        watch.update(DisparityOffset(-watch.applied_px, 0.01))
+    assert watch.applied_px == 0.0
 
 
 def test_unsure_windows_change_nothing() -> None:

@@ -11,6 +11,7 @@ from vo.smoothing.disparity_offset import DisparityOffset
 _SYSTEMATIC_PX = 0.1
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_CHANGE_PX = 0.05
+_LEAST_WINDOWS = 3
 
 
 class DisparityWatch:
@@ -20,6 +21,7 @@ class DisparityWatch:
         self.applied_px = 0.0
         self._weight = 0.0
         self._sum = 0.0
+        self._windows = 0
 
     @property
     def estimate_px(self) -> float:
@@ -35,8 +37,14 @@ class DisparityWatch:
         self._weight += sigma**-2
         self._sum += (self.applied_px + left_over.offset_px) * sigma**-2
         estimate = self.estimate_px
-        sure = abs(estimate) > _SIGNIFICANT * sigma or self.applied_px != 0.0
-        if not sure or abs(estimate - self.applied_px) < _LEAST_CHANGE_PX:
+        self._windows += 1
+        if self.applied_px == 0.0 and (
+            self._windows < _LEAST_WINDOWS or abs(estimate) <= _SIGNIFICANT * sigma
+        ):
             return None
-        self.applied_px = estimate
-        return estimate
+        # An estimate that has come back to what windows differ by anyway is none.
+        wanted = estimate if abs(estimate) > _SYSTEMATIC_PX else 0.0
+        if abs(wanted - self.applied_px) < _LEAST_CHANGE_PX:
+            return None
+        self.applied_px = wanted
+        return wanted
