@@ -220,7 +220,7 @@ class Odometry:
             self._mono_start.restart()
             self._last = None
             return f"lost for {self._lost_for} frames, a new segment begins"
-        return f"fewer than {self._config.tracking.min_inliers} landmarks agree"
+        return "too few landmarks agree on a pose"
 
     # --- keeping the books ------------------------------------------------------------------
 

@@ -138,15 +138,10 @@ def test_a_surer_observation_counts_more() -> None:
     assert scene.errors(scene.refine())[0] < 0.1 * before
 
 
-def test_a_point_that_only_one_camera_sees_lies_on_its_ray() -> None:
+def test_a_point_that_only_one_camera_sees_stays_where_it_was() -> None:
     scene = _scene()
     scene = scene.only(scene.camera == 0)
-    found = scene.refine()
-    assert np.isfinite(found).all()
-    in_cam = transform_points(scene.cam_from_world[0], found)
-    assert in_cam[:, 2].min() > 1.0
-    pixels = in_cam[:, :2] / in_cam[:, 2:] * (FX, FY) + (CX, CY)
-    np.testing.assert_allclose(pixels, scene.xy[np.argsort(scene.point)], atol=0.01)
+    np.testing.assert_array_equal(scene.refine(), scene.guess)
 
 
 @pytest.mark.parametrize("stereo", [False, True])

@@ -40,7 +40,8 @@ def refine_points(
         iterations: Levenberg-Marquardt steps.
 
     Returns:
-        (M, 3); a point that cannot be improved stays where it was.
+        (M, 3); a point that cannot be improved, is behind one of its cameras, or is seen by a
+        single camera without disparity stays where it was.
     """
     order = np.argsort(point, kind="stable")
     starts = np.searchsorted(point[order], np.arange(len(points) + 1))
@@ -84,10 +85,14 @@ def _refine(  # type: ignore[no-untyped-def]
     b = np.zeros(3)
     for m in range(len(points)):
         rows = order[starts[m] : starts[m + 1]]
+        if len(rows) < 2 and (fb == 0.0 or len(rows) == 0 or np.isnan(disparity[rows[0]])):
+            continue  # a single view does not tell the depth
         at = points[m].copy()
         cost = _normal_equations(
             at, poses, rows, camera, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, h, b
         )
+        if not np.isfinite(cost):
+            continue
         damping = 1e-3
         for _ in range(iterations):
             step = _solve_3(h, b, damping)

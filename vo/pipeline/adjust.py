@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vo.config import Config
@@ -10,8 +12,8 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
 from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
-from vo.smoothing.window import smooth
-from vo.types import Bools, Ints, WindowProblem
+from vo.smoothing.window import residuals, smooth
+from vo.types import Bools, Floats, Ints, WindowProblem
 
 
 def adjust(
@@ -31,21 +33,24 @@ def adjust(
         return [], None
     free = len(keyframes) - 1 if whole_map else min(config.smoothing.window, len(keyframes) - 1)
     fixed = np.arange(len(keyframes)) < len(keyframes) - free
-    problem, rows = _window(world, rig, keyframes, fixed, config)
-    solution = smooth(problem, config.smoothing)
+    everything = _everything(world, rig, fixed)
+    chosen = _chosen(everything, config)
+    window, rows = _restricted(everything, chosen)
+    solution = smooth(window, config.smoothing)
     if not solution.converged:
         return [], None
     offset = None
     if rig.is_stereo and config.stereo.offset_correction:
-        offset = disparity_offset(problem, solution, config.smoothing)
+        offset = disparity_offset(window, solution, config.smoothing)
     anchor = keyframes[int(np.flatnonzero(fixed)[-1])]
     for k in np.flatnonzero(~fixed):
         keyframes[k].world_from_cam = solution.world_from_cam[k]
         keyframes[k].covariance = _chained(anchor, keyframes[k], solution.covariance[k])
     world.xyz[rows] = solution.points
-    _refine_others(world, rig, rows, config)
-    wrong = (solution.residual > config.smoothing.gate) | ~solution.point_ok[problem.point]
-    _drop_observations(world, keyframes, problem, rows, wrong)
+    _refine_others(world, everything, ~chosen, solution.world_from_cam, config)
+    degenerate = np.zeros(len(world), dtype=bool)
+    degenerate[rows] = ~solution.point_ok
+    _drop_outliers(world, everything, solution.world_from_cam, degenerate, config)
     return [k for k, f in zip(keyframes, fixed, strict=True) if not f], offset
 
 
@@ -64,75 +69,98 @@ def cull(world: Map, config: Config) -> None:
     world.keep_landmarks((seen > 0) & ~rarely & ~weak)
 
 
-def _window(
-    world: Map, rig: WorkingRig, keyframes: list[Keyframe], fixed: Bools, config: Config
-) -> tuple[WindowProblem, Ints]:
-    rows = [world.rows(k.landmark) for k in keyframes]
-    seen = np.bincount(np.concatenate(rows), minlength=len(world))
-    free_rows = [r for r, f in zip(rows, fixed, strict=True) if not f]
-    seen_free = np.bincount(np.concatenate(free_rows), minlength=len(world))
-    candidates = np.flatnonzero((seen >= 2) & (seen_free >= 1))
-    rank = _best_rank(rows, seen, len(world))[candidates]
-    order = np.lexsort((-seen[candidates], rank))[: config.smoothing.max_landmarks]
-    chosen = np.sort(candidates[order])
-    point_of = np.full(len(world), -1)
-    point_of[chosen] = np.arange(len(chosen))
-    point = np.concatenate([point_of[r] for r in rows])
-    keyframe = np.repeat(np.arange(len(keyframes)), [len(r) for r in rows])
-    used = point >= 0
-    problem = WindowProblem(
+def _everything(world: Map, rig: WorkingRig, fixed: Bools) -> WindowProblem:
+    """All keyframes, landmarks and observations of the map; its points are the map's rows."""
+    keyframes = world.keyframes
+    return WindowProblem(
         intrinsics=(rig.fx, rig.fy, rig.cx, rig.cy),
         baseline_m=rig.baseline_m,
         world_from_cam=np.stack([k.world_from_cam for k in keyframes]),
         fixed=fixed,
-        points=world.xyz[chosen],
-        keyframe=keyframe[used],
-        point=point[used],
-        xy=np.concatenate([k.xy for k in keyframes])[used],
-        disparity=np.concatenate([k.disparity for k in keyframes])[used],
-        sigma_px=np.concatenate([k.sigma_px for k in keyframes])[used],
+        points=world.xyz,
+        keyframe=np.repeat(np.arange(len(keyframes)), [len(k.landmark) for k in keyframes]),
+        point=np.concatenate([world.rows(k.landmark) for k in keyframes]),
+        xy=np.concatenate([k.xy for k in keyframes]),
+        disparity=np.concatenate([k.disparity for k in keyframes]),
+        sigma_px=np.concatenate([k.sigma_px for k in keyframes]),
     )
-    return problem, chosen
 
 
-def _best_rank(rows: list[Ints], seen: Ints, count: int) -> Ints:
-    """The place of each landmark among those of a keyframe, most seen first; its best place.
+def _restricted(problem: WindowProblem, chosen: Bools) -> tuple[WindowProblem, Ints]:
+    """The same with the chosen points (M,) only, and their rows in the whole."""
+    used = chosen[problem.point]
+    place = np.cumsum(chosen) - 1
+    restricted = replace(
+        problem,
+        points=problem.points[chosen],
+        keyframe=problem.keyframe[used],
+        point=place[problem.point[used]],
+        xy=problem.xy[used],
+        disparity=problem.disparity[used],
+        sigma_px=problem.sigma_px[used],
+    )
+    return restricted, np.flatnonzero(chosen)
 
-    Taking landmarks by this place gives every keyframe its share of them, also one that has just
-    turned to a part of the scene that no other keyframe has seen for long.
+
+def _chosen(problem: WindowProblem, config: Config) -> Bools:
+    """Mask (M,) of the landmarks that take part in the window.
+
+    They are ranked within each keyframe, most seen first, and taken by their best rank. That gives
+    every keyframe its share, also one that has just turned to a part of the scene that no other
+    keyframe has seen for long.
     """
+    count = len(problem.points)
+    seen = np.bincount(problem.point, minlength=count)
+    moves = ~problem.fixed[problem.keyframe]
+    seen_by_free = np.bincount(problem.point[moves], minlength=count)
     best = np.full(count, np.iinfo(np.int64).max)
-    for mine in rows:
+    for k in range(len(problem.world_from_cam)):
+        mine = problem.point[problem.keyframe == k]
         order = mine[np.argsort(-seen[mine], kind="stable")]
         best[order] = np.minimum(best[order], np.arange(len(order)))
-    return best
+    candidates = np.flatnonzero((seen >= 2) & (seen_by_free >= 1))
+    order = np.lexsort((-seen[candidates], best[candidates]))[: config.smoothing.max_landmarks]
+    chosen = np.zeros(count, dtype=bool)
+    chosen[candidates[order]] = True
+    return chosen
 
 
-def _refine_others(world: Map, rig: WorkingRig, chosen: Ints, config: Config) -> None:
+def _refine_others(
+    world: Map, everything: WindowProblem, others: Bools, world_from_cam: Floats, config: Config
+) -> None:
     """Bring landmarks that took no part in the window into line with the adjusted poses.
 
     They were triangulated from poses that have moved since, all in the same wrong way.
     """
-    keyframes = world.keyframes
-    rows = np.concatenate([world.rows(k.landmark) for k in keyframes])
-    camera = np.repeat(np.arange(len(keyframes)), [len(k.landmark) for k in keyframes])
-    others = np.ones(len(world), dtype=bool)
-    others[chosen] = False
-    used = others[rows]
-    place = np.cumsum(others) - 1
-    world.xyz[others] = refine_points(
-        world.xyz[others],
-        inverse(np.stack([k.world_from_cam for k in keyframes])),
-        place[rows[used]],
-        camera[used],
-        np.concatenate([k.xy for k in keyframes])[used],
-        np.concatenate([k.disparity for k in keyframes])[used],
-        np.concatenate([k.sigma_px for k in keyframes])[used],
+    rest, rows = _restricted(everything, others)
+    world.xyz[rows] = refine_points(
+        rest.points,
+        inverse(world_from_cam),
+        rest.point,
+        rest.keyframe,
+        rest.xy,
+        rest.disparity,
+        rest.sigma_px,
         config.smoothing.sigma_disparity_px,
-        (rig.fx, rig.fy, rig.cx, rig.cy),
-        rig.fx * rig.baseline_m,
+        rest.intrinsics,
+        rest.intrinsics[0] * rest.baseline_m,
         huber=config.smoothing.huber,
     )
+
+
+def _drop_outliers(
+    world: Map,
+    everything: WindowProblem,
+    world_from_cam: Floats,
+    degenerate: Bools,
+    config: Config,
+) -> None:
+    """Forget observations that disagree, and all those of degenerate landmarks."""
+    sigma_px = config.smoothing.sigma_disparity_px
+    residual, _ = residuals(everything, world_from_cam, world.xyz, sigma_px)
+    kept = (residual <= config.smoothing.gate) & ~degenerate[everything.point]
+    for k, keyframe in enumerate(world.keyframes):
+        keyframe.keep_observations(kept[everything.keyframe == k])
 
 
 def _chained(anchor: Keyframe, keyframe: Keyframe, relative: np.ndarray) -> np.ndarray | None:
@@ -144,13 +172,3 @@ def _chained(anchor: Keyframe, keyframe: Keyframe, relative: np.ndarray) -> np.n
         return None
     carry = adjoint(inverse(keyframe.world_from_cam) @ anchor.world_from_cam)
     return np.asarray(carry @ anchor.covariance @ carry.T + relative)
-
-
-def _drop_observations(
-    world: Map, keyframes: list[Keyframe], problem: WindowProblem, rows: Ints, wrong: Bools
-) -> None:
-    for k, keyframe in enumerate(keyframes):
-        mine = problem.keyframe == k
-        bad_ids = world.id[rows[problem.point[mine & wrong]]]
-        if len(bad_ids):
-            keyframe.keep_observations(~np.isin(keyframe.landmark, bad_ids))
