@@ -121,8 +121,8 @@ class MappingConfig(_Section):
 class SmoothingConfig(_Section):
     """The GTSAM window."""
 
-    window: int = Field(8, ge=2, description="keyframes whose poses are adjusted")
-    fixed: int = Field(8, ge=1, description="older keyframes that hold the window in place")
+    window: int = Field(6, ge=2, description="keyframes whose poses are adjusted")
+    fixed: int = Field(4, ge=1, description="older keyframes that hold the window in place")
     max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
     iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
     relative_error_tolerance: float = Field(1e-2, gt=0, description="when to stop earlier")
