@@ -51,6 +51,7 @@ def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> 
     parameters.setMaxIterations(config.iterations)
     parameters.setRelativeErrorTol(config.relative_error_tolerance)
     parameters.setlambdaInitial(1e-4)
+    parameters.setLinearSolverType("SEQUENTIAL_CHOLESKY")
     parameters.setOrdering(_points_first(graph, problem, point_ok))
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     keyframes = len(problem.world_from_cam)
@@ -88,8 +89,8 @@ def _build(
     problem: WindowProblem, point_ok: Bools, used: Ints, config: SmoothingConfig
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for k, pose in enumerate(problem.world_from_cam):
-        values.insert(_pose(k), gtsam.Pose3(pose))
+    for k, start in enumerate(problem.world_from_cam):
+        values.insert(_pose(k), gtsam.Pose3(start))
     for m in np.flatnonzero(point_ok).tolist():
         values.insert(_point(m), problem.points[m])
     _anchor(graph, problem)
@@ -97,28 +98,26 @@ def _build(
     fx, fy, cx, cy = problem.intrinsics
     mono = gtsam.Cal3_S2(fx, fy, 0.0, cx, cy)
     stereo = gtsam.Cal3_S2Stereo(fx, fy, 0.0, cx, cy, max(problem.baseline_m, 1e-9))
+    # Keys made once: there are thousands of observations, and each call into GTSAM costs.
+    pose_keys = [_pose(k) for k in range(len(problem.world_from_cam))]
+    point_keys = [_point(m) for m in range(len(problem.points))]
     rows = zip(
-        problem.keyframe[used].tolist(),
-        problem.point[used].tolist(),
+        [pose_keys[k] for k in problem.keyframe[used].tolist()],
+        [point_keys[m] for m in problem.point[used].tolist()],
+        problem.xy[used],
         problem.xy[used].tolist(),
         problem.disparity[used].tolist(),
         problem.sigma_px[used].tolist(),
         strict=True,
     )
-    for k, m, (u, v), d, sigma in rows:
-        if d == d:
+    mono_factor, stereo_factor = gtsam.GenericProjectionFactorCal3_S2, gtsam.GenericStereoFactor3D
+    for pose, point, xy, (u, v), d, sigma in rows:
+        if d == d:  # not NaN
             measured = gtsam.StereoPoint2(u, u - d, v)
-            graph.add(
-                gtsam.GenericStereoFactor3D(
-                    measured, noise.stereo(sigma), _pose(k), _point(m), stereo, False, False
-                )
-            )
+            model = noise.stereo(sigma)
+            graph.add(stereo_factor(measured, model, pose, point, stereo, False, False))
         else:
-            graph.add(
-                gtsam.GenericProjectionFactorCal3_S2(
-                    np.array((u, v)), noise.mono(sigma), _pose(k), _point(m), mono, False, False
-                )
-            )
+            graph.add(mono_factor(xy, noise.mono(sigma), pose, point, mono, False, False))
     return graph, values
 
 
@@ -150,19 +149,17 @@ class _NoiseModels:
         self._stereo: dict[float, gtsam.noiseModel.Robust] = {}
 
     def mono(self, sigma: float) -> gtsam.noiseModel.Robust:
-        key = round(sigma, 2)
-        if key not in self._mono:
-            self._mono[key] = self._robust(gtsam.noiseModel.Isotropic.Sigma(2, key))
-        return self._mono[key]
+        if sigma not in self._mono:
+            self._mono[sigma] = self._robust(gtsam.noiseModel.Isotropic.Sigma(2, sigma))
+        return self._mono[sigma]
 
     def stereo(self, sigma: float) -> gtsam.noiseModel.Robust:
         """Of (u_left, u_right, v), where u_right is measured from u_left: they err together."""
-        key = round(sigma, 2)
-        if key not in self._stereo:
-            a, d = key**2, self._config.sigma_disparity_px**2
+        if sigma not in self._stereo:
+            a, d = sigma**2, self._config.sigma_disparity_px**2
             covariance = np.array([[a, a, 0.0], [a, a + d, 0.0], [0.0, 0.0, a]])
-            self._stereo[key] = self._robust(gtsam.noiseModel.Gaussian.Covariance(covariance))
-        return self._stereo[key]
+            self._stereo[sigma] = self._robust(gtsam.noiseModel.Gaussian.Covariance(covariance))
+        return self._stereo[sigma]
 
     def _robust(self, base: gtsam.noiseModel.Base) -> gtsam.noiseModel.Robust:
         kernel = gtsam.noiseModel.mEstimator.Huber.Create(self._config.huber)
