@@ -305,3 +305,14 @@ def test_documented_examples_can_be_read(tmp_path: Path) -> None:
     assert len(examples) >= 3
     rigs = [read_calibration(_file(tmp_path, e, f"{i}.yaml")).rig for i, e in enumerate(examples)]
     assert [rig.is_stereo for rig in rigs[:3]] == [False, True, True]
+
+
+def test_a_baseline_in_millimetres_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = f"cam0: {{{CAM}}}\ncam1: {{{CAM}}}\nbaseline_m: 540\n"
+    read_calibration(_file(tmp_path, text))
+    assert [r.message for r in caplog.records if "540 m; if that is millimetres" in r.message]
+    caplog.clear()
+    read_calibration(_file(tmp_path, text.replace("540", "0.54")))
+    assert not caplog.records

@@ -71,7 +71,8 @@ def visible_landmarks(world: Map, rig: WorkingRig, world_from_cam: Floats) -> Vi
     """The landmarks that a camera at this pose should see."""
     in_cam = transform_points(inverse(world_from_cam), world.xyz)
     depth = in_cam[:, 2]
-    rows = np.flatnonzero(depth > 1e-3 * max(float(np.median(np.abs(depth))), 1e-9))
+    typical = float(np.median(np.abs(depth))) if len(depth) else 0.0
+    rows = np.flatnonzero(depth > 1e-3 * max(typical, 1e-9))
     xy = rig.project(in_cam[rows])
     image_xy = rig.image_from_ideal(xy)
     inside = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -32,6 +33,8 @@ _COUNTS: dict[DistortionModel, tuple[int, ...]] = {
 }
 _ROTATION_TOLERANCE = 1e-3
 _SHORTEST_BASELINE_M = 1e-6
+_LONGEST_BASELINE_M = 10.0
+_log = logging.getLogger(__name__)
 
 
 def make_camera(
@@ -136,7 +139,7 @@ def make_transform(where: str, value: Any) -> Floats:
 
 
 def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
-    """Refuse two cameras in one place.
+    """Refuse two cameras in one place, and warn of a distance that no rig has.
 
     Raises:
         CalibrationError: their distance is zero.
@@ -146,6 +149,13 @@ def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
         raise CalibrationError(
             f"{where}: the baseline is {baseline:g} m, so depth cannot be measured; give the "
             "distance between the cameras in metres, or use one camera with --mode mono"
+        )
+    if baseline > _LONGEST_BASELINE_M:
+        _log.warning(
+            "%s: the baseline is %g m; if that is millimetres, every length will be 1000 times "
+            "too large",
+            where,
+            baseline,
         )
 
 
