@@ -33,6 +33,9 @@ from vo.tracking.motion import ConstantVelocity
 from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, State
 
 
+_MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew
+
+
 class Odometry:
     """Turns frames into poses, one `step` a frame."""
 
@@ -50,7 +53,6 @@ class Odometry:
         self._state = State.STARTING
         self._segment = 0
         self._lost_for = 0
-        self._median_depth = 1.0  # of a mono map, whose scale is free
         self._last: Seen | None = None
 
     @property
@@ -191,7 +193,7 @@ class Odometry:
         self._map.clear()
         sigma_px = self._config.tracking.sigma_px
         first, second = map_from_pair(
-            self._map, pair, self._motion.last, self._median_depth, self._segment, sigma_px
+            self._map, pair, self._motion.last, _MEDIAN_DEPTH, self._segment, sigma_px
         )
         self._store(first)
         self._hang(first)
