@@ -32,7 +32,6 @@ from vo.pipeline.working_frame import WorkingFrame, prepare
 from vo.tracking.motion import ConstantVelocity
 from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, State
 
-
 _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew
 
 
