@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vo.geometry.cameras import distort, normalise, project, undistort_pixels
+from vo.geometry.cameras import distort, normalise, project
 from vo.geometry.distortion import reach
 from vo.types import Camera, Floats
 
@@ -143,15 +143,6 @@ def test_projects_points_by_their_direction(name: str) -> None:
         project(camera, points), distort(camera, points[:, :2] / points[:, 2:]), atol=1e-12
     )
     np.testing.assert_allclose(project(camera, 3.0 * points), project(camera, points), atol=1e-9)
-
-
-def test_undistorted_pixels_are_those_of_the_pinhole() -> None:
-    camera = CAMERAS["radtan4"]
-    plain = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    rays = _rays_within(camera, 20)
-    np.testing.assert_allclose(
-        undistort_pixels(camera, distort(camera, rays)), distort(plain, rays), atol=1e-8
-    )
 
 
 @each_camera

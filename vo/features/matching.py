@@ -86,7 +86,7 @@ def match_windows(
         max_distance,
         ratio,
     )
-    return _one_to_one(matched, distance, len(train_xy))
+    return _one_to_one(matched, distance)
 
 
 def match_everywhere(
@@ -97,7 +97,7 @@ def match_everywhere(
         return np.full(len(query_descriptor), NO_MATCH)
     query, train = as_words(query_descriptor), as_words(train_descriptor)
     matched, distance = _best_of_all(query, train, max_distance, ratio)
-    return _one_to_one(matched, distance, len(train))
+    return _one_to_one(matched, distance)
 
 
 def match_epipolar(
@@ -134,7 +134,7 @@ def match_epipolar(
         max_distance,
         ratio,
     )
-    return _one_to_one(matched, distance, len(train_xy))
+    return _one_to_one(matched, distance)
 
 
 def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
@@ -153,7 +153,7 @@ def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
     return np.asarray(np.isin(bins, kept))
 
 
-def _one_to_one(matched: Ints, distance: NDArray[np.int64], train_count: int) -> Ints:
+def _one_to_one(matched: Ints, distance: NDArray[np.int64]) -> Ints:
     """Of queries that chose the same train feature, keep the nearest (the first of equals)."""
     result = np.full(len(matched), NO_MATCH)
     chosen = np.flatnonzero(matched >= 0)
