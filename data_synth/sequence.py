@@ -12,11 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_synth import euroc
-from data_synth.path import Path as CameraPath
-from data_synth.path import walk_around
-from data_synth.render import camera_rays, render
-from data_synth.room import make_room
+from data_synth.motion.spline import Path as CameraPath
+from data_synth.motion.spline import walk_around
+from data_synth.scene.render import camera_rays, render
+from data_synth.worlds.room import make_room
+from data_synth.writers import euroc
 from vo.errors import ConfigError, OutputError
 from vo.geometry.transforms import inverse, make_transform
 from vo.types import Bytes, Camera, Floats, Floats32, Ints, Rig, Trajectory

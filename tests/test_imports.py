@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-BASE = {"vo.errors", "vo.types", "vo.config"}
+BASE = {"vo.errors", "vo.types", "vo.config", "vo.settings"}
 GROUND = BASE | {"vo.geometry", "vo.formats"}
 THINKING = {f"vo.{name}" for name in ("features", "tracking", "mapping", "smoothing")}
 ROOMS = THINKING | {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results")}
@@ -22,6 +22,7 @@ ALLOWED = {
     "vo.errors": BASE,
     "vo.types": BASE,
     "vo.config": BASE,
+    "vo.settings": BASE,
     "vo.progress": BASE,
     "vo.geometry": BASE,
     "vo.formats": BASE | {"vo.geometry"},
@@ -30,7 +31,7 @@ ALLOWED = {
     "vo.odometry": GROUND | THINKING | {"vo.pipeline"},
     "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress"},
     "vo.cli": GROUND | ROOMS | {"vo", "vo.progress", "vo.odometry", "vo.run", "data_synth"},
-    "data_synth": {"vo.errors", "vo.types", "vo.geometry", "vo.formats"},
+    "data_synth": {"vo.errors", "vo.types", "vo.settings", "vo.geometry", "vo.formats"},
 }
 ONLY_IN = {"gtsam": "vo.smoothing", "rerun": "vo.recording", "typer": "vo.cli"}
 BANNED_NAMES = {"utils", "util", "common", "helpers", "helper", "tools", "misc"}

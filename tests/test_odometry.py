@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.path import walk_around
-from data_synth.render import camera_rays, render
-from data_synth.room import make_room
+from data_synth.motion.spline import walk_around
+from data_synth.scene.render import camera_rays, render
 from data_synth.sequence import grey_levels, stereo_rig
+from data_synth.worlds.room import make_room
 from vo.config import Config, FeaturesConfig
 from vo.geometry.similarity import Similarity, umeyama
 from vo.geometry.transforms import inverse, rotation_angle, se3_log

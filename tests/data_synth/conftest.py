@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from data_synth.room import make_room
-from data_synth.world import World
+from data_synth.scene.world import World
+from data_synth.worlds.room import make_room
 
 
 @pytest.fixture(scope="session")

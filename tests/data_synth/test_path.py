@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data_synth.path import walk_around
-from data_synth.room import make_room
-from data_synth.world import World, clearance
+from data_synth.motion.spline import walk_around
+from data_synth.scene.world import World, clearance
+from data_synth.worlds.room import make_room
 
 STEP_S = 1e-3
 

@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.path import walk_around
-from data_synth.render import camera_rays, render
+from data_synth.motion.spline import walk_around
+from data_synth.scene.render import camera_rays, render
+from data_synth.scene.solids import Solid
+from data_synth.scene.world import World, build_world
 from data_synth.sequence import BASELINE_M, grey_levels, stereo_rig
-from data_synth.world import Box, World, build_world
 from vo.geometry.cameras import normalise, project
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.types import Bytes, Camera, Floats, Floats32
@@ -107,7 +108,7 @@ def test_corners_are_many_and_everywhere(room: World, pool: ThreadPoolExecutor) 
 
 
 def test_depth_is_exact_on_a_turned_box(pool: ThreadPoolExecutor) -> None:
-    box = Box((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), texture=0, yaw=np.pi / 2)
+    box = Solid((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), texture=0, yaw=np.pi / 2)
     world = build_world([box], [np.full((4, 4), 0.5, np.float32)])
     looking_along_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose = make_transform(looking_along_x, np.array([-3.0, 0.0, 0.0]))
@@ -119,7 +120,7 @@ def test_depth_is_exact_on_a_turned_box(pool: ThreadPoolExecutor) -> None:
 
 def test_fine_stripes_far_away_turn_grey_instead_of_moire(pool: ThreadPoolExecutor) -> None:
     stripes = np.tile(np.array([0.0, 1.0], np.float32), (64, 32))
-    box = Box((0.0, 0.0, -0.5), (80.0, 80.0, 1.0), texture=0, density=100.0)
+    box = Solid((0.0, 0.0, -0.5), (80.0, 80.0, 1.0), texture=0, density=100.0)
     world = build_world([box], [stripes])
     lights = world.lights._replace(values=np.full_like(world.lights.values, 1.0))
     down_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -13,8 +13,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.atlas import LEVELS
-from data_synth.world import World
+from data_synth.scene.atlas import LEVELS
+from data_synth.scene.world import World
 from vo.types import Floats, Floats32, Ints
 
 SKY = 0.8

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Callable
 
 import cv2
 import numpy as np
 
+from data_synth.scene.builder import Rng
 from vo.types import Floats32
-
-Rng = np.random.Generator
-Painter = Callable[[Rng, tuple[int, int]], Floats32]
 
 _LETTERS = np.array(list(string.ascii_uppercase + string.digits))
 

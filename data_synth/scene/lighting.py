@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from data_synth import kernels
-from data_synth.world import Lights, World
+from data_synth.scene import kernels
+from data_synth.scene.world import Lights, World
 from vo.types import Floats, Floats32, Ints
 
 _POINTS_PER_M = 16.0

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth import kernels
-from data_synth.world import World
+from data_synth.scene import kernels
+from data_synth.scene.world import World
 from vo.geometry.cameras import normalise
 from vo.types import Camera, Floats, Floats32
 

@@ -3,34 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from data_synth.atlas import Atlas, pack
+from data_synth.scene.atlas import Atlas, pack
+from data_synth.scene.solids import Solid
 from vo.types import Floats, Floats32, Ints
-
-
-@dataclass(frozen=True)
-class Box:
-    """An upright box, turned about the vertical; the world is in metres with z up.
-
-    Attributes:
-        centre: its middle.
-        size: its full lengths along its own x, y, z.
-        texture: number of its texture, the same on all faces.
-        yaw: how far it is turned about z.
-        density: texels per metre; None fits the whole texture once on each face.
-        offset: texels by which the texture is shifted, so that equal boxes look different.
-    """
-
-    centre: tuple[float, float, float]
-    size: tuple[float, float, float]
-    texture: int
-    yaw: float = 0.0
-    density: float | None = 200.0
-    offset: tuple[float, float] = (0.0, 0.0)
 
 
 class Lights(NamedTuple):
@@ -77,7 +56,7 @@ class World(NamedTuple):
     lights: Lights
 
 
-def build_world(boxes: Sequence[Box], textures: Sequence[Floats32]) -> World:
+def build_world(boxes: Sequence[Solid], textures: Sequence[Floats32]) -> World:
     """Turn boxes and textures into arrays and a bounding-volume tree; it is still dark."""
     centres = np.array([b.centre for b in boxes], dtype=np.float64)
     halves = np.array([b.size for b in boxes], dtype=np.float64) / 2.0

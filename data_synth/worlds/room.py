@@ -2,64 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from data_synth import textures
-from data_synth.lighting import lit
-from data_synth.textures import Painter, Rng
-from data_synth.world import Box, World, build_world
-from vo.types import Floats32
+from data_synth.scene.builder import Builder, Place
+from data_synth.scene.lighting import lit
+from data_synth.scene.world import World
+from data_synth.worlds import textures
 
 WIDTH_M, DEPTH_M, HEIGHT_M = 9.0, 7.0, 2.9
 _WALL_DENSITY = 220.0
 _SHELL_M = 0.3
-_SMALL = (512, 512)
-
-
-@dataclass
-class _Builder:
-    """Collects boxes and textures while a room is put together."""
-
-    rng: Rng
-    boxes: list[Box] = field(default_factory=list)
-    textures: list[Floats32] = field(default_factory=list)
-
-    def paint(self, painter: Painter, shape: tuple[int, int] = _SMALL) -> int:
-        """Add a texture and return its number."""
-        self.textures.append(painter(self.rng, shape))
-        return len(self.textures) - 1
-
-    def add(
-        self,
-        centre: tuple[float, float, float],
-        size: tuple[float, float, float],
-        texture: int,
-        yaw: float = 0.0,
-        density: float | None = 260.0,
-    ) -> None:
-        """Add a box whose texture is shifted at random."""
-        u, v = (0.0, 0.0) if density is None else self.rng.uniform(0, 512, 2)
-        self.boxes.append(Box(centre, size, texture, yaw, density, (float(u), float(v))))
-
-
-@dataclass(frozen=True)
-class _Place:
-    """A spot on the floor: furniture is described with its back to y = 0, looking along -y."""
-
-    x: float
-    y: float
-    yaw: float
-
-    def at(self, x: float, y: float, z: float) -> tuple[float, float, float]:
-        """A point of the furniture in the room."""
-        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
-        return (
-            float(self.x + cosine * x - sine * y),
-            float(self.y + sine * x + cosine * y),
-            z,
-        )
 
 
 def make_room(seed: int = 0) -> World:
@@ -68,7 +20,7 @@ def make_room(seed: int = 0) -> World:
     Furniture stands along the walls and in the middle; a ring of 1.2 m to 2.3 m around the
     origin is free to walk in.
     """
-    build = _Builder(np.random.default_rng(seed))
+    build = Builder(np.random.default_rng(seed))
     _shell(build)
     _wall_things(build)
     wood = [build.paint(textures.wood) for _ in range(3)]
@@ -76,23 +28,23 @@ def make_room(seed: int = 0) -> World:
     spines = [build.paint(textures.books, (128, 512)) for _ in range(4)]
     cartons = [build.paint(textures.carton) for _ in range(3)]
     north, south, east, west = DEPTH_M / 2, -DEPTH_M / 2, WIDTH_M / 2, -WIDTH_M / 2
-    _shelf(build, _Place(-2.6, north, 0.0), wood[0], spines)
-    _sofa(build, _Place(0.3, north, 0.0), cloth[0], cloth[1])
-    _cabinet(build, _Place(3.1, north, 0.0), wood[1], cartons)
-    _shelf(build, _Place(east, 1.3, -np.pi / 2), wood[2], spines)
-    _desk(build, _Place(east, -1.6, -np.pi / 2), wood[0], cartons, spines)
-    _sofa(build, _Place(2.0, south, np.pi), cloth[2], cloth[0])
-    _shelf(build, _Place(-0.9, south, np.pi), wood[1], spines)
-    _cartons(build, _Place(-3.3, south, np.pi), cartons)
-    _cabinet(build, _Place(west, -0.9, np.pi / 2), wood[2], cartons)
-    _cartons(build, _Place(west, 1.5, np.pi / 2), cartons)
-    _table(build, _Place(0.0, 0.0, 0.12), wood[1], cartons, spines)
+    _shelf(build, Place(-2.6, north, 0.0), wood[0], spines)
+    _sofa(build, Place(0.3, north, 0.0), cloth[0], cloth[1])
+    _cabinet(build, Place(3.1, north, 0.0), wood[1], cartons)
+    _shelf(build, Place(east, 1.3, -np.pi / 2), wood[2], spines)
+    _desk(build, Place(east, -1.6, -np.pi / 2), wood[0], cartons, spines)
+    _sofa(build, Place(2.0, south, np.pi), cloth[2], cloth[0])
+    _shelf(build, Place(-0.9, south, np.pi), wood[1], spines)
+    _cartons(build, Place(-3.3, south, np.pi), cartons)
+    _cabinet(build, Place(west, -0.9, np.pi / 2), wood[2], cartons)
+    _cartons(build, Place(west, 1.5, np.pi / 2), cartons)
+    _table(build, Place(0.0, 0.0, 0.12), wood[1], cartons, spines)
     for x, y, yaw in ((-3.0, 2.2, 0.5), (3.1, 2.1, 2.6), (3.2, -2.4, 0.9)):
-        _chair(build, _Place(x, y, yaw), wood[0], cloth[1])
-    return lit(build_world(build.boxes, build.textures), lamp=(0.4, 0.25, 2.45))
+        _chair(build, Place(x, y, yaw), wood[0], cloth[1])
+    return lit(build.world(), lamp=(0.4, 0.25, 2.45))
 
 
-def _shell(build: _Builder) -> None:
+def _shell(build: Builder) -> None:
     half, x, y, z = _SHELL_M / 2, WIDTH_M / 2, DEPTH_M / 2, HEIGHT_M
     long, deep, high = WIDTH_M + 2 * _SHELL_M, DEPTH_M + 2 * _SHELL_M, HEIGHT_M
     floor = build.paint(textures.planks, (2048, 2048))
@@ -109,13 +61,13 @@ def _shell(build: _Builder) -> None:
         build.add(centre, size, texture, density=_WALL_DENSITY)
 
 
-def _wall_things(build: _Builder) -> None:
+def _wall_things(build: Builder) -> None:
     """Posters and skirting on all walls, a rug on the floor and beams below the ceiling."""
     wood = build.paint(textures.wood)
     for wall in range(4):
         yaw = wall * np.pi / 2
         along, away = (WIDTH_M, DEPTH_M) if wall % 2 == 0 else (DEPTH_M, WIDTH_M)
-        place = _Place(*_turned(0.0, away / 2, yaw), yaw)
+        place = Place(*_turned(0.0, away / 2, yaw), yaw)
         build.add(place.at(0, -0.01, 0.05), (along, 0.02, 0.1), wood, yaw)
         spots = np.linspace(-along / 2 + 0.7, along / 2 - 0.7, 6 if wall % 2 == 0 else 5)
         for spot in spots + build.rng.uniform(-0.2, 0.2, len(spots)):
@@ -131,14 +83,14 @@ def _turned(x: float, y: float, yaw: float) -> tuple[float, float]:
     return float(cosine * x - sine * y), float(sine * x + cosine * y)
 
 
-def _poster(build: _Builder, place: _Place, spot: float) -> None:
+def _poster(build: Builder, place: Place, spot: float) -> None:
     width, height = (float(s) for s in build.rng.uniform((0.4, 0.4), (0.85, 0.75)))
     texture = build.paint(textures.poster, (256, 256))
     z = float(build.rng.uniform(1.75, 2.2))
     build.add(place.at(spot, -0.015, z), (width, 0.03, height), texture, place.yaw, None)
 
 
-def _shelf(build: _Builder, place: _Place, wood: int, spines: list[int]) -> None:
+def _shelf(build: Builder, place: Place, wood: int, spines: list[int]) -> None:
     width, depth, boards = 1.5, 0.34, 5
     height = boards * 0.36
     for x in (-width / 2, width / 2):
@@ -152,7 +104,7 @@ def _shelf(build: _Builder, place: _Place, wood: int, spines: list[int]) -> None
 
 
 def _book_row(
-    build: _Builder, place: _Place, z: float, width: float, depth: float, spines: list[int]
+    build: Builder, place: Place, z: float, width: float, depth: float, spines: list[int]
 ) -> None:
     x = -width / 2 + 0.05
     while x < width / 2 - 0.3:
@@ -164,7 +116,7 @@ def _book_row(
         x += length + float(build.rng.uniform(0.01, 0.12))
 
 
-def _sofa(build: _Builder, place: _Place, body: int, cushion: int) -> None:
+def _sofa(build: Builder, place: Place, body: int, cushion: int) -> None:
     build.add(place.at(0, -0.45, 0.2), (2.0, 0.85, 0.4), body, place.yaw)
     build.add(place.at(0, -0.13, 0.6), (2.0, 0.22, 0.42), body, place.yaw)
     for x in (-1.0, 1.0):
@@ -174,7 +126,7 @@ def _sofa(build: _Builder, place: _Place, body: int, cushion: int) -> None:
         build.add(place.at(x, -0.33, 0.56), (0.42, 0.14, 0.32), cushion, turn)
 
 
-def _cabinet(build: _Builder, place: _Place, wood: int, cartons: list[int]) -> None:
+def _cabinet(build: Builder, place: Place, wood: int, cartons: list[int]) -> None:
     build.add(place.at(0, -0.25, 0.48), (1.3, 0.5, 0.96), wood, place.yaw)
     for x in (-0.32, 0.32):
         for z in (0.26, 0.7):
@@ -183,7 +135,7 @@ def _cabinet(build: _Builder, place: _Place, wood: int, cartons: list[int]) -> N
     _pile(build, place, (0.0, -0.25, 0.96), 3, cartons, 0.28)
 
 
-def _desk(build: _Builder, place: _Place, wood: int, cartons: list[int], spines: list[int]) -> None:
+def _desk(build: Builder, place: Place, wood: int, cartons: list[int], spines: list[int]) -> None:
     build.add(place.at(0, -0.4, 0.73), (1.6, 0.8, 0.04), wood, place.yaw)
     build.add(place.at(0.55, -0.4, 0.36), (0.42, 0.7, 0.7), wood, place.yaw)
     build.add(place.at(-0.75, -0.4, 0.36), (0.05, 0.7, 0.7), wood, place.yaw)
@@ -194,14 +146,14 @@ def _desk(build: _Builder, place: _Place, wood: int, cartons: list[int], spines:
     build.add(place.at(-0.6, -0.2, 0.87), (0.3, 0.2, 0.24), spines[0], place.yaw, 420.0)
 
 
-def _cartons(build: _Builder, place: _Place, cartons: list[int]) -> None:
+def _cartons(build: Builder, place: Place, cartons: list[int]) -> None:
     for x in (-0.55, 0.1, 0.7):
         _pile(build, place, (x, -0.42, 0.0), int(build.rng.integers(2, 4)), cartons, 0.5)
 
 
 def _pile(
-    build: _Builder,
-    place: _Place,
+    build: Builder,
+    place: Place,
     base: tuple[float, float, float],
     count: int,
     cartons: list[int],
@@ -216,9 +168,7 @@ def _pile(
         z += size[2]
 
 
-def _table(
-    build: _Builder, place: _Place, wood: int, cartons: list[int], spines: list[int]
-) -> None:
+def _table(build: Builder, place: Place, wood: int, cartons: list[int], spines: list[int]) -> None:
     build.add(place.at(0, 0, 0.72), (1.2, 0.8, 0.04), wood, place.yaw)
     for x in (-0.54, 0.54):
         for y in (-0.34, 0.34):
@@ -228,7 +178,7 @@ def _table(
     build.add(place.at(0.35, 0.2, 0.765), (0.22, 0.3, 0.05), spines[2], place.yaw - 0.3, 420.0)
 
 
-def _chair(build: _Builder, place: _Place, wood: int, cloth: int) -> None:
+def _chair(build: Builder, place: Place, wood: int, cloth: int) -> None:
     build.add(place.at(0, -0.22, 0.45), (0.44, 0.44, 0.05), cloth, place.yaw)
     build.add(place.at(0, -0.02, 0.75), (0.42, 0.04, 0.4), cloth, place.yaw)
     for x in (-0.19, 0.19):

@@ -1,0 +1,1 @@
+"""How a body moves: splines, kinds of motion, and what an inertial sensor feels."""

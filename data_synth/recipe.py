@@ -1,0 +1,110 @@
+"""What to make: the settings of a synthetic recording.
+
+Precedence, weakest first: the defaults below, the preset or file, the overrides
+(`section.key=value`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import Field
+
+from vo.settings import (
+    Section,
+    find_preset,
+    names_in,
+    preset_folder,
+    read_settings,
+    set_value,
+    validate,
+)
+
+WorldName = Literal["room", "corridor", "street", "warehouse", "terrain"]
+MotionName = Literal["car", "robot", "handheld", "drone", "rotate", "stop_and_go", "loop"]
+FormatName = Literal["euroc", "kitti", "tum", "folder", "mcap", "mcap-ros2"]
+CodecName = Literal["png", "jpeg", "raw"]
+
+
+class Effects(Section):
+    """How much a camera falls short of a perfect one; 0 is not at all, 1 is as usual."""
+
+    blur: float = Field(1.0, ge=0, le=10, description="motion blur: longest exposure, 8 ms at 1")
+    noise: float = Field(1.0, ge=0, le=20, description="shot and read noise")
+    exposure: float = Field(
+        1.0, ge=0, le=5, description="light that changes, and auto-exposure that lags behind it"
+    )
+    vignetting: float = Field(1.0, ge=0, le=3, description="dark corners: 25 % at 1")
+    gamma: float = Field(0.0, ge=0, le=2, description="curve of grey levels: x^(1/2.2) at 1")
+    rolling_shutter: float = Field(
+        0.0, ge=0, le=5, description="time from the first row to the last, 20 ms at 1"
+    )
+    movers: float = Field(0.0, ge=0, le=5, description="people, cars or carts that move about")
+    drops: float = Field(0.0, ge=0, le=50, description="frames that are missing, 1 % at 1")
+    jitter: float = Field(0.0, ge=0, le=50, description="deviation of the stamps, 0.5 ms at 1")
+    dark: float = Field(0.0, ge=0, le=5, description="stretches of 2 s with little light")
+    blackout: int = Field(0, ge=0, le=10_000, description="black frames in the middle")
+
+
+class ImuRecipe(Section):
+    """The inertial sensor; noise as Kalibr and EuRoC give it, for a small MEMS one."""
+
+    rate_hz: float = Field(200.0, gt=0, le=10_000, description="samples per second")
+    gyro_noise: float = Field(1.7e-4, ge=0, le=1, description="rad/s/√Hz")
+    gyro_walk: float = Field(1.9e-5, ge=0, le=1, description="rad/s²/√Hz")
+    accel_noise: float = Field(2.0e-3, ge=0, le=1, description="m/s²/√Hz")
+    accel_walk: float = Field(3.0e-3, ge=0, le=1, description="m/s³/√Hz")
+
+
+class Recipe(Section):
+    """All settings of a synthetic recording."""
+
+    about: str = Field("", description="one line on what it is for")
+    world: WorldName = Field("room", description="where")
+    motion: MotionName = Field("handheld", description="how the camera moves")
+    camera: str = Field("euroc", description="name of a camera, or a calibration file")
+    mono: bool = Field(False, description="leave the second camera out")
+    scale: float = Field(1.0, gt=0, le=8, description="of the images' size; the view stays")
+    seconds: float = Field(20.0, gt=0, le=3600, description="length")
+    fps: float = Field(20.0, gt=0, le=1000, description="frames per second")
+    speed: float = Field(1.0, gt=0, le=10, description="of the motion, 1 as usual")
+    seed: int = Field(0, ge=0, description="of every random choice")
+    format: FormatName = Field("euroc", description="layout on disk")
+    codec: CodecName = Field("png", description="of the images")
+    depth: bool = Field(False, description="write the true depth of each image of cam0")
+    effects: Effects = Effects()
+    imu: ImuRecipe = ImuRecipe()
+
+
+def recipe_folder() -> Path:
+    """The presets that come with the package."""
+    return preset_folder() / "synth"
+
+
+def recipe_names() -> list[str]:
+    """Names of the presets."""
+    return names_in(recipe_folder())
+
+
+def load_recipe(preset: str | Path | None = None, overrides: Sequence[str] = ()) -> Recipe:
+    """Merge defaults, a preset or YAML file, and overrides.
+
+    Args:
+        preset: name of a preset, or path of a YAML file.
+        overrides: texts of the form `key=value` or `effects.key=value`; the value is YAML.
+
+    Raises:
+        ConfigError: unknown preset, file or key, or a value of the wrong type or range.
+    """
+    merged = {} if preset is None else read_settings(find_preset(preset, recipe_folder()))
+    for text in overrides:
+        set_value(merged, text)
+    return validate(Recipe, merged, str(preset or "the recipe"))
+
+
+def dump_recipe(recipe: Recipe) -> str:
+    """The merged settings as YAML that `load_recipe` reads back."""
+    return yaml.safe_dump(recipe.model_dump(mode="json"), sort_keys=False)

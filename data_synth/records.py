@@ -1,0 +1,137 @@
+"""What the parts of the generator hand to each other and to the writers.
+
+Conventions as in `vo.types`. The body frame looks along x with y to the left and z up; it is also
+the frame of the inertial sensor. The world has z up and gravity (0, 0, -9.81) m/s². A frame's stamp
+is the middle of the exposure of the image's middle row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from vo.types import Bools, Bytes, Floats, Floats32, Ints, Rig, Trajectory
+
+GRAVITY_M_S2 = 9.81
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Continuous-time noise of an inertial sensor, as Kalibr and EuRoC give it.
+
+    Attributes:
+        gyro_noise: rad/s/√Hz.
+        gyro_walk: rad/s²/√Hz.
+        accel_noise: m/s²/√Hz.
+        accel_walk: m/s³/√Hz.
+    """
+
+    gyro_noise: float
+    gyro_walk: float
+    accel_noise: float
+    accel_walk: float
+
+
+@dataclass(frozen=True, eq=False)
+class Imu:
+    """What the inertial sensor measured, in the body frame.
+
+    Attributes:
+        stamps_ns: (N,).
+        gyro: (N, 3) rad/s.
+        accel: (N, 3) m/s², specific force: (0, 0, +9.81) at rest.
+        rate_hz: samples per second.
+        noise: its noise.
+    """
+
+    stamps_ns: Ints
+    gyro: Floats
+    accel: Floats
+    rate_hz: float
+    noise: ImuNoise
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTruth:
+    """True states of the body at the rate of the inertial sensor.
+
+    Attributes:
+        stamps_ns: (N,).
+        world_from_body: (N, 4, 4).
+        velocity: (N, 3) in the world, m/s.
+        gyro_bias: (N, 3) rad/s.
+        accel_bias: (N, 3) m/s².
+    """
+
+    stamps_ns: Ints
+    world_from_body: Floats
+    velocity: Floats
+    gyro_bias: Floats
+    accel_bias: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class MoverTruth:
+    """True poses of something that moves: (F, 4, 4), at the stamps of the frames."""
+
+    name: str
+    world_from_mover: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """All of a recording but its images; known before the first image is rendered.
+
+    Attributes:
+        name: short, for titles.
+        rig: the cameras.
+        body_from_cam0: (4, 4).
+        fps: nominal frames per second.
+        stamps_ns: for each camera, (F,) the stamps as recorded, with their jitter.
+        dropped: for each camera, (F,) bool: frames that were never written.
+        cam0_truth: true poses of cam0 at the F true moments of exposure; its stamps are those that
+            cam0 recorded, also of dropped frames.
+        body_truth: true states of the body.
+        imu: the inertial sensor, or None.
+        movers: what moves in the world.
+        has_depth: whether shots bring the depth of cam0.
+    """
+
+    name: str
+    rig: Rig
+    body_from_cam0: Floats
+    fps: float
+    stamps_ns: tuple[Ints, ...]
+    dropped: tuple[Bools, ...]
+    cam0_truth: Trajectory
+    body_truth: BodyTruth
+    imu: Imu | None
+    movers: tuple[MoverTruth, ...]
+    has_depth: bool
+
+    def __len__(self) -> int:
+        return len(self.cam0_truth)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """The images of one frame.
+
+    Attributes:
+        index: number of the frame, 0…F-1.
+        images: for each camera (H, W) uint8, or None where it was dropped.
+        depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
+    """
+
+    index: int
+    images: tuple[Bytes | None, ...]
+    depth: Floats32 | None = None
+
+
+Write = Callable[[Path, Recording, Iterator[Shot], str], None]
+"""Writes a whole recording to a path that does not exist yet (a folder, or a file for MCAP).
+
+It takes the shots one by one, so that they are rendered while others are encoded; the last argument
+is the codec of the images. The caller gives a path beside the final one and renames it at the end.
+"""

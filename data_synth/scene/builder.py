@@ -1,0 +1,70 @@
+"""Collects solids and textures while a world is put together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from data_synth.scene.solids import Kind, Solid
+from data_synth.scene.world import World, build_world
+from vo.types import Floats32
+
+Rng = np.random.Generator
+Painter = Callable[[Rng, tuple[int, int]], Floats32]
+
+Point = tuple[float, float, float]
+
+_SMALL = (512, 512)
+
+
+@dataclass
+class Builder:
+    """Solids and textures so far."""
+
+    rng: Rng
+    solids: list[Solid] = field(default_factory=list)
+    textures: list[Floats32] = field(default_factory=list)
+
+    def paint(self, painter: Painter, shape: tuple[int, int] = _SMALL) -> int:
+        """Add a texture, whose sides are powers of two, and return its number."""
+        self.textures.append(painter(self.rng, shape))
+        return len(self.textures) - 1
+
+    def add(
+        self,
+        centre: Point,
+        size: Point,
+        texture: int,
+        yaw: float = 0.0,
+        density: float | None = 260.0,
+        kind: Kind = Kind.BOX,
+        stain: float = 0.0,
+    ) -> None:
+        """Add a solid whose texture is shifted at random."""
+        u, v = (0.0, 0.0) if density is None else self.rng.uniform(0, 512, 2)
+        offset = (float(u), float(v))
+        self.solids.append(Solid(centre, size, texture, yaw, density, offset, kind, stain))
+
+    def world(self) -> World:
+        """All of it as arrays, still dark."""
+        return build_world(self.solids, self.textures)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A spot on the floor: things are described with their back to y = 0, looking along -y."""
+
+    x: float
+    y: float
+    yaw: float
+
+    def at(self, x: float, y: float, z: float) -> Point:
+        """A point of the thing in the world."""
+        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
+        return (
+            float(self.x + cosine * x - sine * y),
+            float(self.y + sine * x + cosine * y),
+            z,
+        )

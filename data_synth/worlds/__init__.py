@@ -1,0 +1,1 @@
+"""The worlds: procedural, seeded, nothing to download."""

@@ -1,0 +1,27 @@
+"""The worlds by name."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import cast
+
+from data_synth.scene.scene import Scene
+
+WORLDS: dict[str, str] = {
+    "room": "data_synth.worlds.room",
+    "corridor": "data_synth.worlds.corridor",
+    "street": "data_synth.worlds.street",
+    "warehouse": "data_synth.worlds.warehouse",
+    "terrain": "data_synth.worlds.terrain",
+}
+
+
+def make_scene(name: str, seed: int, movers: float = 0.0) -> Scene:
+    """Build a world; each module has `make_scene(seed, movers)`.
+
+    Args:
+        name: one of WORLDS.
+        seed: of every choice in it.
+        movers: how many things move about; 1 is usual for the world, 0 none.
+    """
+    return cast(Scene, import_module(WORLDS[name]).make_scene(seed, movers))

@@ -1,0 +1,1 @@
+"""Recordings on disk, in the layouts that people use."""
