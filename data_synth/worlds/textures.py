@@ -35,23 +35,23 @@ def noise(rng: Rng, shape: tuple[int, int], slope: float = 1.0, stretch: float =
 def plaster(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A painted wall: soft stains, fine grain, specks and a few cracks."""
     image = 0.68 + 0.045 * noise(rng, shape, 1.5) + 0.025 * noise(rng, shape, 0.7)
-    _specks(rng, image, count=image.size // 2200, radius=(1, 5), contrast=0.3)
+    specks(rng, image, count=image.size // 2200, radius=(1, 5), contrast=0.3)
     for _ in range(max(2, image.size // 150_000)):
-        _crack(rng, image)
-    return _clipped(image)
+        crack(rng, image)
+    return clipped(image)
 
 
 def ceiling(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """Mineral-fibre panels in a grid: pores and slightly different panels."""
     image = 0.74 + 0.02 * noise(rng, shape, 1.2) + 0.02 * noise(rng, shape, 0.4)
-    _specks(rng, image, count=image.size // 900, radius=(1, 3), contrast=-0.3)
+    specks(rng, image, count=image.size // 900, radius=(1, 3), contrast=-0.3)
     step = 80
     for row in range(0, shape[0], step):
         for column in range(0, shape[1], step):
             image[row : row + step, column : column + step] += rng.normal(0, 0.02)
     image[::step] = image[1::step] = 0.45
     image[:, ::step] = image[:, 1::step] = 0.45
-    return _clipped(image)
+    return clipped(image)
 
 
 def bricks(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -62,8 +62,8 @@ def bricks(rng: Rng, shape: tuple[int, int]) -> Floats32:
         for left in range(-width * (course % 2) // 2, shape[1], width):
             _brick(rng, image, (top, left), (height - gap, width - gap))
     image += 0.05 * noise(rng, shape, 0.8) + 0.03 * noise(rng, shape, 1.5)
-    _specks(rng, image, count=image.size // 3000, radius=(1, 4), contrast=0.25)
-    return _clipped(image)
+    specks(rng, image, count=image.size // 3000, radius=(1, 4), contrast=0.25)
+    return clipped(image)
 
 
 def planks(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -79,18 +79,18 @@ def planks(rng: Rng, shape: tuple[int, int]) -> Floats32:
             board[:2] -= 0.16
             board[:, :2] -= 0.16
             left += length
-    _specks(rng, image, count=image.size // 2000, radius=(1, 6), contrast=-0.4)
+    specks(rng, image, count=image.size // 2000, radius=(1, 6), contrast=-0.4)
     for _ in range(image.size // 60_000):
-        _crack(rng, image, contrast=0.12)
-    return _clipped(image)
+        crack(rng, image, contrast=0.12)
+    return clipped(image)
 
 
 def wood(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A wooden panel: grain along u, knots and dents."""
     image = rng.uniform(0.4, 0.66) + 0.07 * noise(rng, shape, 1.0, stretch=7.0)
     image += 0.025 * noise(rng, shape, 0.7)
-    _specks(rng, image, count=image.size // 1800, radius=(1, 5), contrast=-0.35)
-    return _clipped(image)
+    specks(rng, image, count=image.size // 1800, radius=(1, 5), contrast=-0.35)
+    return clipped(image)
 
 
 def fabric(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -99,8 +99,8 @@ def fabric(rng: Rng, shape: tuple[int, int]) -> Floats32:
     for axis in (0, 1):
         bands = np.repeat(rng.normal(0, 0.09, shape[axis] // 12 + 1), 12)[: shape[axis]]
         image += bands.astype(np.float32).reshape((-1, 1) if axis == 0 else (1, -1))
-    _specks(rng, image, count=image.size // 2500, radius=(1, 3), contrast=0.25)
-    return _clipped(image)
+    specks(rng, image, count=image.size // 2500, radius=(1, 3), contrast=0.25)
+    return clipped(image)
 
 
 def carton(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -110,8 +110,8 @@ def carton(rng: Rng, shape: tuple[int, int]) -> Floats32:
         top, left = (int(rng.integers(0, n)) for n in shape)
         image[top : top + int(rng.integers(14, 30)), left : left + 220] += rng.normal(0, 0.1)
     for _ in range(max(6, image.size // 9_000)):
-        _word(rng, image, dark=True)
-    return _clipped(image)
+        word(rng, image, dark=True)
+    return clipped(image)
 
 
 def books(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -128,7 +128,7 @@ def books(rng: Rng, shape: tuple[int, int]) -> Floats32:
             image[top : top + int(rng.integers(3, 22)), left + 2 : left + width - 2] += contrast
         image[:, left : left + 1] = 0.08
         left += width
-    return _clipped(image + 0.03 * noise(rng, shape, 0.8))
+    return clipped(image + 0.03 * noise(rng, shape, 0.8))
 
 
 def poster(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -143,9 +143,9 @@ def poster(rng: Rng, shape: tuple[int, int]) -> Floats32:
             corner = (centre[0] + int(rng.integers(8, 70)), centre[1] + int(rng.integers(6, 50)))
             cv2.rectangle(image, centre, corner, shade, -1)
     for _ in range(int(rng.integers(5, 9))):
-        _word(rng, image, dark=rng.random() < 0.5)
+        word(rng, image, dark=rng.random() < 0.5)
     cv2.rectangle(image, (0, 0), (shape[1] - 1, shape[0] - 1), 0.12, 9)
-    return _clipped(image + 0.02 * noise(rng, shape, 0.8))
+    return clipped(image + 0.02 * noise(rng, shape, 0.8))
 
 
 def rug(rng: Rng, shape: tuple[int, int]) -> Floats32:
@@ -160,16 +160,16 @@ def rug(rng: Rng, shape: tuple[int, int]) -> Floats32:
         reach = int(rng.integers(3, 11))
         diamond = np.array([[u - reach, v], [u, v - reach], [u + reach, v], [u, v + reach]])
         cv2.fillPoly(image, [diamond], float(rng.uniform(0.15, 0.85)), cv2.LINE_AA)
-    return _clipped(image + 0.05 * noise(rng, shape, 0.5))
+    return clipped(image + 0.05 * noise(rng, shape, 0.5))
 
 
-def _clipped(image: Floats32) -> Floats32:
+def clipped(image: Floats32) -> Floats32:
+    """Keep off pure black and white, which nothing real is."""
     return np.asarray(np.clip(image, 0.03, 0.97), dtype=np.float32)
 
 
-def _specks(
-    rng: Rng, image: Floats32, count: int, radius: tuple[int, int], contrast: float
-) -> None:
+def specks(rng: Rng, image: Floats32, count: int, radius: tuple[int, int], contrast: float) -> None:
+    """Draw small blots, each lighter or darker by up to `contrast`."""
     height, width = image.shape
     for _ in range(count):
         u, v = int(rng.integers(0, width)), int(rng.integers(0, height))
@@ -179,7 +179,8 @@ def _specks(
         cv2.ellipse(image, (u, v), axes, angle, 0, 360, shade, -1, cv2.LINE_AA)
 
 
-def _crack(rng: Rng, image: Floats32, contrast: float = -0.2) -> None:
+def crack(rng: Rng, image: Floats32, contrast: float = -0.2) -> None:
+    """Draw a thin wandering line."""
     start = rng.uniform((0, 0), image.shape[::-1])
     heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.5, 12))
     steps = np.column_stack([np.cos(heading), np.sin(heading)]) * rng.uniform(4, 14)
@@ -194,7 +195,8 @@ def _brick(rng: Rng, image: Floats32, corner: tuple[int, int], size: tuple[int, 
     image[top:bottom, max(left, 0) : max(right, 0)] = rng.normal(0.42, 0.085)
 
 
-def _word(rng: Rng, image: Floats32, dark: bool) -> None:
+def word(rng: Rng, image: Floats32, dark: bool) -> None:
+    """Print a few letters somewhere."""
     text = "".join(rng.choice(_LETTERS, int(rng.integers(2, 9))))
     at = (int(rng.integers(0, image.shape[1])), int(rng.integers(0, image.shape[0])))
     shade = float(rng.uniform(0.02, 0.2) if dark else rng.uniform(0.8, 0.97))
