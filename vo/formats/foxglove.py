@@ -1,0 +1,193 @@
+"""Messages as Foxglove's protobuf schemas."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform as PbTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf import descriptor_pool
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.message import Message as PbMessage
+from google.protobuf.message_factory import GetMessageClass
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from vo.formats.messages import (
+    CalibrationMessage,
+    CompressedImageMessage,
+    Dialect,
+    ImageMessage,
+    ImuMessage,
+    Message,
+    PoseMessage,
+    Schema,
+    TransformsMessage,
+    lens_model,
+)
+from vo.geometry.transforms import quat_xyzw_from_rotation
+from vo.types import Floats
+
+_NS_PER_S = 1_000_000_000
+
+
+@cache
+def imu_class() -> type[PbMessage]:
+    """The protobuf class `vo.Imu`: Foxglove has no schema of its own for inertial sensors.
+
+    Its parts are Foxglove's (timestamp, frame_id, Vector3), its names those of ROS's Imu message.
+    """
+    file = FileDescriptorProto(name="vo/Imu.proto", package="vo", syntax="proto3")
+    file.dependency.extend(["google/protobuf/timestamp.proto", Vector3.DESCRIPTOR.file.name])
+    message = file.message_type.add(name="Imu")
+    record, text = FieldDescriptorProto.TYPE_MESSAGE, FieldDescriptorProto.TYPE_STRING
+    for number, (name, kind, type_name) in enumerate(
+        [
+            ("timestamp", record, ".google.protobuf.Timestamp"),
+            ("frame_id", text, None),
+            ("angular_velocity", record, ".foxglove.Vector3"),
+            ("linear_acceleration", record, ".foxglove.Vector3"),
+        ],
+        start=1,
+    ):
+        message.field.add(
+            name=name,
+            number=number,
+            type=kind,
+            type_name=type_name,
+            label=FieldDescriptorProto.LABEL_OPTIONAL,
+        )
+    pool = descriptor_pool.Default()
+    pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName("vo.Imu"))
+
+
+def schema(kind: type[Message]) -> Schema:
+    """The protobuf schema of a kind of message, with all that it depends on."""
+    message_class = _class_of(kind)
+    definition = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
+    return Schema(message_class.DESCRIPTOR.full_name, definition)
+
+
+def encode(message: Message) -> bytes:
+    """A message as protobuf bytes."""
+    return _protobuf(message).SerializeToString(deterministic=True)
+
+
+def _class_of(kind: type[Message]) -> type[PbMessage]:
+    classes: dict[type[Message], type[PbMessage]] = {
+        ImageMessage: RawImage,
+        CompressedImageMessage: CompressedImage,
+        CalibrationMessage: CameraCalibration,
+        ImuMessage: imu_class(),
+        PoseMessage: PoseInFrame,
+        TransformsMessage: FrameTransforms,
+    }
+    return classes[kind]
+
+
+def _protobuf(message: Message) -> PbMessage:
+    stamp = _timestamp(message.stamp_ns)
+    match message:
+        case ImageMessage():
+            return RawImage(
+                timestamp=stamp,
+                frame_id=message.frame,
+                width=message.width,
+                height=message.height,
+                encoding=message.pixel_format,
+                step=message.row_bytes,
+                data=message.data,
+            )
+        case CompressedImageMessage():
+            return CompressedImage(
+                timestamp=stamp,
+                frame_id=message.frame,
+                format=message.image_format,
+                data=message.data,
+            )
+        case CalibrationMessage():
+            return _calibration(message, stamp)
+        case ImuMessage():
+            return imu_class()(
+                timestamp=stamp,
+                frame_id=message.frame,
+                angular_velocity=_vector(message.gyro),
+                linear_acceleration=_vector(message.accel),
+            )
+        case PoseMessage():
+            pose = Pose(
+                position=_vector(message.pose[:3, 3]), orientation=_quaternion(message.pose)
+            )
+            return PoseInFrame(timestamp=stamp, frame_id=message.frame, pose=pose)
+        case TransformsMessage():
+            return _transforms(message, stamp)
+
+
+def _calibration(message: CalibrationMessage, stamp: Timestamp) -> CameraCalibration:
+    camera = message.camera
+    model, coefficients = lens_model(camera, fisheye="kannala_brandt")
+    return CameraCalibration(
+        timestamp=stamp,
+        frame_id=message.frame,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=model,
+        D=coefficients,
+        K=camera.matrix.ravel().tolist(),
+        R=message.rectified_from_cam.ravel().tolist(),
+        P=message.projection.ravel().tolist(),
+    )
+
+
+def _transforms(message: TransformsMessage, stamp: Timestamp) -> FrameTransforms:
+    return FrameTransforms(
+        transforms=[
+            PbTransform(
+                timestamp=stamp,
+                parent_frame_id=each.parent,
+                child_frame_id=each.child,
+                translation=_vector(each.parent_from_child[:3, 3]),
+                rotation=_quaternion(each.parent_from_child),
+            )
+            for each in message.transforms
+        ]
+    )
+
+
+def _timestamp(stamp_ns: int) -> Timestamp:
+    seconds, nanos = divmod(stamp_ns, _NS_PER_S)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def _vector(xyz: Floats) -> Vector3:
+    x, y, z = xyz.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(transform: Floats) -> Quaternion:
+    x, y, z, w = quat_xyzw_from_rotation(transform[:3, :3]).tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _no_metadata(topic: str) -> dict[str, str]:
+    return {}
+
+
+FOXGLOVE = Dialect(
+    profile="",
+    message_encoding=MessageEncoding.Protobuf,
+    schema_encoding=SchemaEncoding.Protobuf,
+    schema=schema,
+    encode=encode,
+    channel_metadata=_no_metadata,
+    metadata={},
+)

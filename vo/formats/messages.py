@@ -1,0 +1,178 @@
+"""What messages say, whatever the format that carries them; `foxglove` and `ros2` write them down.
+
+Frames are named as everywhere (`world`, `body`, `cam0`, `cam1`); a message's stamp is when it was
+measured, in nanoseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from vo.types import Camera, Floats
+
+PixelFormat = Literal["mono8", "32FC1"]
+ImageFormat = Literal["png", "jpeg"]
+
+_PLUMB_BOB_COEFFICIENTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class ImageMessage:
+    """An image as it is in memory.
+
+    Attributes:
+        stamp_ns: middle of its exposure.
+        frame: the camera.
+        width: in pixels.
+        height: in pixels.
+        pixel_format: `mono8`, or `32FC1` for a depth image in metres, little-endian, infinite where
+            nothing is hit.
+        data: rows from the top, without gaps.
+    """
+
+    stamp_ns: int
+    frame: str
+    width: int
+    height: int
+    pixel_format: PixelFormat
+    data: bytes
+
+    @property
+    def row_bytes(self) -> int:
+        """Length of a row in bytes."""
+        return self.width * (4 if self.pixel_format == "32FC1" else 1)
+
+
+@dataclass(frozen=True, eq=False)
+class CompressedImageMessage:
+    """An image as a PNG or JPEG file."""
+
+    stamp_ns: int
+    frame: str
+    image_format: ImageFormat
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationMessage:
+    """A camera, and how its images are rectified.
+
+    Attributes:
+        stamp_ns: that of the image it belongs to.
+        frame: the camera.
+        camera: its lens as recorded.
+        rectified_from_cam: (3, 3) rotation into the rectified camera.
+        projection: (3, 4) of the rectified camera; its last column places cam1 beside cam0.
+    """
+
+    stamp_ns: int
+    frame: str
+    camera: Camera
+    rectified_from_cam: Floats
+    projection: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ImuMessage:
+    """One sample of an inertial sensor.
+
+    Attributes:
+        stamp_ns: when.
+        frame: the sensor's.
+        gyro: (3,) rad/s.
+        accel: (3,) m/s², specific force.
+        gyro_variance: of one sample's white noise, rad²/s²; 0 if it has none.
+        accel_variance: the same in m²/s⁴.
+    """
+
+    stamp_ns: int
+    frame: str
+    gyro: Floats
+    accel: Floats
+    gyro_variance: float = 0.0
+    accel_variance: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMessage:
+    """Where something is: the (4, 4) transform from its own frame to `frame`."""
+
+    stamp_ns: int
+    frame: str
+    pose: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTransform:
+    """The (4, 4) transform that takes coordinates in `child` to `parent`."""
+
+    parent: str
+    child: str
+    parent_from_child: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class TransformsMessage:
+    """Several transforms at one moment."""
+
+    stamp_ns: int
+    transforms: tuple[FrameTransform, ...]
+
+
+Message = (
+    ImageMessage
+    | CompressedImageMessage
+    | CalibrationMessage
+    | ImuMessage
+    | PoseMessage
+    | TransformsMessage
+)
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a reader needs to decode a kind of message: its name and its definition."""
+
+    name: str
+    definition: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Dialect:
+    """A way to write messages into an MCAP file.
+
+    Attributes:
+        profile: MCAP's name of the file's rules, or empty.
+        message_encoding: MCAP's name of how messages are written.
+        schema_encoding: MCAP's name of how definitions are written.
+        schema: the definition of a kind of message.
+        encode: a message in bytes.
+        channel_metadata: what stands beside a topic, by the topic's name.
+        metadata: records of the file as a whole, by name.
+    """
+
+    profile: str
+    message_encoding: str
+    schema_encoding: str
+    schema: Callable[[type[Message]], Schema]
+    encode: Callable[[Message], bytes]
+    channel_metadata: Callable[[str], dict[str, str]]
+    metadata: Mapping[str, dict[str, str]]
+
+
+def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:
+    """Name and coefficients of a camera's distortion, as ROS and Foxglove have them.
+
+    Args:
+        camera: any.
+        fisheye: how the dialect calls the equidistant model (Kannala and Brandt, 2006).
+    """
+    coefficients = list(camera.distortion)
+    if camera.distortion_model == "equidistant":
+        return fisheye, coefficients
+    if len(coefficients) > _PLUMB_BOB_COEFFICIENTS:
+        return "rational_polynomial", coefficients
+    missing = _PLUMB_BOB_COEFFICIENTS - len(coefficients)
+    return "plumb_bob", coefficients + [0.0] * missing
