@@ -1,0 +1,194 @@
+"""A recording as messages on topics, in the order of their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.records import Imu, Recording
+from data_synth.writers.images import EncodedShot
+from vo.formats.messages import (
+    CalibrationMessage,
+    CompressedImageMessage,
+    FrameTransform,
+    ImageFormat,
+    ImageMessage,
+    ImuMessage,
+    Message,
+    PoseMessage,
+    TransformsMessage,
+)
+from vo.geometry.rectification import working_rig
+from vo.geometry.transforms import inverse
+from vo.types import Camera, Floats, Ints, Rig
+
+OnTopic = tuple[str, Message]
+
+_IMAGE_FORMATS: dict[str, ImageFormat] = {"png": "png", "jpeg": "jpeg"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """What is said at each of its stamps (N,); `say` takes the row."""
+
+    stamps_ns: Ints
+    say: Callable[[int], Iterator[OnTopic]]
+
+
+def messages_of(
+    recording: Recording, shots: Iterator[EncodedShot], codec: str
+) -> Iterator[OnTopic]:
+    """All messages of a recording with their topics, by stamp.
+
+    Shots are taken when their first image is due and let go after the last. At one moment
+    transforms come first, then poses, samples of the inertial sensor, and images.
+
+    Raises:
+        CalibrationError: cam1 is not to the right of cam0.
+    """
+    streams = [_moving_transforms(recording), _body_poses(recording)]
+    if recording.imu is not None:
+        streams.append(_samples(recording.imu))
+    streams.extend(_images(recording, shots, codec))
+    first_ns = min(int(each.stamps_ns.min()) for each in streams if each.stamps_ns.size)
+    yield from _in_order([_static_transforms(recording, first_ns), *streams])
+    # Frames that every camera dropped may still be on their way.
+    for _ in shots:
+        pass
+
+
+def _in_order(streams: Sequence[_Stream]) -> Iterator[OnTopic]:
+    stamps = np.concatenate([each.stamps_ns for each in streams])
+    owner = np.repeat(np.arange(len(streams)), [each.stamps_ns.size for each in streams])
+    row = np.concatenate([np.arange(each.stamps_ns.size) for each in streams])
+    for i in np.lexsort((row, owner, stamps)):
+        yield from streams[owner[i]].say(int(row[i]))
+
+
+def _static_transforms(recording: Recording, stamp_ns: int) -> _Stream:
+    transforms = [FrameTransform("body", "cam0", recording.body_from_cam0)]
+    if recording.rig.cam1_from_cam0 is not None:
+        cam0_from_cam1 = inverse(recording.rig.cam1_from_cam0)
+        transforms.append(FrameTransform("cam0", "cam1", cam0_from_cam1))
+    message = TransformsMessage(stamp_ns, tuple(transforms))
+    return _Stream(np.array([stamp_ns], dtype=np.int64), lambda _: iter([("/tf_static", message)]))
+
+
+def _moving_transforms(recording: Recording) -> _Stream:
+    """Body and movers at each frame, also where it was dropped."""
+    truth = recording.cam0_truth
+    world_from_body = truth.world_from_cam @ inverse(recording.body_from_cam0)
+
+    def say(i: int) -> Iterator[OnTopic]:
+        transforms = [FrameTransform("world", "body", world_from_body[i])]
+        for mover in recording.movers:
+            transforms.append(FrameTransform("world", mover.name, mover.world_from_mover[i]))
+        yield "/tf", TransformsMessage(int(truth.stamps_ns[i]), tuple(transforms))
+
+    return _Stream(truth.stamps_ns, say)
+
+
+def _body_poses(recording: Recording) -> _Stream:
+    truth = recording.body_truth
+
+    def say(i: int) -> Iterator[OnTopic]:
+        pose = PoseMessage(int(truth.stamps_ns[i]), "world", truth.world_from_body[i])
+        yield "/truth/pose", pose
+
+    return _Stream(truth.stamps_ns, say)
+
+
+def _samples(imu: Imu) -> _Stream:
+    # White noise of density n, sampled at rate r, has variance n² r.
+    gyro_variance = imu.noise.gyro_noise**2 * imu.rate_hz
+    accel_variance = imu.noise.accel_noise**2 * imu.rate_hz
+
+    def say(i: int) -> Iterator[OnTopic]:
+        stamp, gyro, accel = int(imu.stamps_ns[i]), imu.gyro[i], imu.accel[i]
+        yield "/imu0", ImuMessage(stamp, "body", gyro, accel, gyro_variance, accel_variance)
+
+    return _Stream(imu.stamps_ns, say)
+
+
+class _Arrivals:
+    """The shots that have come and are still needed."""
+
+    def __init__(self, shots: Iterator[EncodedShot], needs: Ints) -> None:
+        """Wait for shots; the shot of frame i will be taken `needs[i]` times."""
+        self._shots = shots
+        self._needs = needs
+        self._waiting: dict[int, EncodedShot] = {}
+
+    def take(self, index: int) -> EncodedShot:
+        """The shot of a frame; comes back at once if another camera had it already.
+
+        Raises:
+            RuntimeError: the shots ended before it.
+        """
+        while index not in self._waiting:
+            shot = next(self._shots, None)
+            if shot is None:
+                raise RuntimeError(f"frame {index} was never filmed")
+            if self._needs[shot.index] > 0:
+                self._waiting[shot.index] = shot
+        self._needs[index] -= 1
+        return self._waiting[index] if self._needs[index] > 0 else self._waiting.pop(index)
+
+
+def _images(recording: Recording, shots: Iterator[EncodedShot], codec: str) -> list[_Stream]:
+    """A stream for each camera: its calibration, its image, and the depth of cam0."""
+    needs = np.sum([~dropped for dropped in recording.dropped], axis=0)
+    arrivals = _Arrivals(shots, needs)
+    cameras = [camera for camera in (recording.rig.cam0, recording.rig.cam1) if camera is not None]
+    rectified = _rectified(recording.rig)
+    return [
+        _camera(recording, number, camera, rectified[number], arrivals, codec)
+        for number, camera in enumerate(cameras)
+    ]
+
+
+def _camera(
+    recording: Recording,
+    number: int,
+    camera: Camera,
+    rectified: tuple[Floats, Floats],
+    arrivals: _Arrivals,
+    codec: str,
+) -> _Stream:
+    kept = np.flatnonzero(~recording.dropped[number])
+    stamps = recording.stamps_ns[number][kept]
+    frame = f"cam{number}"
+
+    def say(row: int) -> Iterator[OnTopic]:
+        shot, stamp = arrivals.take(int(kept[row])), int(stamps[row])
+        data = shot.data[number]
+        assert data is not None, f"frame {shot.index} of {frame} is missing, but was not dropped"
+        yield f"/{frame}/camera_info", CalibrationMessage(stamp, frame, camera, *rectified)
+        yield _image(stamp, frame, camera, data, codec)
+        if number == 0 and shot.depth is not None:
+            size, depth = (camera.width, camera.height), shot.depth.astype("<f4").tobytes()
+            yield f"/{frame}/depth", ImageMessage(stamp, frame, *size, "32FC1", depth)
+
+    return _Stream(stamps, say)
+
+
+def _image(stamp_ns: int, frame: str, camera: Camera, data: bytes, codec: str) -> OnTopic:
+    topic = f"/{frame}/image_raw"
+    if codec == "raw":
+        return topic, ImageMessage(stamp_ns, frame, camera.width, camera.height, "mono8", data)
+    message = CompressedImageMessage(stamp_ns, frame, _IMAGE_FORMATS[codec], data)
+    return f"{topic}/compressed", message
+
+
+def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:
+    """For each camera the rotation into its rectified one (3, 3) and the projection of that."""
+    if rig.cam1_from_cam0 is None:
+        return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
+    working = working_rig(rig)
+    left_turn = working.cam0_from_working[:3, :3].T
+    left = np.column_stack([working.matrix, np.zeros(3)])
+    right = left.copy()
+    right[0, 3] = -working.fx * working.baseline_m
+    return [(left_turn, left), (left_turn @ rig.cam1_from_cam0[:3, :3].T, right)]
