@@ -20,6 +20,16 @@ def camera_names() -> list[str]:
     return names_in(camera_folder())
 
 
+def camera_file(camera: str | Path) -> Path:
+    """The calibration file of a preset by its name, or one by its path.
+
+    Raises:
+        ConfigError: there is no such preset or file.
+    """
+    path = Path(camera)
+    return path if path.is_file() else find_preset(camera, camera_folder(), "camera")
+
+
 def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> Rig:
     """The cameras of a preset or of a calibration file of any kind that `vo run` reads.
 
@@ -32,9 +42,7 @@ def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> R
         ConfigError: there is no such preset or file.
         CalibrationError: the file makes no sense.
     """
-    path = Path(camera)
-    file = path if path.is_file() else find_preset(camera, camera_folder(), "camera")
-    rig = read_calibration(file).rig
+    rig = read_calibration(camera_file(camera)).rig
     cam0 = _scaled(rig.cam0, scale)
     if mono or rig.cam1 is None:
         return Rig(cam0)

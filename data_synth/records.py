@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from vo.types import Bools, Bytes, Floats, Floats32, Ints, Rig, Trajectory
 
 GRAVITY_M_S2 = 9.81
@@ -112,6 +114,12 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.cam0_truth)
+
+    @property
+    def path_m(self) -> float:
+        """Length of the way of cam0."""
+        steps = np.diff(self.cam0_truth.positions, axis=0)
+        return float(np.linalg.norm(steps, axis=1).sum())
 
 
 @dataclass(frozen=True, eq=False)

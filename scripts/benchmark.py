@@ -19,7 +19,7 @@ from statistics import median_low
 from typing import Any
 
 import cv2
-from benchmark_table import CASES, SYNTHETIC, Case, document
+from benchmark_table import CASES, Case, document, generator_document, suite_cases, suite_document
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
@@ -35,25 +35,49 @@ Result = dict[str, Any]
 
 
 def main() -> None:
-    """Measure, print the page, and write what is asked for."""
+    """Measure, print the section of the page, and write what is asked for."""
     options = _options()
     with tempfile.TemporaryDirectory(prefix="vo-benchmark-") as name:
         work = Path(name)
         options.calibration = work / "tum.yaml"
         options.calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
-        report = _measure(_chosen(options, work), options, work)
-    page = document(report, {case.name: case for case in CASES})
-    print(page)
+        section, text, report = _section(options, work)
+    print(text)
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        PAGE.parent.mkdir(exist_ok=True)
-        PAGE.write_text(page, encoding="utf-8")
+        page = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(replaced(page, section, text), encoding="utf-8")
+
+
+def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, dict[str, Any]]:
+    """Name, text and figures of the section of the page that was asked for."""
+    if options.generator:
+        from benchmark_generator import measure_generator
+
+        report = {**_circumstances(options), "results": measure_generator(_say)}
+        return "generator", generator_document(report), report
+    cases = _suite(options) if options.synth else [(c, options.data / c.folder) for c in CASES]
+    report = _measure(_chosen(cases, options), options, work)
+    known = {case.name: case for case, _ in cases}
+    if options.synth:
+        return "suite", suite_document(report, known), report
+    return "recordings", document(report, known), report
+
+
+def replaced(page: str, section: str, text: str) -> str:
+    """The page with the text between a section's marks exchanged."""
+    begin, end = f"<!-- {section}: begin -->", f"<!-- {section}: end -->"
+    before, rest = page.split(begin)
+    return f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}"
 
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__)
     add = parser.add_argument
+    add("--synth", action="store_true", help="the synthetic suite instead of real recordings")
+    add("--generator", action="store_true", help="how fast synthetic recordings are made")
+    add("--cache", type=Path, default=ROOT / "out" / "synth", help="where these are kept")
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
     add(
         "--runs",
@@ -66,7 +90,7 @@ def _options() -> argparse.Namespace:
     add("--only", default="", metavar="TEXT", help="only where sequence and mode contain this")
     add("--keep", type=Path, metavar="DIR", help="keep the folder of each first run in here")
     add("--json", type=Path, metavar="FILE", help="write every figure into this file")
-    add("--write", action="store_true", help="write docs/benchmarks.md")
+    add("--write", action="store_true", help="write into docs/benchmarks.md")
     options = parser.parse_args()
     if options.runs < 1:
         parser.error("--runs must be 1 or more")
@@ -75,15 +99,12 @@ def _options() -> argparse.Namespace:
     return options
 
 
-def _chosen(options: argparse.Namespace, work: Path) -> list[tuple[Case, Path]]:
+def _chosen(cases: list[tuple[Case, Path]], options: argparse.Namespace) -> list[tuple[Case, Path]]:
     """The cases asked for whose recording is there, and where it is."""
     chosen = []
-    for case in CASES:
+    for case, folder in cases:
         if options.only not in case.name:
             continue
-        folder = options.data / case.folder
-        if case.folder == SYNTHETIC:
-            folder = _synthetic(work / SYNTHETIC)
         if folder.is_dir():
             chosen.append((case, folder))
         else:
@@ -93,20 +114,39 @@ def _chosen(options: argparse.Namespace, work: Path) -> list[tuple[Case, Path]]:
     return chosen
 
 
-def _synthetic(folder: Path) -> Path:
-    from data_synth.sequence import make_sequence
+def _suite(options: argparse.Namespace) -> list[tuple[Case, Path]]:
+    """The synthetic sequences, made where they are not in the cache yet."""
+    from data_synth.cache import cached_sequence
+    from data_synth.recipe import load_recipe, recipe_folder
 
-    if not folder.exists():
-        _say(f"making {folder.name}")
-        make_sequence(folder)
-    return folder
+    recipes = {p.stem: p for p in sorted((recipe_folder() / "suite").glob("*.yaml"))}
+    folders: dict[str, Path] = {}
+    cases = []
+    for case in suite_cases(list(recipes)):
+        if options.only not in case.name:
+            continue
+        if case.folder not in folders:
+            recipe = load_recipe(recipes[case.folder])
+            _say(f"{case.folder}: {recipe.about}")
+            folders[case.folder] = cached_sequence(recipe, options.cache, case.folder)
+        cases.append((case, folders[case.folder]))
+    return cases
 
 
 def _measure(
     chosen: list[tuple[Case, Path]], options: argparse.Namespace, work: Path
 ) -> dict[str, Any]:
-    load = os.getloadavg()[0]
+    circumstances = _circumstances(options)
     results = [_case(case, folder, options, work) for case, folder in chosen]
+    return {
+        **circumstances,
+        "start_up_s": median_low(r["start_up_s"] for r in results),
+        "results": results,
+    }
+
+
+def _circumstances(options: argparse.Namespace) -> dict[str, Any]:
+    load = os.getloadavg()[0]
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "machine": f"{_processor()}, {os.cpu_count()} cores, load {load:.1f} before the start",
@@ -114,8 +154,6 @@ def _measure(
         "config": str(options.config),
         "set": options.set,
         "runs": options.runs,
-        "start_up_s": median_low(r["start_up_s"] for r in results),
-        "results": results,
     }
 
 
@@ -183,11 +221,18 @@ def _errors(case: Case, out: Path, folder: Path) -> Result:
     """Distance from the truth of the longest segment; None where nothing can be said."""
     smoothed = _evaluated(out / "trajectory.tum", folder, case)
     causal = _evaluated(out / "causal.tum", folder, case)
-    steps = None if smoothed is None else smoothed.rpe_frames
-    stereo = smoothed is not None and case.mode == "stereo"
+    causal_m = None if causal is None else causal.ate.translation.rmse
+    if smoothed is None:
+        keys = ("ate_m", "ate_percent", "t_rel_percent", "path_m", "rpe_m", "rotation_deg")
+        return {**dict.fromkeys((*keys, "scale_percent")), "ate_causal_m": causal_m}
+    steps, segments, ate_m = smoothed.rpe_frames, smoothed.segments, smoothed.ate.translation.rmse
+    stereo = case.mode == "stereo"
     return {
-        "ate_m": None if smoothed is None else smoothed.ate.translation.rmse,
-        "ate_causal_m": None if causal is None else causal.ate.translation.rmse,
+        "ate_m": ate_m,
+        "ate_causal_m": causal_m,
+        "path_m": smoothed.path_m,
+        "ate_percent": 100.0 * ate_m / smoothed.path_m if smoothed.path_m > 0 else None,
+        "t_rel_percent": None if segments is None else segments.translation_percent,
         "rpe_m": None if steps is None else steps.translation.rmse,
         "rotation_deg": None if steps is None else steps.rotation.rmse,
         "scale_percent": smoothed.alignment.scale_error_percent if stereo else None,
