@@ -9,6 +9,7 @@ cameras on the body.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
 
@@ -46,11 +47,11 @@ def write_ros2(path: Path, recording: Recording, shots: Iterator[Shot], codec: s
 def _write(
     path: Path, recording: Recording, shots: Iterator[Shot], codec: str, dialect: Dialect
 ) -> None:
-    with path.open("xb") as stream:
+    with path.open("xb") as stream, closing(encoded_shots(shots, codec)) as encoded:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(profile=dialect.profile, library=_generator())
         channels = _Channels(writer, dialect)
-        for topic, message in messages_of(recording, encoded_shots(shots, codec), codec):
+        for topic, message in messages_of(recording, encoded, codec):
             channels.add(topic, message)
         for name, record in {**_metadata(recording), **dialect.metadata}.items():
             writer.add_metadata(name, record)

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from numpy.typing import ArrayLike
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 from rosbags.typesys.stores import ros2_humble as ros
@@ -123,10 +124,10 @@ def _camera_info(message: CalibrationMessage) -> object:
         height=camera.height,
         width=camera.width,
         distortion_model=model,
-        d=np.array(coefficients),
-        k=camera.matrix.ravel(),
-        r=message.rectified_from_cam.ravel(),
-        p=message.projection.ravel(),
+        d=_doubles(coefficients),
+        k=_doubles(camera.matrix),
+        r=_doubles(message.rectified_from_cam),
+        p=_doubles(message.projection),
         binning_x=0,
         binning_y=0,
         roi=whole_image,
@@ -161,6 +162,11 @@ def _header(stamp_ns: int, frame: str) -> ros.std_msgs__msg__Header:
     seconds, nanoseconds = divmod(stamp_ns, _NS_PER_S)
     stamp = ros.builtin_interfaces__msg__Time(sec=seconds, nanosec=nanoseconds)
     return ros.std_msgs__msg__Header(stamp=stamp, frame_id=frame)
+
+
+def _doubles(numbers: ArrayLike) -> Floats:
+    """Flat and of the right type: an array of another one would be copied byte by byte."""
+    return np.asarray(numbers, dtype=np.float64).ravel()
 
 
 def _vector(xyz: Floats) -> ros.geometry_msgs__msg__Vector3:
