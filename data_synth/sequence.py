@@ -12,8 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_synth.motion.spline import Path as CameraPath
-from data_synth.motion.spline import walk_around
+from data_synth.motion.spline import CameraWalk, walk_around
 from data_synth.scene.render import camera_rays, render
 from data_synth.worlds.room import make_room
 from data_synth.writers import euroc
@@ -114,7 +113,7 @@ def _whole_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _write_tables(folder: Path, path: CameraPath, stamps_s: Floats, stamps_ns: Ints) -> None:
+def _write_tables(folder: Path, path: CameraWalk, stamps_s: Floats, stamps_ns: Ints) -> None:
     cam0_from_body = inverse(body_from_cam0())
     cam0 = path.world_from_cam0(stamps_s)
     step = 1e-4

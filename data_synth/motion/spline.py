@@ -1,4 +1,4 @@
-"""Smooth camera paths: uniform cubic B-splines, twice continuously differentiable."""
+"""Smooth paths: uniform cubic B-splines, twice continuously differentiable."""
 
 from __future__ import annotations
 
@@ -11,47 +11,129 @@ from vo.types import Floats
 # Basis of the uniform cubic B-spline; rows are powers 1, s, s², s³ of the share between knots.
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 
+# The axes of a camera that looks along the body's x: right, down and forward as columns.
+BODY_FROM_LOOKING_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
 _LAP_S = 8.0
 _KNOTS_PER_LAP = 8
 
 
+def bspline(controls: Floats, at: Floats, derivative: int = 0, lap: Floats | None = None) -> Floats:
+    """Values (N, C) of a uniform cubic B-spline, or its first or second derivative.
+
+    A value is a weighted mean of four controls, so that values never leave the controls' range,
+    nor derivatives that of the controls' differences.
+
+    Args:
+        controls: (K, C); control k weighs most at k.
+        at: (N,) places in steps between controls: 1…K-2 for an open spline, any for a closed one.
+        derivative: 0, 1 or 2, per step.
+        lap: for a closed spline, (C,) what is added each time round; None for an open one.
+
+    Raises:
+        ValueError: a place outside an open spline.
+    """
+    at = np.asarray(at, dtype=np.float64)
+    first = np.floor(at).astype(np.int64)
+    share = at - first
+    if lap is None:
+        last = len(controls) - 2
+        if len(at) and (at.min() < 1.0 or at.max() > last):
+            raise ValueError(f"places {at.min():g}…{at.max():g} leave the spline 1…{last}")
+        first = np.minimum(first, last - 1)  # the very end belongs to the last piece
+        share = at - first
+    powers = np.zeros((len(at), 4))
+    for power in range(derivative, 4):
+        factor = np.prod(np.arange(power, power - derivative, -1, dtype=np.float64))
+        powers[:, power] = factor * share ** (power - derivative)
+    index = first[:, None] + np.arange(-1, 3)
+    local = controls[index % len(controls)]
+    if lap is not None:
+        local = local + (index // len(controls))[..., None] * lap
+    return np.asarray(np.einsum("nk,nkc->nc", powers @ _BASIS, local))
+
+
 @dataclass(frozen=True, eq=False)
-class Path:
-    """A closed path of cam0.
+class PosePath:
+    """A path of the body, whose x looks ahead, y to the left and z up.
+
+    Positive pitch lifts the nose, positive roll lowers the right side.
 
     Attributes:
-        controls: (K, 6) control values of x, y, z in metres and yaw, pitch, roll in radians; the
-            camera looks along (cos yaw cos pitch, sin yaw cos pitch, sin pitch), z is up.
-        turns: how often yaw goes round from start to end.
-        duration_s: time from start to start.
+        controls: (K, 6) controls of x, y, z in metres and yaw, pitch, roll in radians in the
+            world; yaw does not jump.
+        step_s: time between controls.
+        lead: how many controls lie before time 0.
+        duration_s: length; an open path can also be asked somewhat before 0 and after the end.
+        turns: for a closed path, how often yaw goes round in K steps; None for an open path.
     """
 
     controls: Floats
-    turns: int
+    step_s: float
+    lead: int
     duration_s: float
+    turns: int | None = None
 
-    def world_from_cam0(self, time_s: Floats) -> Floats:
-        """Poses (N, 4, 4) at times (N,), which wrap around."""
-        values = self._values(time_s)
+    def world_from_body(self, times_s: Floats) -> Floats:
+        """Poses (N, 4, 4) at times (N,)."""
+        values = self._values(times_s, 0)
         poses = np.zeros((len(values), 4, 4))
-        poses[:, :3, :3] = _rotations(values[:, 3], values[:, 4], values[:, 5])
+        poses[:, :3, :3] = rotations(values[:, 3], values[:, 4], values[:, 5])
         poses[:, :3, 3] = values[:, :3]
         poses[:, 3, 3] = 1.0
         return poses
 
-    def _values(self, time_s: Floats) -> Floats:
-        count = len(self.controls)
-        knots = np.asarray(time_s, dtype=np.float64) * count / self.duration_s
-        first = np.floor(knots).astype(np.int64)
-        share = knots - first
-        index = first[:, None] + np.arange(4)
-        local = self.controls[index % count].copy()
-        local[..., 3] += 2 * np.pi * self.turns * (index // count)  # yaw does not jump at the seam
-        powers = share[:, None] ** np.arange(4)
-        return np.asarray(np.einsum("np,pk,nkc->nc", powers, _BASIS, local))
+    def velocity(self, times_s: Floats) -> Floats:
+        """Velocities (N, 3) in the world, m/s."""
+        return self._values(times_s, 1)[:, :3]
+
+    def acceleration(self, times_s: Floats) -> Floats:
+        """Accelerations (N, 3) in the world without gravity, m/s²."""
+        return self._values(times_s, 2)[:, :3]
+
+    def angular_velocity(self, times_s: Floats) -> Floats:
+        """Angular velocities (N, 3) in the body, rad/s.
+
+        Source: Diebel, Representing Attitude, 2006, eq. 74, with pitch of the opposite sign.
+        """
+        pitch, roll = self._values(times_s, 0)[:, 4:].T
+        yaw_rate, pitch_rate, roll_rate = self._values(times_s, 1)[:, 3:].T
+        about_x = roll_rate + yaw_rate * np.sin(pitch)
+        about_y = yaw_rate * np.cos(pitch) * np.sin(roll) - pitch_rate * np.cos(roll)
+        about_z = yaw_rate * np.cos(pitch) * np.cos(roll) + pitch_rate * np.sin(roll)
+        return np.column_stack([about_x, about_y, about_z])
+
+    def _values(self, times_s: Floats, derivative: int) -> Floats:
+        lap = None
+        if self.turns is not None:
+            lap = np.array([0.0, 0.0, 0.0, 2.0 * np.pi * self.turns, 0.0, 0.0])
+        at = np.asarray(times_s, dtype=np.float64) / self.step_s + self.lead
+        return bspline(self.controls, at, derivative, lap) / self.step_s**derivative
 
 
-def walk_around(seed: int, duration_s: float) -> Path:
+def rotations(yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
+    """world_from_body (N, 3, 3): roll about x, then pitch about -y, then yaw about z."""
+    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    cr, sr = np.cos(roll), np.sin(roll)
+    ahead = np.stack([cy * cp, sy * cp, sp], axis=-1)
+    left = np.stack([-sy * cr - cy * sp * sr, cy * cr - sy * sp * sr, cp * sr], axis=-1)
+    return np.stack([ahead, left, np.cross(ahead, left)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraWalk:
+    """A walk of cam0, at the body's origin and looking ahead."""
+
+    path: PosePath
+
+    def world_from_cam0(self, time_s: Floats) -> Floats:
+        """Poses (N, 4, 4) at times (N,), which wrap around."""
+        poses = self.path.world_from_body(time_s)
+        poses[:, :3, :3] = poses[:, :3, :3] @ BODY_FROM_LOOKING_AHEAD
+        return poses
+
+
+def walk_around(seed: int, duration_s: float) -> CameraWalk:
     """Walk counter-clockwise around the origin, looking ahead and outward, back to the start.
 
     One lap of about 9 m takes about 8 s; longer walks take more laps, each a little different, and
@@ -72,16 +154,5 @@ def walk_around(seed: int, duration_s: float) -> Path:
             rng.uniform(-0.05, 0.05, count),
         ]
     )
-    return Path(controls, laps, max(duration_s, _LAP_S))
-
-
-def _rotations(yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
-    """Columns are the camera's right, down and forward in the world."""
-    zero = np.zeros_like(yaw)
-    forward = [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)]
-    level = np.stack([np.sin(yaw), -np.cos(yaw), zero], axis=-1)
-    ahead = np.stack(forward, axis=-1)
-    below = np.cross(ahead, level)
-    cosine, sine = np.cos(roll)[:, None], np.sin(roll)[:, None]
-    right, down = cosine * level + sine * below, cosine * below - sine * level
-    return np.stack([right, down, ahead], axis=-1)
+    whole_s = max(duration_s, _LAP_S)
+    return CameraWalk(PosePath(controls, whole_s / count, 1, whole_s, laps))
