@@ -25,8 +25,8 @@ def _result(case, **changes):
     result = {
         "name": case.name, "folder": case.folder, "mode": case.mode, "failed": "", "frames": 100,
         "posed": 98, "starting": 2, "segments": 1, "ate_m": 0.05, "ate_causal_m": 0.06,
-        "path_m": 10.0,
-        "ate_percent": 0.5, "t_rel_percent": 0.2, "rpe_m": 0.01, "rotation_deg": 0.1, "scale_percent": None, "same_bits": True,
+        "path_m": 10.0, "ate_percent": 0.5, "t_rel_percent": 0.2,
+        "rpe_m": 0.01, "rotation_deg": 0.1, "scale_percent": None, "same_bits": True,
         "wall_ms": 50.0, "limit_ms": 10.0, "tracking_fps": 25.0, "keyframes": 20,
         "peak_rss_mb": 200.0, "stages": stages,
     }  # fmt: skip
