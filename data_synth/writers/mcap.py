@@ -50,12 +50,12 @@ def _write(
     with path.open("xb") as stream, closing(encoded_shots(shots, codec)) as encoded:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(profile=dialect.profile, library=_generator())
+        for name, record in {**_metadata(recording), **dialect.metadata}.items():
+            writer.add_metadata(name, record)
         channels = _Channels(writer, dialect)
         for topic, message in messages_of(recording, encoded, codec):
             channels.add(topic, message)
-        for name, record in {**_metadata(recording), **dialect.metadata}.items():
-            writer.add_metadata(name, record)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 class _Channels:

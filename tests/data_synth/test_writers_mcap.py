@@ -1,0 +1,418 @@
+"""MCAP recordings, read back by other people's software."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import threading
+import tracemalloc
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoder
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
+from recordings import (
+    BODY_FROM_CAM0,
+    CAM1_FROM_CAM0,
+    FISHEYE,
+    FRAMES,
+    RADTAN,
+    STEREO_DROPS,
+    make_recording,
+    make_shots,
+)
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import ConnectionExtRosbag2, QosDurability
+
+from data_synth.records import Recording, Shot, Write
+from data_synth.writers.mcap import write_foxglove, write_ros2
+from vo.geometry.rectification import working_rig
+from vo.geometry.transforms import inverse, make_transform, rotation_from_quat_xyzw
+from vo.types import Camera, Floats
+
+RERUN = Path(sys.executable).with_name("rerun")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """A writer, the decoder of others for it, and where it keeps things."""
+
+    write: Write
+    decoder: Callable[[], Any]
+    stamp_ns: Callable[[Any], int]
+    frame: Callable[[Any], str]
+    transform: Callable[[Any], tuple[str, str, Floats]]
+    schemas: dict[str, str]
+
+
+def _quat_transform(position: Any, rotation: Any) -> Floats:
+    quat = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
+    return make_transform(
+        rotation_from_quat_xyzw(quat), np.array([position.x, position.y, position.z])
+    )
+
+
+FOXGLOVE = Dialect(
+    write=write_foxglove,
+    decoder=ProtobufDecoder,
+    stamp_ns=lambda m: m.timestamp.seconds * 10**9 + m.timestamp.nanos,
+    frame=lambda m: str(m.frame_id),
+    transform=lambda t: (
+        t.parent_frame_id,
+        t.child_frame_id,
+        _quat_transform(t.translation, t.rotation),
+    ),
+    schemas={
+        "/tf": "foxglove.FrameTransforms",
+        "/tf_static": "foxglove.FrameTransforms",
+        "/truth/pose": "foxglove.PoseInFrame",
+        "/imu0": "vo.Imu",
+        "/cam0/camera_info": "foxglove.CameraCalibration",
+        "/cam0/image_raw": "foxglove.RawImage",
+        "/cam0/depth": "foxglove.RawImage",
+        "/cam1/camera_info": "foxglove.CameraCalibration",
+        "/cam1/image_raw": "foxglove.RawImage",
+    },
+)
+ROS2 = Dialect(
+    write=write_ros2,
+    decoder=Ros2Decoder,
+    stamp_ns=lambda m: m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
+    frame=lambda m: str(m.header.frame_id),
+    transform=lambda t: (
+        t.header.frame_id,
+        t.child_frame_id,
+        _quat_transform(t.transform.translation, t.transform.rotation),
+    ),
+    schemas={
+        "/tf": "tf2_msgs/msg/TFMessage",
+        "/tf_static": "tf2_msgs/msg/TFMessage",
+        "/truth/pose": "geometry_msgs/msg/PoseStamped",
+        "/imu0": "sensor_msgs/msg/Imu",
+        "/cam0/camera_info": "sensor_msgs/msg/CameraInfo",
+        "/cam0/image_raw": "sensor_msgs/msg/Image",
+        "/cam0/depth": "sensor_msgs/msg/Image",
+        "/cam1/camera_info": "sensor_msgs/msg/CameraInfo",
+        "/cam1/image_raw": "sensor_msgs/msg/Image",
+    },
+)
+
+
+@pytest.fixture(params=[FOXGLOVE, ROS2], ids=["foxglove", "ros2"])
+def dialect(request: pytest.FixtureRequest) -> Dialect:
+    return request.param  # type: ignore[no-any-return]
+
+
+def write(dialect: Dialect, path: Path, recording: Recording, codec: str = "raw") -> Path:
+    dialect.write(path, recording, make_shots(recording), codec)
+    return path
+
+
+def read(dialect: Dialect, path: Path, topic: str) -> list[tuple[int, Any]]:
+    """Log times and messages of a topic."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[dialect.decoder()])
+        return [(m.log_time, d) for _, _, m, d in reader.iter_decoded_messages(topics=[topic])]
+
+
+def transforms(dialect: Dialect, path: Path, topic: str) -> dict[tuple[str, str], list[Floats]]:
+    found: dict[tuple[str, str], list[Floats]] = {}
+    for _, message in read(dialect, path, topic):
+        for parent, child, parent_from_child in map(dialect.transform, message.transforms):
+            found.setdefault((parent, child), []).append(parent_from_child)
+    return found
+
+
+@pytest.mark.parametrize("codec", ["raw", "png"])
+def test_images_and_stamps_are_what_was_filmed(
+    dialect: Dialect, codec: str, tmp_path: Path
+) -> None:
+    recording = make_recording()
+    path = write(dialect, tmp_path / "a.mcap", recording, codec)
+    for camera in (0, 1):
+        name = f"/cam{camera}/image_raw" + ("" if codec == "raw" else "/compressed")
+        messages = read(dialect, path, name)
+        kept = [i for i in range(FRAMES) if i not in STEREO_DROPS[camera]]
+        stamps = recording.stamps_ns[camera][kept].tolist()
+        assert [log_time for log_time, _ in messages] == stamps
+        assert [dialect.stamp_ns(message) for _, message in messages] == stamps
+        shots = list(make_shots(recording))
+        for frame, (_, message) in zip(kept, messages, strict=True):
+            assert dialect.frame(message) == f"cam{camera}"
+            np.testing.assert_array_equal(_pixels(message, codec), shots[frame].images[camera])
+
+
+def _pixels(message: Any, codec: str) -> Any:
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    if codec == "raw":
+        assert (message.encoding, message.step) == ("mono8", message.width)
+        return data.reshape(message.height, message.width)
+    assert message.format == codec
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+
+
+def test_jpeg_images_are_close_to_what_was_filmed(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording(stereo=False, drops=((),))
+    ramp = np.add.outer(np.arange(32), 4 * np.arange(48)).astype(np.uint8)
+    shots = (Shot(i, (ramp,)) for i in range(FRAMES))
+    dialect.write(tmp_path / "a.mcap", recording, shots, "jpeg")
+    messages = read(dialect, tmp_path / "a.mcap", "/cam0/image_raw/compressed")
+    assert len(messages) == FRAMES
+    assert np.abs(_pixels(messages[0][1], "jpeg") - ramp.astype(float)).max() <= 4.0
+
+
+def test_depth_goes_with_each_image_of_cam0(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording()
+    path = write(dialect, tmp_path / "a.mcap", recording)
+    images, depths = (read(dialect, path, f"/cam0/{x}") for x in ("image_raw", "depth"))
+    assert [t for t, _ in depths] == [t for t, _ in images]
+    last = list(make_shots(recording))[-1].depth
+    message = depths[-1][1]
+    assert message.encoding == "32FC1"
+    pixels = np.frombuffer(message.data, "<f4").reshape(message.height, message.width)
+    np.testing.assert_array_equal(pixels, last)
+    assert np.isinf(pixels[0]).all()
+
+
+def test_transforms_lead_from_the_world_to_each_camera(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording()
+    path = write(dialect, tmp_path / "a.mcap", recording)
+    fixed, moving = (transforms(dialect, path, topic) for topic in ("/tf_static", "/tf"))
+    assert list(fixed) == [("body", "cam0"), ("cam0", "cam1")]
+    assert list(moving) == [("world", "body"), ("world", "walker")]
+    world_from_cam0 = np.array(moving["world", "body"]) @ fixed["body", "cam0"][0]
+    truth = recording.cam0_truth
+    np.testing.assert_allclose(world_from_cam0, truth.world_from_cam, rtol=0, atol=1e-9)
+    world_from_cam1 = world_from_cam0 @ fixed["cam0", "cam1"][0]
+    expected = truth.world_from_cam @ inverse(CAM1_FROM_CAM0)
+    np.testing.assert_allclose(world_from_cam1, expected, rtol=0, atol=1e-9)
+    walker = recording.movers[0].world_from_mover
+    np.testing.assert_allclose(moving["world", "walker"], walker, rtol=0, atol=1e-9)
+    assert [t for t, _ in read(dialect, path, "/tf")] == truth.stamps_ns.tolist()
+    np.testing.assert_allclose(fixed["body", "cam0"][0], BODY_FROM_CAM0, rtol=0, atol=1e-12)
+
+
+def test_inertial_samples_and_true_poses_are_exact(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording()
+    path = write(dialect, tmp_path / "a.mcap", recording)
+    imu, truth = recording.imu, recording.body_truth
+    assert imu is not None
+    samples = read(dialect, path, "/imu0")
+    assert [dialect.stamp_ns(m) for _, m in samples] == imu.stamps_ns.tolist()
+    for name, expected in (("angular_velocity", imu.gyro), ("linear_acceleration", imu.accel)):
+        vectors = [getattr(m, name) for _, m in samples]
+        np.testing.assert_array_equal([(v.x, v.y, v.z) for v in vectors], expected)
+    poses = read(dialect, path, "/truth/pose")
+    assert [t for t, _ in poses] == truth.stamps_ns.tolist()
+    assert {dialect.frame(m) for _, m in poses} == {"world"}
+    read_poses = [_quat_transform(m.pose.position, m.pose.orientation) for _, m in poses]
+    np.testing.assert_allclose(read_poses, truth.world_from_body, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("camera", [RADTAN, FISHEYE], ids=["radtan", "fisheye"])
+def test_calibration_rectifies_as_the_odometry_does(
+    dialect: Dialect, camera: Camera, tmp_path: Path
+) -> None:
+    recording = make_recording(camera)
+    path = write(dialect, tmp_path / "a.mcap", recording)
+    working = working_rig(recording.rig)
+    point = np.array([0.3, -0.2, 4.0])
+    rows, depth_rays = [], []
+    for number, cam_from_cam0 in enumerate((np.eye(4), CAM1_FROM_CAM0)):
+        stamps_and_messages = read(dialect, path, f"/cam{number}/camera_info")
+        images = read(dialect, path, f"/cam{number}/image_raw")
+        assert [t for t, _ in stamps_and_messages] == [t for t, _ in images]
+        k, r, p = (_matrix(stamps_and_messages[0][1], name) for name in "KRP")
+        np.testing.assert_array_equal(k, camera.matrix)
+        # CameraInfo: a point in rectified cam0 is projected by the P of either camera.
+        in_cam = cam_from_cam0[:3, :3] @ point + cam_from_cam0[:3, 3]
+        seen_by_turning = p[:, :3] @ (r @ in_cam)
+        left_r = _matrix(read(dialect, path, "/cam0/camera_info")[0][1], "R")
+        seen_by_p = p @ np.append(left_r @ point, 1.0)
+        np.testing.assert_allclose(
+            seen_by_turning[:2] / seen_by_turning[2], seen_by_p[:2] / seen_by_p[2], atol=1e-9
+        )
+        rows.append(seen_by_p[1] / seen_by_p[2])
+        depth_rays.append((seen_by_p[0] / seen_by_p[2], seen_by_p[2]))
+    assert rows[0] == pytest.approx(rows[1], abs=1e-9)
+    disparity = depth_rays[0][0] - depth_rays[1][0]
+    assert disparity * depth_rays[0][1] == pytest.approx(working.fx * working.baseline_m, rel=1e-9)
+
+
+def _matrix(message: Any, name: str) -> Floats:
+    numbers = getattr(message, name, None)
+    if numbers is None:
+        numbers = getattr(message, name.lower())
+    return np.reshape(list(numbers), (3, -1))
+
+
+def test_mono_calibration_is_unrectified(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording(stereo=False, drops=((),))
+    path = write(dialect, tmp_path / "a.mcap", recording)
+    message = read(dialect, path, "/cam0/camera_info")[0][1]
+    np.testing.assert_array_equal(_matrix(message, "R"), np.eye(3))
+    np.testing.assert_array_equal(_matrix(message, "P")[:, :3], RADTAN.matrix)
+    assert list(transforms(dialect, path, "/tf_static")) == [("body", "cam0")]
+
+
+def test_messages_lie_in_the_file_by_time(dialect: Dialect, tmp_path: Path) -> None:
+    path = write(dialect, tmp_path / "a.mcap", make_recording())
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        in_file = [
+            (channel.topic, message)
+            for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+        summary = reader.get_summary()
+    times = [message.log_time for _, message in in_file]
+    assert times == sorted(times)
+    assert all(message.publish_time == message.log_time for _, message in in_file)
+    assert in_file[0][0] == "/tf_static"
+    assert summary is not None and summary.statistics is not None
+    assert summary.statistics.message_count == len(in_file) == 1 + 70 + 70 + 7 + 3 * 6 + 2 * 5
+    assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == (
+        dialect.schemas
+    )
+    assert [index.compression for index in summary.chunk_indexes] == ["zstd"]
+
+
+@pytest.mark.parametrize("stereo", [False, True], ids=["mono", "stereo"])
+def test_without_inertial_sensor_and_depth(dialect: Dialect, stereo: bool, tmp_path: Path) -> None:
+    recording = make_recording(stereo=stereo, inertial=False, depth=False)
+    path = write(dialect, tmp_path / "a.mcap", recording)
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    absent = {"/imu0", "/cam0/depth"} | (set() if stereo else {"/cam1/image_raw"})
+    assert "/truth/pose" in topics and "/cam0/image_raw" in topics
+    assert not topics & absent
+
+
+def test_the_file_says_what_it_is(dialect: Dialect, tmp_path: Path) -> None:
+    path = write(dialect, tmp_path / "a.mcap", make_recording())
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        header = reader.get_header()
+        records = {record.name: record.metadata for record in reader.iter_metadata()}
+    assert header.library.startswith("vo ")
+    assert header.profile == ("ros2" if dialect is ROS2 else "")
+    about = {"name": "small", "generator": header.library, "frames": "7", "fps": "20.0"}
+    assert records["recording"] == about
+    assert records["imu0"]["gyro_noise"] == "0.00017"
+    assert records["imu0"]["rate_hz"] == "200.0"
+
+
+@pytest.mark.parametrize("codec", ["raw", "png", "jpeg"])
+def test_same_recording_same_bytes(dialect: Dialect, codec: str, tmp_path: Path) -> None:
+    first, second = (
+        write(dialect, tmp_path / f"{n}.mcap", make_recording(), codec).read_bytes() for n in "ab"
+    )
+    assert first == second
+
+
+def test_rerun_knows_the_file(dialect: Dialect, tmp_path: Path) -> None:
+    path = write(dialect, tmp_path / "a.mcap", make_recording())
+    done = subprocess.run(
+        [RERUN, "mcap", "info", path], capture_output=True, text=True, check=True, timeout=60
+    )
+    for topic, schema in dialect.schemas.items():
+        assert any(topic in line and schema in line for line in done.stdout.splitlines()), topic
+
+
+def test_rosbags_reads_the_ros_file(tmp_path: Path) -> None:
+    recording = make_recording()
+    path = write(ROS2, tmp_path / "a.mcap", recording)
+    with AnyReader([path]) as reader:
+        images = [c for c in reader.connections if c.topic == "/cam1/image_raw"]
+        found = [
+            (time_ns, reader.deserialize(data, connection.msgtype))
+            for connection, time_ns, data in reader.messages(connections=images)
+        ]
+        qualities = {
+            c.topic: c.ext.offered_qos_profiles[0]
+            for c in reader.connections
+            if isinstance(c.ext, ConnectionExtRosbag2)
+        }
+    expected = [shot.images[1] for shot in make_shots(recording) if shot.images[1] is not None]
+    assert len(found) == len(expected) == 5
+    for (_, message), image in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(message.data.reshape(32, 48), image)
+    # tf2 takes static transforms only from those who keep them for latecomers.
+    lasting = {t for t, q in qualities.items() if q.durability is QosDurability.TRANSIENT_LOCAL}
+    assert (len(qualities), lasting) == (9, {"/tf_static"})
+
+
+def test_frames_that_everyone_dropped_are_passed_over(dialect: Dialect, tmp_path: Path) -> None:
+    last = FRAMES - 1
+    recording = make_recording(drops=((0, 2, last), (0, 2, last)))
+    shots = make_shots(recording)
+    dialect.write(tmp_path / "a.mcap", recording, shots, "raw")
+    kept = [1, 3, 4, 5]
+    times = [t for t, _ in read(dialect, tmp_path / "a.mcap", "/cam0/image_raw")]
+    assert times == recording.stamps_ns[0][kept].tolist()
+    assert next(shots, None) is None
+    assert len(read(dialect, tmp_path / "a.mcap", "/tf")) == FRAMES
+
+
+def test_an_existing_file_is_left_alone(dialect: Dialect, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_text("mine")
+    with pytest.raises(FileExistsError):
+        write(dialect, path, make_recording())
+    assert path.read_text() == "mine"
+
+
+def test_an_error_of_the_camera_comes_through(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording(drops=((), ()))
+
+    def breaking() -> Iterator[Shot]:
+        for shot in make_shots(recording):
+            if shot.index == 5:
+                raise ZeroDivisionError("the lens fell off")
+            yield shot
+
+    with pytest.raises(ZeroDivisionError, match="the lens fell off"):
+        dialect.write(tmp_path / "a.mcap", recording, breaking(), "png")
+
+
+def test_a_full_disk_ends_all(dialect: Dialect, tmp_path: Path) -> None:
+    big = Camera(1000, 500, 600.0, 600.0, 500.0, 250.0)
+    recording = make_recording(big, stereo=False, depth=False, drops=((),))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        # A file left open would warn when it is collected, and warnings are errors here.
+        with pytest.raises(OSError, match="File too large"):
+            write(dialect, tmp_path / "a.mcap", recording)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not [each for each in threading.enumerate() if each.name.startswith("encode")]
+
+
+def test_too_few_shots_are_not_taken_for_all(dialect: Dialect, tmp_path: Path) -> None:
+    recording = make_recording(drops=((), ()))
+    few = (shot for shot in make_shots(recording) if shot.index < 4)
+    with pytest.raises(RuntimeError, match="frame 4 was never filmed"):
+        dialect.write(tmp_path / "a.mcap", recording, few, "raw")
+
+
+def test_memory_does_not_grow_with_the_recording(dialect: Dialect, tmp_path: Path) -> None:
+    frames, size = 60, 500_000
+    big = Camera(1000, 500, 600.0, 600.0, 500.0, 250.0)
+    recording = make_recording(big, stereo=False, depth=False, drops=((),), frames=frames)
+    image = np.zeros((500, 1000), dtype=np.uint8)
+    shots = (Shot(i, (image.copy(),)) for i in range(frames))
+    write(dialect, tmp_path / "warm.mcap", make_recording())
+    tracemalloc.start()
+    dialect.write(tmp_path / "a.mcap", recording, shots, "raw")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 16 * size < frames * size
