@@ -1,0 +1,134 @@
+"""What a sensor makes of light: dark corners, noise, a curve of grey levels, whole numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+
+from data_synth.recipe import Effects
+from data_synth.sensor.exposure import Settings, grey_exponent
+from vo.types import Bytes, Camera, Floats32
+
+FULL_WELL = 8000.0  # electrons that give full scale at gain 1
+_READ_BEFORE_GAIN = 0.4  # grey levels
+_READ_AFTER_GAIN = 0.7
+_CORNER_LOSS = 0.25
+_CURVE_STEPS = 1 << 16
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def _compiled(function: _F) -> _F:
+    return cast(_F, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+
+
+def vignetting(camera: Camera, strength: float) -> Floats32:
+    """Share of the light (H, W) that reaches each pixel: 1 at the principal point.
+
+    It falls as cos⁴ of an angle whose tangent grows with the distance from the principal point, to
+    a loss of 25 % times the strength in the corner that is farthest from it.
+    """
+    u = np.arange(camera.width) - camera.cx
+    v = np.arange(camera.height) - camera.cy
+    square = (u**2)[None, :] + (v**2)[:, None]
+    # cos⁴ = 1 / (1 + tan²)²
+    tan_square = 1.0 / np.sqrt(1.0 - _CORNER_LOSS * strength) - 1.0
+    return np.asarray(1.0 / (1.0 + tan_square * square / square.max()) ** 2, dtype=np.float32)
+
+
+def read_noise(gain: float) -> float:
+    """Standard deviation in grey levels without light: part is amplified, part comes after."""
+    return float(np.hypot(_READ_BEFORE_GAIN * gain, _READ_AFTER_GAIN))
+
+
+def develop(
+    radiance: Floats32,
+    settings: Settings,
+    effects: Effects,
+    illumination: float,
+    vignette: Floats32 | None,
+    rng: np.random.Generator,
+) -> Bytes:
+    """The image (H, W) that a sensor gives.
+
+    Electrons come one by one, so that their variance equals their number; the read noise is added,
+    then the curve of grey levels applied (Janesick, Photon Transfer, 2007, eq. 3.5).
+
+    Args:
+        radiance: (H, W) light of the scene, 0…1 for what the first light makes full scale at the
+            default settings.
+        settings: exposure and gain.
+        effects: their strengths.
+        illumination: light on the scene; 0 gives a black frame, of read noise only.
+        vignette: (H, W) share of the light that arrives, or None for all.
+        rng: of the noise, by convention `default_rng([seed, 2, frame, camera])`.
+    """
+    grey = np.ascontiguousarray(radiance, dtype=np.float32)
+    scale = np.float32(255.0 * settings.response * illumination)
+    image = np.empty(grey.shape, np.uint8)
+    shade = _EVEN if vignette is None else vignette
+    if effects.noise > 0.0:
+        normals = rng.standard_normal(grey.shape, dtype=np.float32)
+        shot = np.float32(255.0 * settings.gain / FULL_WELL * effects.noise**2)
+        read = np.float32((read_noise(settings.gain) * effects.noise) ** 2)
+    else:
+        normals, shot, read = _EVEN, np.float32(0.0), np.float32(0.0)
+    curve = _curve(grey_exponent(effects))
+    _expose(grey, scale, shade, normals, shot, read, curve, image)
+    return image
+
+
+_EVEN = np.zeros((0, 0), np.float32)
+
+
+@lru_cache(maxsize=8)
+def _curve(exponent: float) -> Bytes:
+    """Grey level for each of many steps of light; empty for a straight line."""
+    if exponent == 1.0:
+        return np.zeros(0, np.uint8)
+    light = np.arange(_CURVE_STEPS + 1) / _CURVE_STEPS
+    return np.asarray(np.round(255.0 * light**exponent), dtype=np.uint8)
+
+
+@_compiled
+def _expose(
+    radiance: Floats32,
+    scale: np.float32,
+    vignette: Floats32,
+    normals: Floats32,
+    shot: np.float32,
+    read: np.float32,
+    curve: Bytes,
+    image: Bytes,
+) -> None:
+    """Grey levels; `shot` is the variance per grey level of signal and `read` that without any.
+
+    Empty arrays stand for no vignetting, no noise and no curve.
+    """
+    zero, full = np.float32(0.0), np.float32(255.0)
+    steps = np.float32((len(curve) - 1) / 255.0)
+    half = np.float32(0.5)
+    rows, columns = radiance.shape
+    line = np.empty(columns, np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            line[column] = scale * radiance[row, column]
+        if len(vignette) > 0:
+            for column in range(columns):
+                line[column] *= vignette[row, column]
+        if len(normals) > 0:
+            for column in range(columns):
+                variance = read + shot * line[column]
+                line[column] += np.sqrt(variance) * normals[row, column]
+        for column in range(columns):
+            line[column] = min(max(line[column], zero), full)
+        if len(curve) > 0:
+            for column in range(columns):
+                image[row, column] = curve[np.int32(steps * line[column] + half)]
+        else:
+            for column in range(columns):
+                image[row, column] = np.uint8(np.rint(line[column]))
