@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vo.errors import CalibrationError
-from vo.formats.calibration import read_calibration
+from vo.errors import CalibrationError, OutputError
+from vo.formats.calibration import read_calibration, write_calibration
 from vo.formats.calibration.checks import DISTORTION_NAMES
+from vo.geometry.transforms import se3_exp
+from vo.types import Camera, Rig
 
 CAM = "resolution: [640, 480], intrinsics: [500, 501, 320, 240]"
 ROTATION = [[0.9998477, -0.0174524, 0.0], [0.0174524, 0.9998477, 0.0], [0.0, 0.0, 1.0]]
@@ -64,6 +66,37 @@ def test_own_rectified_pair(tmp_path: Path, cam1: str) -> None:
     expected[0, 3] = -0.54
     assert rig.cam1_from_cam0 is not None
     np.testing.assert_array_equal(rig.cam1_from_cam0, expected)
+
+
+RADTAN = Camera(752, 480, 458.654, 457.296, 367.215, 248.375, "radtan", (-0.28, 0.07, 2e-4, 1.8e-5))
+RATIONAL = Camera(640, 400, 1 / 3e-3, 333.0, 321.7, 199.9, "radtan", tuple(np.arange(8) * 1e-7 / 3))
+FISHEYE = Camera(848, 800, 285.1, 286.2, 424.5, 400.25, "equidistant", (-0.01, 0.04, -0.03, 1e-11))
+IDEAL = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [
+        Rig(IDEAL),
+        Rig(FISHEYE),
+        Rig(RADTAN, RATIONAL, se3_exp(np.array([0.01, -0.02, 0.003, -0.11, 1e-3, -2e-4]))),
+        Rig(IDEAL, IDEAL, se3_exp(np.array([0.0, 0.0, 0.0, -0.12, 0.0, 0.0]))),
+    ],
+    ids=["ideal", "fisheye", "distorted pair", "rectified pair"],
+)
+def test_own_form_is_written_and_read_back(tmp_path: Path, rig: Rig) -> None:
+    write_calibration(tmp_path / "calibration.yaml", rig)
+    again = read_calibration(tmp_path / "calibration.yaml").rig
+    assert (again.cam0, again.cam1) == (rig.cam0, rig.cam1)
+    if rig.cam1_from_cam0 is None:
+        assert again.cam1_from_cam0 is None
+    else:
+        np.testing.assert_allclose(again.cam1_from_cam0, rig.cam1_from_cam0, rtol=0, atol=1e-15)
+
+
+def test_a_place_that_takes_no_calibration(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="missing.calibration.yaml cannot be written: No such"):
+        write_calibration(tmp_path / "missing" / "calibration.yaml", Rig(IDEAL))
 
 
 @pytest.mark.parametrize("name", DISTORTION_NAMES)

@@ -1,6 +1,7 @@
 """Calibration files of several kinds, read as one `Calibration` and checked for sense."""
 
 from vo.formats.calibration.document import Calibration, ImageSize
+from vo.formats.calibration.own import write_calibration
 from vo.formats.calibration.registry import FORMATS, read_calibration
 
-__all__ = ["FORMATS", "Calibration", "ImageSize", "read_calibration"]
+__all__ = ["FORMATS", "Calibration", "ImageSize", "read_calibration", "write_calibration"]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from vo.errors import CalibrationError
+from vo.errors import CalibrationError, OutputError
 from vo.formats.calibration.checks import (
     check_baseline,
     make_camera,
@@ -41,6 +43,34 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     # A rectified pair has twice the same camera, so that it need not be written twice.
     cam1 = _camera(document, "cam1") if "cam1" in document.data else cam0
     return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)))
+
+
+def write_calibration(path: Path | str, rig: Rig) -> None:
+    """Write a rig so that reading the file gives the very same numbers.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    data: dict[str, Any] = {"cam0": _section(rig.cam0)}
+    if rig.cam1 is not None and rig.cam1_from_cam0 is not None:
+        data["cam1"] = _section(rig.cam1)
+        data["cam1_from_cam0"] = rig.cam1_from_cam0.tolist()
+    # Lists of numbers in one line, sections in many.
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
+    try:
+        Path(path).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _section(camera: Camera) -> dict[str, Any]:
+    return {
+        "model": "pinhole",
+        "resolution": [int(camera.width), int(camera.height)],
+        "intrinsics": [float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy)],
+        "distortion_model": camera.distortion_model,
+        "distortion": [float(x) for x in camera.distortion],
+    }
 
 
 def _camera(document: Document, name: str) -> Camera:

@@ -1,0 +1,47 @@
+"""Writes recordings as plain folders of images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from data_synth.records import Recording, Shot
+from data_synth.writers.image_files import SUFFIXES, write_images
+from data_synth.writers.tables import (
+    seconds_text,
+    write_lines,
+    write_movers,
+    written_stamps,
+    written_truth,
+)
+from vo.formats.calibration import write_calibration
+from vo.formats.trajectory import write_tum
+
+
+def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
+    """Write `left/` and `right/`, or the images of one camera into the folder itself.
+
+    Files are named by the number of the frame, so that those of a pair have the same name;
+    `times.txt` has a line for each left image. `calibration.yaml` and `groundtruth.tum` stand
+    beside, and where there are any `depth/` (float32 TIFF) and `movers.csv`.
+
+    Raises:
+        OSError: a file cannot be written.
+        OutputError: the same, of the truth or the calibration.
+    """
+    homes = (path / "left", path / "right") if recording.rig.is_stereo else (path,)
+    for home in homes:
+        home.mkdir(parents=True, exist_ok=True)
+    if recording.has_depth:
+        (path / "depth").mkdir()
+    write_lines(path / "times.txt", map(seconds_text, written_stamps(recording, 0)))
+    write_calibration(path / "calibration.yaml", recording.rig)
+    write_tum(path / "groundtruth.tum", written_truth(recording))
+    write_movers(path / "movers.csv", recording)
+    suffix = SUFFIXES[codec]
+    write_images(
+        shots,
+        codec,
+        lambda camera, index: homes[camera] / f"{index:06d}{suffix}",
+        lambda index: path / "depth" / f"{index:06d}.tiff",
+    )

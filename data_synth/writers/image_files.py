@@ -1,0 +1,65 @@
+"""Puts the images of a recording into files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data_synth.records import Shot
+from data_synth.writers.images import EncodeDepth, encoded_shots
+from vo.types import Floats32
+
+SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
+
+TUM_DEPTH_FACTOR = 5000.0
+"""What TUM's depth images count per metre."""
+
+_LARGEST_COUNT = 65535
+
+
+def float_tiff(depth: Floats32) -> bytes:
+    """A depth image (H, W) as it is, metres as float32, in a TIFF file."""
+    # Deflate rather than LZW: readers without extra packages know it.
+    deflate = (cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_ADOBE_DEFLATE)
+    _, data = cv2.imencode(".tiff", depth, deflate)
+    return bytes(data)
+
+
+def tum_depth_png(depth: Floats32) -> bytes:
+    """A depth image (H, W) in metres as TUM's 16-bit PNG; 0 where it is too far (13.1 m)."""
+    counts = np.round(np.float32(TUM_DEPTH_FACTOR) * depth)
+    known = np.where(counts <= _LARGEST_COUNT, counts, 0.0)
+    _, data = cv2.imencode(".png", known.astype(np.uint16), (cv2.IMWRITE_PNG_COMPRESSION, 1))
+    return bytes(data)
+
+
+def write_images(
+    shots: Iterable[Shot],
+    codec: str,
+    image_path: Callable[[int, int], Path],
+    depth_path: Callable[[int], Path],
+    encode_depth: EncodeDepth = float_tiff,
+) -> None:
+    """Write each image, and each depth image whose frame cam0 did not drop.
+
+    Args:
+        shots: the frames.
+        codec: `png` or `jpeg`.
+        image_path: the file of a camera's image, given the numbers of camera and frame.
+        depth_path: the file of a depth image, given the number of the frame.
+        encode_depth: how depth is written.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    with closing(encoded_shots(shots, codec, encode_depth)) as frames:
+        for shot in frames:
+            for camera, data in enumerate(shot.data):
+                if data is not None:
+                    image_path(camera, shot.index).write_bytes(data)
+            if shot.depth_data is not None and shot.data[0] is not None:
+                depth_path(shot.index).write_bytes(shot.depth_data)

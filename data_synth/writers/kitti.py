@@ -1,0 +1,81 @@
+"""Writes recordings in the layout of KITTI odometry: a rectified pair, or one camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from data_synth.records import MoverTruth, Recording, Shot
+from data_synth.writers.image_files import SUFFIXES, write_images
+from data_synth.writers.limits import check_kitti
+from data_synth.writers.tables import seconds_text, write_lines, write_movers
+from vo.geometry.transforms import inverse
+from vo.types import Floats, Rig, Trajectory
+
+
+def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
+    """Write `image_0`, `image_1`, `calib.txt`, `times.txt` and `poses.txt`.
+
+    As KITTI has it, time begins with the first frame and the world is cam0 at that moment; both
+    images of a pair have the time of cam0. Depth, if there is any, goes to `depth/` as float32
+    TIFF, and what moves to `movers.csv`. There is no place for the inertial sensor.
+
+    Raises:
+        ConfigError: KITTI cannot hold it.
+        OSError: a file cannot be written.
+    """
+    check_kitti(recording.rig, any(dropped.any() for dropped in recording.dropped))
+    recording = _from_first_frame(recording)
+    for camera in range(len(recording.stamps_ns)):
+        (path / f"image_{camera}").mkdir(parents=True)
+    write_lines(path / "calib.txt", _calibration(recording.rig))
+    write_lines(path / "times.txt", map(seconds_text, recording.stamps_ns[0].tolist()))
+    poses = recording.cam0_truth.world_from_cam
+    write_lines(path / "poses.txt", (_row(pose[:3]) for pose in poses))
+    write_movers(path / "movers.csv", recording)
+    if recording.has_depth:
+        (path / "depth").mkdir()
+    suffix = SUFFIXES[codec]
+    write_images(
+        shots,
+        codec,
+        lambda camera, index: path / f"image_{camera}" / f"{index:06d}{suffix}",
+        lambda index: path / "depth" / f"{index:06d}.tiff",
+    )
+
+
+def _from_first_frame(recording: Recording) -> Recording:
+    """The same in the frame of the first cam0, and with time from the first frame."""
+    truth = recording.cam0_truth
+    start_ns = truth.stamps_ns[0]
+    first_from_world = inverse(truth.world_from_cam[0])
+    movers = tuple(
+        MoverTruth(mover.name, first_from_world @ mover.world_from_mover)
+        for mover in recording.movers
+    )
+    return replace(
+        recording,
+        stamps_ns=tuple(stamps - start_ns for stamps in recording.stamps_ns),
+        cam0_truth=Trajectory(truth.stamps_ns - start_ns, first_from_world @ truth.world_from_cam),
+        movers=movers,
+    )
+
+
+def _calibration(rig: Rig) -> Iterator[str]:
+    """P0…P3; the colour pair, that there is not, is that of the grey cameras."""
+    left = np.hstack([rig.cam0.matrix, np.zeros((3, 1))])
+    if rig.cam1_from_cam0 is None:
+        yield f"P0: {_row(left)}"
+        return
+    right = rig.cam0.matrix @ rig.cam1_from_cam0[:3]
+    right[:, :3] = rig.cam0.matrix
+    for camera, matrix in enumerate((left, right, left, right)):
+        yield f"P{camera}: {_row(matrix)}"
+
+
+def _row(matrix: Floats) -> str:
+    # Rounded so that the first pose is the identity to the letter, and no zero has a sign.
+    return " ".join(f"{value:.12e}" for value in np.round(matrix, 12).ravel() + 0.0)

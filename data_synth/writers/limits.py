@@ -1,0 +1,65 @@
+"""What a layout cannot hold, told before anything is rendered."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.errors import ConfigError
+from vo.types import Rig
+
+_SAME = 1e-9
+
+
+def check_kitti(rig: Rig, has_drops: bool) -> None:
+    """KITTI odometry has ideal pinhole cameras side by side, and an image of each at every time.
+
+    Raises:
+        ConfigError: the recording is different.
+    """
+    for name, camera in (("cam0", rig.cam0), ("cam1", rig.cam1)):
+        if camera is not None and camera.is_distorted:
+            raise _not_kitti(f"{name} is distorted ({camera.distortion_model})")
+    if rig.cam1 is not None and rig.cam1 != rig.cam0:
+        raise _not_kitti("cam1 is not equal to cam0")
+    if rig.cam1_from_cam0 is not None and not _is_beside(rig):
+        x, y, z = rig.cam1_from_cam0[:3, 3]
+        raise _not_kitti(
+            "cam1 is turned or not straight to the right of cam0 "
+            f"(cam1_from_cam0 shifts by {x:.4g}, {y:.4g}, {z:.4g} m)"
+        )
+    if has_drops:
+        raise ConfigError(
+            "format kitti cannot say which frames are missing; set effects.drops to 0, or choose "
+            "format euroc, which can hold it"
+        )
+
+
+def check_tum(rig: Rig, has_drops: bool) -> None:
+    """TUM RGB-D has one camera.
+
+    Raises:
+        ConfigError: there are two.
+    """
+    if rig.is_stereo:
+        raise ConfigError(
+            "format tum holds one camera with depth, and this is a pair; make it mono (--mono), or "
+            "choose format euroc, which can hold both"
+        )
+
+
+def check_nothing(rig: Rig, has_drops: bool) -> None:
+    """For layouts that can hold everything."""
+
+
+def _is_beside(rig: Rig) -> bool:
+    assert rig.cam1_from_cam0 is not None
+    rotation, shift = rig.cam1_from_cam0[:3, :3], rig.cam1_from_cam0[:3, 3]
+    straight = np.abs(rotation - np.eye(3)).max() < _SAME and np.abs(shift[1:]).max() < _SAME
+    return bool(straight and shift[0] < 0.0)
+
+
+def _not_kitti(reason: str) -> ConfigError:
+    return ConfigError(
+        f"format kitti holds rectified cameras without distortion only, and {reason}; choose "
+        "another camera (pinhole, kitti), or format euroc, which can hold it"
+    )
