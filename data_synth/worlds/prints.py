@@ -174,6 +174,48 @@ def sackcloth(rng: Rng, shape: tuple[int, int]) -> Floats32:
     return clipped(image)
 
 
+def hazard(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """Slanting warning stripes, chipped."""
+    rows, columns = np.indices(shape)
+    image = np.where((rows + columns) % 32 < 16, 0.72, 0.1).astype(np.float32)
+    specks(rng, image, count=image.size // 400, radius=(1, 3), contrast=0.4)
+    return clipped(image + 0.02 * noise(rng, shape, 0.8))
+
+
+def extinguisher(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """A fire extinguisher's bottle with the label all round."""
+    image = 0.3 + 0.015 * noise(rng, shape, 1.2)
+    top, bottom = int(0.3 * shape[0]), int(0.75 * shape[0])
+    for left in range(6, shape[1] - 20, shape[1] // 2):
+        wide = shape[1] // 2 - 14
+        image[top:bottom, left : left + wide] = _sheet(rng, (bottom - top, wide))
+    return clipped(image)
+
+
+def lamp_panel(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """A ceiling lamp: a bright louvre in a frame."""
+    image = 0.9 + 0.01 * noise(rng, shape, 1.0)
+    image[::16], image[:, ::32] = 0.72, 0.66
+    cv2.rectangle(image, (0, 0), (shape[1] - 1, shape[0] - 1), 0.5, 6)
+    return clipped(image)
+
+
+def pallet(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """A pallet from its front: boards, blocks and the dark between them."""
+    image = 0.55 + 0.05 * noise(rng, shape, 1.0, stretch=6.0)
+    gap = slice(int(0.2 * shape[0]), int(0.82 * shape[0]))
+    for left in (0.13, 0.57):
+        image[gap, int(left * shape[1]) : int((left + 0.3) * shape[1])] = 0.05
+    return clipped(image)
+
+
+def worn_paint(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """Paint on a floor, rubbed through in places."""
+    wear = noise(rng, shape, 0.9)
+    image = np.where(wear > 1.1, 0.45, 0.76) + 0.02 * noise(rng, shape, 0.5)
+    return clipped(np.asarray(image, dtype=np.float32))
+
+
 def label(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A small print for a thing's front: lines of type and a bar code."""
     return clipped(_sheet(rng, shape))

@@ -1,0 +1,210 @@
+"""An office corridor that runs round a core: long, repetitive, and bare in places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.scene.builder import Builder, Place, Rng
+from data_synth.scene.lighting import lit
+from data_synth.scene.scene import Body, Course, Scene, level
+from data_synth.scene.solids import Kind, Lamp, Lighting, Solid
+from data_synth.worlds import bodies, fittings, indoor_textures, prints
+from data_synth.worlds.fittings import Wall
+from vo.types import Floats
+
+WIDTH_M, HEIGHT_M = 2.4, 2.7
+HALF_WIDTH_M = 0.55
+_TILE_M = 0.6
+_MODULE_M = 3.0
+_LAMP_STEP_M = 3.6
+_DADO_M = 1.05
+_END_M = 0.9  # of each core wall, without anything on it
+_USUAL_PEOPLE = 5
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """The loop's size, and what each module of the walls holds.
+
+    Attributes:
+        long_m: length of the centre line of sides 0 and 2.
+        short_m: the same of sides 1 and 3.
+        inner: for each side, what the core's wall holds, module by module.
+        outer: for each side, the same of the wall across.
+    """
+
+    long_m: float
+    short_m: float
+    inner: tuple[tuple[str, ...], ...]
+    outer: tuple[tuple[str, ...], ...]
+
+    def along(self, side: int) -> float:
+        """Length of a side's centre line."""
+        return self.long_m if side % 2 == 0 else self.short_m
+
+    def away(self, side: int) -> float:
+        """Distance of a side's centre line from the middle."""
+        return (self.short_m if side % 2 == 0 else self.long_m) / 2
+
+
+def make_scene(seed: int, movers: float = 0.0) -> Scene:
+    """A closed loop of corridor of about 30 x 18 m, 2.4 m wide and 2.7 m high.
+
+    Doors repeat at equal distances; a stretch of 6 m to 9 m on one long side is bare.
+    """
+    build = Builder(np.random.default_rng([seed, 31]))
+    plan = _plan(build.rng)
+    kit = fittings.make_kit(build)
+    _shell(build, plan)
+    for side in range(4):
+        _side(build, kit, plan, side)
+    lamps = _lamps(build, plan)
+    course = Course(_loop(plan, 0.0), HALF_WIDTH_M, 2.3, level(), outlook_deg=-15.0)
+    people = _people(build, plan, round(_USUAL_PEOPLE * movers))
+    light = Lighting(lamps, ambient=0.5, points_per_m=6.0, most_points=200)
+    return Scene(lit(build.world(), light), course, people)
+
+
+def _plan(rng: Rng) -> _Plan:
+    long_m, short_m = (2 * _TILE_M * int(n) for n in rng.integers((23, 14), (28, 17)))
+    counts = [int((m - WIDTH_M - 2 * _END_M) / _MODULE_M) for m in (long_m, short_m)] * 2
+    inner = [_inner_modules(rng, n) for n in counts]
+    bright = int(rng.integers(4))  # the side that has windows, and the one after it
+    outer = [_outer_modules(rng, n, (i - bright) % 4 < 2) for i, n in enumerate(counts)]
+    bare, length = 2 * int(rng.integers(2)), int(rng.integers(2, 4))
+    first = int(rng.integers(1, counts[bare] - length))
+    for walls in (inner, outer):
+        walls[bare][first : first + length] = ["plain"] * length
+    return _Plan(long_m, short_m, tuple(map(tuple, inner)), tuple(map(tuple, outer)))
+
+
+def _inner_modules(rng: Rng, count: int) -> list[str]:
+    """Doors in a fixed rhythm, with exceptions."""
+    rhythm = [("door", "door", "board"), ("door", "plain"), ("door", "board")][int(rng.integers(3))]
+    kinds = [rhythm[i % len(rhythm)] for i in range(count)]
+    for i in range(count):
+        if rng.random() < 0.15:
+            kinds[i] = str(rng.choice(("niche", "board", "plain")))
+    return kinds
+
+
+def _outer_modules(rng: Rng, count: int, bright: bool) -> list[str]:
+    usual = (
+        ("window", "window", "window", "niche") if bright else ("door", "board", "niche", "door")
+    )
+    return [str(rng.choice(usual)) for _ in range(count)]
+
+
+def _shell(build: Builder, plan: _Plan) -> None:
+    """Floor and ceiling of one piece each: the core hides what is not corridor."""
+    long, deep = plan.long_m + WIDTH_M + 2.0, plan.short_m + WIDTH_M + 2.0
+    painters = (indoor_textures.linoleum, indoor_textures.carpet)
+    floor = build.paint(painters[int(build.rng.integers(2))], (2048, 2048))
+    build.add((0, 0, -0.15), (long, deep, 0.3), floor, density=210.0, stain=0.5)
+    tiles = build.paint(indoor_textures.ceiling_tiles, (1024, 1024))
+    density = indoor_textures.CEILING_TILE_PX / _TILE_M
+    # Not shifted: the lamps lie in its tiles.
+    centre, size = (0.0, 0.0, HEIGHT_M + 0.15), (long, deep, 0.3)
+    build.solids.append(Solid(centre, size, tiles, density=density, stain=0.2))
+
+
+def _side(build: Builder, kit: fittings.Kit, plan: _Plan, side: int) -> None:
+    yaw, away = side * np.pi / 2, plan.away(side)
+    core = plan.along(side) - WIDTH_M
+    dado = _DADO_M
+    outer = Wall(build, kit, _placed(away + WIDTH_M / 2, yaw, 0.0), HEIGHT_M, dado)
+    inner = Wall(build, kit, _placed(away - WIDTH_M / 2, yaw, np.pi), HEIGHT_M, dado)
+    _modules(inner, plan.inner[side], core, core / 2, side)
+    _modules(outer, plan.outer[side], core, core / 2 + WIDTH_M + fittings.WALL_M, side + 4)
+    corner = (core / 2 + WIDTH_M - 0.28, -0.28)
+    if build.rng.random() < 0.7:
+        fittings.plant(outer, *corner)
+    else:
+        fittings.extinguisher(outer, corner[0] - 0.3)
+    # Guards hide that two walls share the volume of a corner.
+    inner.box((core / 2 - 0.16, 0.16, HEIGHT_M / 2), (0.34, 0.34, HEIGHT_M), kit.frame)
+    outer.box((0.0, -0.03, HEIGHT_M - 0.16), (core, 0.06, 0.09), kit.metal)
+    if side % 2 == 0:
+        _portal(outer, core / 2 - 0.4)
+
+
+def _placed(away: float, yaw: float, turn: float) -> Place:
+    return Place(float(-np.sin(yaw) * away), float(np.cos(yaw) * away), yaw + turn)
+
+
+def _modules(wall: Wall, kinds: tuple[str, ...], core: float, end: float, floor: int) -> None:
+    """Build a wall module by module between two bare ends."""
+    rng = wall.build.rng
+    start = -core / 2 + _END_M
+    step = (core - 2 * _END_M) / len(kinds)
+    wall.plain(-end, start)
+    wall.plain(-start, end)
+    for i, kind in enumerate(kinds):
+        left, right = start + i * step, start + (i + 1) * step
+        if kind == "door":
+            number = f"{floor + 1}{i + 1:02d}"
+            fittings.door(wall, left, right, number, int(rng.integers(len(wall.kit.doors))))
+        elif kind == "window":
+            fittings.window(wall, left, right, int(rng.integers(len(wall.kit.views))))
+        elif kind == "board":
+            fittings.board(wall, left, right)
+        elif kind == "niche":
+            fittings.niche(wall, left, right)
+        else:
+            wall.plain(left, right)
+
+
+def _portal(outer: Wall, x: float) -> None:
+    """A fire-door frame across the corridor, under an exit sign."""
+    for y in (-0.07, 0.07 - WIDTH_M):
+        outer.box((x, y, HEIGHT_M / 2), (0.16, 0.14, HEIGHT_M), outer.kit.frame)
+    across = WIDTH_M - 0.28
+    outer.box((x, -WIDTH_M / 2, HEIGHT_M - 0.17), (0.16, across, 0.34), outer.kit.frame)
+    outer.box((x, -WIDTH_M / 2, 0.0), (0.12, across, 0.008), outer.kit.metal)
+    sign = outer.place.at(x, -WIDTH_M / 2, HEIGHT_M - 0.17)
+    build, yaw = outer.build, outer.place.yaw + np.pi / 2
+    build.add(sign, (0.4, 0.2, 0.2), outer.kit.exit_sign, yaw, None)
+
+
+def _lamps(build: Builder, plan: _Plan) -> tuple[Lamp, ...]:
+    """Lamp panels in the tiles at equal distances, with a detector or vent between some."""
+    bright = build.paint(prints.lamp_panel, (128, 256))
+    vent = build.paint(prints.radiator, (64, 64))
+    lamps = []
+    for side in range(4):
+        yaw = side * np.pi / 2
+        line = _placed(plan.away(side), yaw, 0.0)
+        count = int((plan.along(side) - WIDTH_M) / _LAMP_STEP_M)
+        for i in range(count + 1):
+            x = (i - count / 2) * _LAMP_STEP_M + _TILE_M / 2
+            power = float(build.rng.uniform(0.4, 0.55))
+            size = (_TILE_M, 2 * _TILE_M, 0.04)
+            build.add(line.at(x, 0.0, HEIGHT_M - 0.005), size, bright, yaw, None)
+            lamps.append(Lamp(line.at(x, 0.0, HEIGHT_M - 0.1), power, 2.6))
+            if build.rng.random() < 0.5:
+                at = line.at(x + 3 * _TILE_M, 0.3, HEIGHT_M - 0.02)
+                build.add(at, (0.14, 0.14, 0.07), vent, yaw, kind=Kind.CYLINDER)
+            else:
+                at = line.at(x + 3 * _TILE_M, -0.3, HEIGHT_M)
+                build.add(at, (0.56, 0.56, 0.02), vent, yaw, None)
+    return tuple(lamps)
+
+
+def _loop(plan: _Plan, outward: float) -> Floats:
+    """The loop's corners, counter-clockwise, moved outward from the centre line."""
+    x, y = plan.long_m / 2 + outward, plan.short_m / 2 + outward
+    return np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
+
+
+def _people(build: Builder, plan: _Plan, count: int) -> tuple[Body, ...]:
+    """People on either side of the middle: towards the outer wall one way, along the core back."""
+    people = []
+    for i in range(count):
+        outward = 0.78 if build.rng.random() < 0.5 else -0.78
+        way = _loop(plan, outward)[:: 1 if outward > 0 else -1]
+        radius = bodies.person(build, i)
+        speed, start = float(build.rng.uniform(0.9, 1.5)), float(build.rng.random())
+        people.append(Body(f"person {i}", way, speed, start, radius))
+    return tuple(people)
