@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_synth.scene.solids import Kind, Solid
+from data_synth.scene.solids import Ground, Kind, Solid
 from data_synth.scene.world import World, build_world
 from vo.types import Floats32
 
@@ -26,6 +26,8 @@ class Builder:
     rng: Rng
     solids: list[Solid] = field(default_factory=list)
     textures: list[Floats32] = field(default_factory=list)
+    movers: list[tuple[int, Solid]] = field(default_factory=list)
+    ground: Ground | None = None
 
     def paint(self, painter: Painter, shape: tuple[int, int] = _SMALL) -> int:
         """Add a texture, whose sides are powers of two, and return its number."""
@@ -41,15 +43,24 @@ class Builder:
         density: float | None = 260.0,
         kind: Kind = Kind.BOX,
         stain: float = 0.0,
+        body: int | None = None,
     ) -> None:
-        """Add a solid whose texture is shifted at random."""
+        """Add a solid whose texture is shifted at random.
+
+        With the number of a body, it belongs to what moves, and its centre and yaw are relative to
+        the body's origin, which is on the ground with x ahead.
+        """
         u, v = (0.0, 0.0) if density is None else self.rng.uniform(0, 512, 2)
         offset = (float(u), float(v))
-        self.solids.append(Solid(centre, size, texture, yaw, density, offset, kind, stain))
+        solid = Solid(centre, size, texture, yaw, density, offset, kind, stain)
+        if body is None:
+            self.solids.append(solid)
+        else:
+            self.movers.append((body, solid))
 
     def world(self) -> World:
         """All of it as arrays, still dark."""
-        return build_world(self.solids, self.textures)
+        return build_world(self.solids, self.textures, self.ground, self.movers)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Light baked into a world: a soft lamp with its shadows, and darker corners."""
+"""Light baked into a world: lamps and the sun with their shadows, and darker corners."""
 
 from __future__ import annotations
 
@@ -7,58 +7,65 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from data_synth.scene import kernels
-from data_synth.scene.world import Lights, World
-from vo.types import Floats, Floats32, Ints
+from data_synth.scene.solids import Lamp, Lighting
+from data_synth.scene.world import Lights, Sky, World
+from vo.types import Floats, Ints
 
-_POINTS_PER_M = 16.0
-_AMBIENT = 0.62
-_LAMP = 0.95
-_LAMP_REACH_M = 3.5
-_LAMP_SIDE_M = 0.5
 _LAMP_GRID = 4
-_SKY_REACH_M = 0.9
 _SKY_RAYS = 24
-_DARKEST = 0.35
+_POINTS_PER_TASK = 4000
 
 
-def lit(world: World, lamp: tuple[float, float, float]) -> World:
-    """The same world with light from a square lamp centred at `lamp`."""
-    sizes = _sizes(world)
+def lit(world: World, lighting: Lighting) -> World:
+    """The same world with this light on everything in it."""
+    sizes = _sizes(world, lighting)
     counts = sizes.prod(axis=2).ravel()
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    values = np.empty(offsets[-1], np.float32)
-    lamps, sky = _lamp_points(lamp), _sky_directions()
+    ends = np.cumsum(counts)
+    values = np.zeros(ends[-1] if len(ends) else 0, np.float32)
+    starts = (ends - counts).reshape(-1, 6)
+    world = world._replace(lights=Lights(values, starts, sizes), sky=_sky(lighting))
+    lamps = np.array([[*a.centre, a.power, a.reach_m] for a in lighting.lamps]).reshape(-1, 5)
+    points = np.array([_lamp_points(lamp) for lamp in lighting.lamps])
+    points = points.reshape(len(lamps), _LAMP_GRID**2, 3)
+    to_sky = _sky_directions() * lighting.corner_m
 
-    def work(face: int) -> None:
-        box, side = divmod(face, 6)
-        light = np.zeros((*sizes[box, side], 2), np.float32)
-        kernels.light_face(world, box, side, lamps, sky, _LAMP_REACH_M, light)
-        values[offsets[face] : offsets[face + 1]] = _mixed(light, side).ravel()
+    def work(faces: tuple[int, int]) -> None:
+        kernels.light_faces(world, faces, lamps, points, to_sky)
 
     with ThreadPoolExecutor() as pool:
-        list(pool.map(work, range(len(counts))))
-    starts = offsets[:-1].reshape(-1, 6).astype(np.int64)
-    return world._replace(lights=Lights(values, starts, sizes))
+        list(pool.map(work, _tasks(ends)))
+    return world
 
 
-def _mixed(light: Floats32, face: int) -> Floats32:
-    # Faces get a little different ambient light, so that edges show also in the shade.
-    tint = 1.0 + (-0.04, 0.08, -0.07, 0.03, -0.1, 0.1)[face]
-    ambient = _AMBIENT * tint * (_DARKEST + (1.0 - _DARKEST) * light[..., 0])
-    return np.asarray(ambient + _LAMP * light[..., 1], dtype=np.float32)
+def _tasks(ends: Ints) -> list[tuple[int, int]]:
+    """Ranges of faces with about as many points each."""
+    cuts = np.flatnonzero(np.diff(ends // _POINTS_PER_TASK)) + 1
+    edges = [0, *(int(c) for c in cuts), len(ends)]
+    return list(zip(edges[:-1], edges[1:], strict=True))
 
 
-def _sizes(world: World) -> Ints:
+def _sky(lighting: Lighting) -> Sky:
+    sun = np.zeros(3) if lighting.sun is None else np.array(lighting.sun, dtype=np.float64)
+    sun = sun / max(float(np.linalg.norm(sun)), 1e-12)
+    return Sky(lighting.sky, sun, lighting.sun_power, lighting.ambient)
+
+
+def _sizes(world: World, lighting: Lighting) -> Ints:
     """Rows and columns (N, 6, 2) of the grid on each face."""
-    counts = 2 + np.ceil(2.0 * world.halves * _POINTS_PER_M).astype(np.int64)
+    sides = 2.0 * world.shapes[: world.still, 3:6]
+    counts = 2 + np.ceil(sides * lighting.points_per_m).astype(np.int64)
+    counts = np.minimum(counts, max(2, lighting.most_points))
     rows, columns = counts[:, [2, 2, 1]], counts[:, [1, 0, 0]]
     return np.repeat(np.stack([rows, columns], axis=2), 2, axis=1)
 
 
-def _lamp_points(lamp: tuple[float, float, float]) -> Floats:
-    steps = ((np.arange(_LAMP_GRID) + 0.5) / _LAMP_GRID - 0.5) * _LAMP_SIDE_M
+def _lamp_points(lamp: Lamp) -> Floats:
+    """Points (P, 3) all over a lamp, its corners first."""
+    steps = ((np.arange(_LAMP_GRID) + 0.5) / _LAMP_GRID - 0.5) * lamp.side_m
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    return np.asarray(np.column_stack([x, y, np.zeros_like(x)]) + np.array(lamp))
+    inner = np.argsort(-np.maximum(np.abs(x), np.abs(y)) - np.minimum(np.abs(x), np.abs(y)))
+    points = np.column_stack([x, y, np.zeros_like(x)]) + np.array(lamp.centre)
+    return np.asarray(points[inner])
 
 
 def _sky_directions() -> Floats:
@@ -66,4 +73,4 @@ def _sky_directions() -> Floats:
     k = np.arange(_SKY_RAYS) + 0.5
     radius, turn = np.sqrt(k / _SKY_RAYS), k * np.pi * (3.0 - np.sqrt(5.0))
     flat = np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
-    return np.asarray(np.column_stack([flat, np.sqrt(1.0 - radius**2)]) * _SKY_REACH_M)
+    return np.asarray(np.column_stack([flat, np.sqrt(1.0 - radius**2)]))

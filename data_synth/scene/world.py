@@ -1,4 +1,4 @@
-"""A world of textured upright boxes, the light on them, and the tree that finds them by ray."""
+"""A world of textured solids and ground as arrays, the light on them, and the tree of the solids."""
 
 from __future__ import annotations
 
@@ -8,12 +8,24 @@ from typing import NamedTuple
 import numpy as np
 
 from data_synth.scene.atlas import Atlas, pack
-from data_synth.scene.solids import Solid
-from vo.types import Floats, Floats32, Ints
+from data_synth.scene.noise import soft_noise
+from data_synth.scene.solids import Ground, Kind, Solid
+from data_synth.scene.tree import Tree, grow
+from vo.types import Bools, Floats, Floats32, Ints
+
+STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures, so that the two never repeat together
+_STAIN_TEXELS_PER_M = 12.0
+_STAIN_SIDE = 512
+_STAIN_SLOPE = 1.3
+_STAIN_SEED = 20
+_CLEARANCE_STEP = 512
 
 
 class Lights(NamedTuple):
     """Light on a grid of points of each face.
+
+    A box has its grids on its faces. Those of curved solids lie on the cube around them, whose
+    points are taken to the surface along lines to the middle (the cylinder's: to its axis).
 
     Attributes:
         values: (L,) float32, all faces row by row.
@@ -26,62 +38,147 @@ class Lights(NamedTuple):
     sizes: Ints
 
 
-class World(NamedTuple):
-    """Boxes, their tree and their textures as plain arrays, ready for compiled code.
+class Sky(NamedTuple):
+    """Light from far away.
 
     Attributes:
-        centres: (N, 3).
-        halves: (N, 3) half sizes.
-        turns: (N, 2) cosine and sine of yaw.
-        textures: (N,) texture numbers.
-        densities: (N,) texels per metre, 0 where the texture is fitted to each face.
-        offsets: (N, 2) texels.
-        node_bounds: (M, 6) lower then upper corners, nodes in depth-first order.
-        node_skip: (M,) the next node if this one is missed.
-        node_box: (M,) the box of a leaf, -1 for inner nodes.
-        atlas: the textures.
-        lights: the light on the faces.
+        radiance: at the zenith.
+        sun: (3,) unit vector towards the sun, or zeros.
+        sun_power: radiance that the sun adds to a surface that faces it.
+        ambient: radiance of light from everywhere.
     """
 
-    centres: Floats
-    halves: Floats
-    turns: Floats
+    radiance: float
+    sun: Floats
+    sun_power: float
+    ambient: float
+
+
+class Movers(NamedTuple):
+    """The solids that move: the last K ones of the world.
+
+    Attributes:
+        bodies: (K,) the body that each belongs to.
+        places: (K, 4) x, y, z and yaw of each in the frame of its body.
+        velocities: (K, 3) metres per second.
+        lights: (K, 4) the direction of the light that falls on each, as long as it is strong, and
+            the light from everywhere.
+    """
+
+    bodies: Ints
+    places: Floats
+    velocities: Floats
+    lights: Floats
+
+
+class World(NamedTuple):
+    """Solids, their tree and their textures as plain arrays, ready for compiled code.
+
+    Attributes:
+        kinds: (N,) `Kind` of each solid.
+        shapes: (N, 8) centre, half size, cosine and sine of yaw.
+        textures: (N,) texture numbers.
+        scales: (N, 3, 2) texels per metre to the right and down on the faces of each axis.
+        offsets: (N, 2) texels.
+        fitted: (N,) whether the texture is fitted to each face.
+        stains: (N, 2) strength, and texels of the stain per metre.
+        tree: of the solids that do not move.
+        atlas: the textures; the last one is the stain.
+        lights: the light on the faces of the solids that do not move.
+        sky: what is behind everything.
+        movers: the solids that move.
+    """
+
+    kinds: Ints
+    shapes: Floats
     textures: Ints
-    densities: Floats
+    scales: Floats
     offsets: Floats
-    node_bounds: Floats
-    node_skip: Ints
-    node_box: Ints
+    fitted: Bools
+    stains: Floats
+    tree: Tree
     atlas: Atlas
     lights: Lights
+    sky: Sky
+    movers: Movers
+
+    @property
+    def still(self) -> int:
+        """How many solids do not move; they come first."""
+        return len(self.kinds) - len(self.movers.bodies)
 
 
-def build_world(boxes: Sequence[Solid], textures: Sequence[Floats32]) -> World:
-    """Turn boxes and textures into arrays and a bounding-volume tree; it is still dark."""
-    centres = np.array([b.centre for b in boxes], dtype=np.float64)
-    halves = np.array([b.size for b in boxes], dtype=np.float64) / 2.0
-    yaws = np.array([b.yaw for b in boxes], dtype=np.float64)
-    turns = np.column_stack([np.cos(yaws), np.sin(yaws)])
-    bounds, skip, leaf = _tree(_bounds(centres, halves, turns))
+def build_world(
+    solids: Sequence[Solid],
+    textures: Sequence[Floats32],
+    ground: Ground | None = None,
+    movers: Sequence[tuple[int, Solid]] = (),
+) -> World:
+    """Turn solids and textures into arrays and a bounding-volume tree; it is still dark.
+
+    Args:
+        solids: what stands still.
+        textures: whose numbers solids and ground name.
+        ground: rolling ground, if there is any.
+        movers: solids that move, each with the number of its body and relative to the body's
+            origin, which is on the ground with x ahead. They are nowhere until `with_bodies`.
+    """
+    everything = [*solids, *(solid for _, solid in movers)]
+    shapes = np.array([_shape(s) for s in everything], dtype=np.float64).reshape(-1, 8)
+    atlas = pack([*textures, soft_noise(_STAIN_SIDE, _STAIN_SLOPE, _STAIN_SEED)])
+    densities = np.array([s.density or 0.0 for s in everything])
+    stain_scales = np.where(densities > 0, STAIN_PER_TEXEL * densities, _STAIN_TEXELS_PER_M)
     return World(
-        centres=centres,
-        halves=halves,
-        turns=turns,
-        textures=np.array([b.texture for b in boxes], dtype=np.int64),
-        densities=np.array([b.density or 0.0 for b in boxes]),
-        offsets=np.array([b.offset for b in boxes], dtype=np.float64),
-        node_bounds=bounds,
-        node_skip=skip,
-        node_box=leaf,
-        atlas=pack(textures),
-        lights=_darkness(len(boxes)),
+        kinds=np.array([s.kind for s in everything], dtype=np.int64),
+        shapes=shapes,
+        textures=np.array([s.texture for s in everything], dtype=np.int64),
+        scales=np.array([_scales(s, textures[s.texture].shape) for s in everything]),
+        offsets=np.array([s.offset for s in everything], dtype=np.float64),
+        fitted=densities == 0.0,
+        stains=np.column_stack([[s.stain for s in everything], stain_scales]),
+        tree=grow(bounds_of(shapes[: len(solids)])),
+        atlas=atlas,
+        lights=_darkness(len(solids)),
+        sky=Sky(0.8, np.zeros(3), 0.0, 0.0),
+        movers=_movers(movers),
     )
 
 
+def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> World:
+    """The same world with its bodies at these places.
+
+    Args:
+        world: shares all but a few arrays with the result.
+        world_from_bodies: (B, 4, 4) upright poses in the middle of the exposure of the image's
+            middle row.
+        velocities: (B, 3) metres per second; a body moves evenly while an image is exposed.
+    """
+    movers = world.movers
+    if len(movers.bodies) == 0:
+        return world
+    poses = np.asarray(world_from_bodies, dtype=np.float64)[movers.bodies]
+    shapes = world.shapes.copy()
+    moved = shapes[world.still :]
+    moved[:, :3] = np.einsum("kij,kj->ki", poses[:, :3, :3], movers.places[:, :3]) + poses[:, :3, 3]
+    yaws = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) + movers.places[:, 3]
+    moved[:, 6], moved[:, 7] = np.cos(yaws), np.sin(yaws)
+    speeds = np.asarray(velocities, dtype=np.float64)[movers.bodies]
+    return world._replace(shapes=shapes, movers=movers._replace(velocities=speeds))
+
+
 def clearance(world: World, points: Floats) -> Floats:
-    """Distance (N,) of points (N, 3) to the nearest box; 0 inside one."""
-    relative = points[:, None] - world.centres
-    cosine, sine = world.turns[:, 0], world.turns[:, 1]
+    """Distance (N,) of points (N, 3) to the box around the nearest still solid; 0 inside one."""
+    parts = [
+        _clearance(world, points[k : k + _CLEARANCE_STEP])
+        for k in range(0, len(points), _CLEARANCE_STEP)
+    ]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _clearance(world: World, points: Floats) -> Floats:
+    shapes = world.shapes[: world.still]
+    relative = points[:, None] - shapes[:, :3]
+    cosine, sine = shapes[:, 6], shapes[:, 7]
     local = np.stack(
         [
             cosine * relative[..., 0] + sine * relative[..., 1],
@@ -90,17 +187,13 @@ def clearance(world: World, points: Floats) -> Floats:
         ],
         axis=-1,
     )
-    outside = np.maximum(np.abs(local) - world.halves, 0.0)
+    outside = np.maximum(np.abs(local) - shapes[:, 3:6], 0.0)
     return np.asarray(np.linalg.norm(outside, axis=-1).min(axis=1))
 
 
-def _darkness(boxes: int) -> Lights:
-    offsets, sizes = np.zeros((boxes, 6), np.int64), np.full((boxes, 6, 2), 2, np.int64)
-    return Lights(np.zeros(4, np.float32), offsets, sizes)
-
-
-def _bounds(centres: Floats, halves: Floats, turns: Floats) -> Floats:
-    cosine, sine = np.abs(turns[:, 0]), np.abs(turns[:, 1])
+def bounds_of(shapes: Floats) -> Floats:
+    """Lower and upper corners (N, 6) of upright boxes around solids."""
+    halves, cosine, sine = shapes[:, 3:6], np.abs(shapes[:, 6]), np.abs(shapes[:, 7])
     reach = np.column_stack(
         [
             cosine * halves[:, 0] + sine * halves[:, 1],
@@ -108,49 +201,30 @@ def _bounds(centres: Floats, halves: Floats, turns: Floats) -> Floats:
             halves[:, 2],
         ]
     )
-    return np.hstack([centres - reach, centres + reach])
+    return np.hstack([shapes[:, :3] - reach, shapes[:, :3] + reach])
 
 
-def _tree(bounds: Floats) -> tuple[Floats, Ints, Ints]:
-    """Nodes depth first with skip links: a ray walks them in order, without a stack."""
-    nodes: list[Floats] = []
-    skip: list[int] = []
-    leaf: list[int] = []
-
-    def add(members: Ints) -> None:
-        here = len(nodes)
-        lower, upper = bounds[members, :3].min(axis=0), bounds[members, 3:].max(axis=0)
-        nodes.append(np.concatenate([lower, upper]))
-        skip.append(-1)
-        leaf.append(int(members[0]) if len(members) == 1 else -1)
-        if len(members) > 1:
-            for part in _split(bounds, members):
-                add(part)
-        skip[here] = len(nodes)
-
-    add(np.arange(len(bounds)))
-    return np.array(nodes), np.array(skip, dtype=np.int64), np.array(leaf, dtype=np.int64)
+def _shape(solid: Solid) -> list[float]:
+    halves = [0.5 * side for side in solid.size]
+    return [*solid.centre, *halves, float(np.cos(solid.yaw)), float(np.sin(solid.yaw))]
 
 
-def _split(bounds: Floats, members: Ints) -> tuple[Ints, Ints]:
-    """Split where surface times count is least (MacDonald and Booth 1990), on any axis."""
-    best, halves = np.inf, (members[:1], members[1:])
-    counts = np.arange(1, len(members))
-    for axis in range(3):
-        middles = bounds[members, axis] + bounds[members, axis + 3]
-        order = members[np.argsort(middles, kind="stable")]
-        before = _growing_areas(bounds[order])[:-1]
-        after = _growing_areas(bounds[order[::-1]])[:-1][::-1]
-        costs = before * counts + after * counts[::-1]
-        at = int(np.argmin(costs))
-        if costs[at] < best:
-            best, halves = float(costs[at]), (order[: at + 1], order[at + 1 :])
-    return halves
+def _scales(solid: Solid, texture: tuple[int, ...]) -> list[tuple[float, float]]:
+    if solid.density is not None:
+        return [(solid.density, solid.density)] * 3
+    (x, y, z), (rows, columns) = solid.size, texture
+    if solid.kind == Kind.CYLINDER:
+        side = (columns / (0.5 * np.pi * (x + y)), rows / z)
+        return [side, side, (columns / x, rows / y)]
+    return [(columns / y, rows / z), (columns / x, rows / z), (columns / x, rows / y)]
 
 
-def _growing_areas(bounds: Floats) -> Floats:
-    """Half the surface of the bounds of the first 1, 2, … boxes."""
-    lower = np.minimum.accumulate(bounds[:, :3])
-    upper = np.maximum.accumulate(bounds[:, 3:])
-    x, y, z = (upper - lower).T
-    return np.asarray(x * y + y * z + z * x)
+def _movers(movers: Sequence[tuple[int, Solid]]) -> Movers:
+    places = np.array([[*s.centre, s.yaw] for _, s in movers], dtype=np.float64).reshape(-1, 4)
+    bodies = np.array([body for body, _ in movers], dtype=np.int64)
+    return Movers(bodies, places, np.zeros((len(movers), 3)), np.zeros((len(movers), 4)))
+
+
+def _darkness(solids: int) -> Lights:
+    offsets, sizes = np.zeros((solids, 6), np.int64), np.full((solids, 6, 2), 2, np.int64)
+    return Lights(np.zeros(4, np.float32), offsets, sizes)

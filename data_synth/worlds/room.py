@@ -6,6 +6,7 @@ import numpy as np
 
 from data_synth.scene.builder import Builder, Place
 from data_synth.scene.lighting import lit
+from data_synth.scene.solids import Lamp, Lighting
 from data_synth.scene.world import World
 from data_synth.worlds import textures
 
@@ -41,7 +42,7 @@ def make_room(seed: int = 0) -> World:
     _table(build, Place(0.0, 0.0, 0.12), wood[1], cartons, spines)
     for x, y, yaw in ((-3.0, 2.2, 0.5), (3.1, 2.1, 2.6), (3.2, -2.4, 0.9)):
         _chair(build, Place(x, y, yaw), wood[0], cloth[1])
-    return lit(build.world(), lamp=(0.4, 0.25, 2.45))
+    return lit(build.world(), Lighting(lamps=(Lamp((0.4, 0.25, 2.45)),)))
 
 
 def _shell(build: Builder) -> None:
