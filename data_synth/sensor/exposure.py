@@ -8,7 +8,7 @@ import numpy as np
 
 from data_synth.recipe import Effects
 
-TARGET = 0.42  # mean of an image, of full scale
+TARGET = 0.42  # mean of an image, of full scale, where grey levels are in line with light
 _NORMAL_RADIANCE = 0.3  # mean of a scene that just needs the longest exposure
 _LONGEST_S = 8e-3
 _READOUT_S = 20e-3
@@ -16,7 +16,8 @@ _MOST_OF_FRAME = 0.9
 _MOST_GAIN = 16.0
 _SHORTEST = 1.0 / 400.0  # of the longest exposure
 _LAG_S = 0.25
-_DARKEST = 0.5 / 255.0  # a mean below is no measurement any more
+_MOST_CHANGE = 4.0  # that one image can ask for
+_BRIGHTEST = 2.0  # mean light that a clipped image can tell, of full scale
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,15 @@ def grey_exponent(effects: Effects) -> float:
     return 1.0 / (1.0 + 1.2 * effects.gamma)
 
 
+def target_mean(effects: Effects) -> float:
+    """What auto-exposure wants the mean of images to be, of full scale.
+
+    With a curve it is brighter, though not by all that the curve adds: 0.53 for x^(1/2.2). At 0.42
+    the bright half of the scale would stay empty, at the same light all would look pale.
+    """
+    return float(TARGET ** (0.5 + 0.5 * grey_exponent(effects)))
+
+
 class AutoExposure:
     """Chooses each frame's settings by the means of the images before.
 
@@ -66,13 +76,13 @@ class AutoExposure:
         Args:
             effects: their strengths.
             fps: frames per second.
-            radiance_mean: mean of the first view, before exposure.
+            radiance_mean: mean of the first view before exposure, dark corners included.
         """
         lag = _LAG_S * effects.exposure * fps
         self._step = 1.0 - float(np.exp(-1.0 / lag)) if lag > 0.0 else 0.0
         self._exponent = grey_exponent(effects)
         self._longest_s = longest_exposure_s(effects, fps)
-        self._target = TARGET ** (1.0 / self._exponent)
+        self._target = target_mean(effects) ** (1.0 / self._exponent)
         self._full = self._target / _NORMAL_RADIANCE  # response of the longest exposure at gain 1
         self._log_wanted = self._log_limited(self._target / max(radiance_mean, 1e-6))
         self._log_used: list[float] = []
@@ -93,8 +103,8 @@ class AutoExposure:
             self._followed += 1
         self._log_used.append(self._log_wanted)
         response = float(np.exp(self._log_wanted))
-        share = min(1.0, response / self._full)
-        return Settings(share * self._longest_s, response / (self._full * share), response)
+        share = response / self._full
+        return Settings(min(1.0, share) * self._longest_s, max(1.0, share), response)
 
     def observe(self, image_mean: float | None) -> None:
         """Mean of the next image, 0…1 of full scale; None where there was no image."""
@@ -106,10 +116,20 @@ class AutoExposure:
             return
         # By what the image was taken with, not by what is wanted now: else the delay would make
         # the loop swing.
-        light = max(mean, _DARKEST) ** (1.0 / self._exponent)
-        asked = self._log_limited(float(np.exp(self._log_used[frame])) * self._target / light)
+        change = self._target / max(_light(mean ** (1.0 / self._exponent)), 1e-6)
+        change = float(np.clip(change, 1.0 / _MOST_CHANGE, _MOST_CHANGE))
+        asked = self._log_limited(float(np.exp(self._log_used[frame])) * change)
         self._log_wanted += self._step * (asked - self._log_wanted)
 
     def _log_limited(self, response: float) -> float:
         limited = np.clip(response, _SHORTEST * self._full, _MOST_GAIN * self._full)
         return float(np.log(limited))
+
+
+def _light(mean: float) -> float:
+    """Mean light of a scene, of full scale, from the mean of its image, in which it is clipped.
+
+    If light is spread evenly from 0 to twice its mean m, the image's mean is m up to 1/2 and
+    1 - 1 / (4 m) above.
+    """
+    return mean if mean <= 0.5 else min(_BRIGHTEST, 0.25 / max(1.0 - mean, 1e-6))
