@@ -6,13 +6,30 @@ import numpy as np
 
 from data_synth.scene.builder import Builder, Place
 from data_synth.scene.lighting import lit
+from data_synth.scene.scene import Body, Course, Scene, level
 from data_synth.scene.solids import Lamp, Lighting
 from data_synth.scene.world import World
-from data_synth.worlds import textures
+from data_synth.worlds import bodies, textures
 
 WIDTH_M, DEPTH_M, HEIGHT_M = 9.0, 7.0, 2.9
 _WALL_DENSITY = 220.0
 _SHELL_M = 0.3
+_LIGHT = Lighting(lamps=(Lamp((0.4, 0.25, 2.45)),))
+
+# Round the table, with half a metre to either side.
+_COURSE = ((1.6, 0.6), (0.9, 1.35), (-0.9, 1.35), (-1.6, 0.6))
+# Between the course and the furniture, at both ends of the room: x, then y.
+_PACING_M = (((2.75, 3.3), (-1.2, 1.2)), ((-3.3, -2.75), (-1.4, 1.0)))
+_USUAL_PEOPLE = 2
+
+
+def make_scene(seed: int, movers: float = 0.0) -> Scene:
+    """The room, with people who pace up and down at its ends."""
+    build = _furnished(seed)
+    half = np.array(_COURSE)
+    course = Course(np.vstack([half, -half]), 0.5, 2.5, level(), outlook_deg=-25.0)
+    people = _people(build, round(_USUAL_PEOPLE * movers))
+    return Scene(lit(build.world(), _LIGHT), course, people)
 
 
 def make_room(seed: int = 0) -> World:
@@ -21,6 +38,21 @@ def make_room(seed: int = 0) -> World:
     Furniture stands along the walls and in the middle; a ring of 1.2 m to 2.3 m around the
     origin is free to walk in.
     """
+    return lit(_furnished(seed).world(), _LIGHT)
+
+
+def _people(build: Builder, count: int) -> tuple[Body, ...]:
+    people = []
+    for i in range(count):
+        (left, right), (low, high) = _PACING_M[i % len(_PACING_M)]
+        way = np.array([[right, low], [right, high], [left, high], [left, low]])
+        radius = bodies.person(build, i)
+        speed, start = float(build.rng.uniform(0.5, 0.9)), float(build.rng.random())
+        people.append(Body(f"person {i}", way, speed, start, radius))
+    return tuple(people)
+
+
+def _furnished(seed: int) -> Builder:
     build = Builder(np.random.default_rng(seed))
     _shell(build)
     _wall_things(build)
@@ -42,7 +74,7 @@ def make_room(seed: int = 0) -> World:
     _table(build, Place(0.0, 0.0, 0.12), wood[1], cartons, spines)
     for x, y, yaw in ((-3.0, 2.2, 0.5), (3.1, 2.1, 2.6), (3.2, -2.4, 0.9)):
         _chair(build, Place(x, y, yaw), wood[0], cloth[1])
-    return lit(build.world(), Lighting(lamps=(Lamp((0.4, 0.25, 2.45)),)))
+    return build
 
 
 def _shell(build: Builder) -> None:

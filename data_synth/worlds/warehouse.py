@@ -9,7 +9,7 @@ import numpy as np
 from data_synth.scene.builder import Builder, Place
 from data_synth.scene.lighting import lit
 from data_synth.scene.scene import Body, Course, Scene, level
-from data_synth.scene.solids import Lamp, Lighting
+from data_synth.scene.solids import Lighting
 from data_synth.worlds import bodies, hall, prints, racks
 from vo.types import Floats
 
