@@ -10,6 +10,7 @@ from vo.types import Floats
 
 # Basis of the uniform cubic B-spline; rows are powers 1, s, s², s³ of the share between knots.
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+_ROUNDING = 1e-6
 
 # The axes of a camera that looks along the body's x: right, down and forward as columns.
 BODY_FROM_LOOKING_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -35,13 +36,12 @@ def bspline(controls: Floats, at: Floats, derivative: int = 0, lap: Floats | Non
     """
     at = np.asarray(at, dtype=np.float64)
     first = np.floor(at).astype(np.int64)
-    share = at - first
     if lap is None:
         last = len(controls) - 2
-        if len(at) and (at.min() < 1.0 or at.max() > last):
+        if len(at) and (at.min() < 1.0 - _ROUNDING or at.max() > last + _ROUNDING):
             raise ValueError(f"places {at.min():g}…{at.max():g} leave the spline 1…{last}")
-        first = np.minimum(first, last - 1)  # the very end belongs to the last piece
-        share = at - first
+        first = np.clip(first, 1, last - 1)  # the very end belongs to the last piece
+    share = at - first
     powers = np.zeros((len(at), 4))
     for power in range(derivative, 4):
         factor = np.prod(np.arange(power, power - derivative, -1, dtype=np.float64))

@@ -1,0 +1,63 @@
+"""Where the bodies that move about in a world are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_synth.motion.way import Way, make_way
+from data_synth.scene.scene import Body, Heights
+from vo.types import Floats
+
+_LEAST_ROUND_M = 0.5
+_SLOPE_STEP_M = 0.05
+
+
+def poses_at(body: Body, times_s: Floats, ground: Heights) -> tuple[Floats, Floats]:
+    """Where a body is: at constant speed along its way, upright, looking along it.
+
+    It cuts corners by at most its radius. On a way of two places it goes there and back, side by
+    side with itself.
+
+    Args:
+        body: the body.
+        times_s: (N,).
+        ground: heights that it stands on.
+
+    Returns:
+        world_from_body (N, 4, 4), its origin on the ground, and velocities (N, 3) in the world.
+    """
+    way = _way(body, ground)
+    along = body.start * way.length_m + body.speed_m_s * np.asarray(times_s, dtype=np.float64)
+    ahead = way.at(along, 1)
+    ahead = ahead[:, :2] / np.linalg.norm(ahead[:, :2], axis=1, keepdims=True)
+    xy = way.at(along)[:, :2]
+    poses = np.zeros((len(xy), 4, 4))
+    poses[:, :2, 0] = ahead
+    poses[:, :2, 1] = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    poses[:, 2, 2] = poses[:, 3, 3] = 1.0
+    poses[:, :2, 3] = xy
+    poses[:, 2, 3] = ground(xy)
+    step = _SLOPE_STEP_M * ahead
+    slope = (ground(xy + step) - ground(xy - step)) / (2.0 * _SLOPE_STEP_M)
+    return poses, body.speed_m_s * np.column_stack([ahead, slope])
+
+
+def _way(body: Body, ground: Heights) -> Way:
+    corners = np.asarray(body.way, dtype=np.float64)
+    if len(corners) == 2:
+        ahead = corners[1] - corners[0]
+        left = np.array([-ahead[1], ahead[0]]) * body.radius_m / np.linalg.norm(ahead)
+        corners = np.array(
+            [corners[0] - left, corners[1] - left, corners[1] + left, corners[0] + left]
+        )
+    round_m = max(_LEAST_ROUND_M, 2.0 * body.radius_m)
+    return make_way(
+        corners,
+        ground,
+        cut_m=body.radius_m,
+        round_m=round_m,
+        weave_m=0.0,
+        weave_length_m=10.0,
+        level_m=0.0,
+        rng=np.random.default_rng(0),
+    )

@@ -1,0 +1,108 @@
+"""How fast each motion may go and turn: one table that plans are made by, one that they keep to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from data_synth.recipe import MotionName
+from data_synth.scene.scene import Course
+from vo.types import Floats
+
+Carrier = Literal["car", "robot", "handheld", "drone", "drone_indoors", "rotate"]
+
+LARGE_M = 200.0  # a way of this length is for cars
+HIGH_M = 20.0  # head room that lets a drone fly high
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the way is driven, walked or flown by.
+
+    Attributes:
+        speed_m_s: most, at speed 1.
+        lateral_m_s2: across the way, in curves and over the ground's rises and dips.
+        tangential_m_s2: along the way.
+        turn_rad_s: of the heading.
+        round_m: largest radius of a rounded corner.
+        weave_m: amplitude of the deviation to both sides.
+        weave_length_m: usual length of one such wave.
+        level_m: length over which the ground's rises and dips are levelled out.
+        margin_m: least distance from anything solid.
+        ease_s: time over which changes of speed are eased.
+    """
+
+    speed_m_s: float
+    lateral_m_s2: float
+    tangential_m_s2: float
+    turn_rad_s: float
+    round_m: float
+    weave_m: float
+    weave_length_m: float
+    level_m: float
+    margin_m: float
+    ease_s: float
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What the finished path of a motion never exceeds, wander, bob and bumps included.
+
+    Attributes:
+        speed_m_s: at speed 1.
+        acceleration_m_s2: of the body's origin.
+        turn_rad_s: angular velocity.
+    """
+
+    speed_m_s: float
+    acceleration_m_s2: float
+    turn_rad_s: float
+
+
+LIMITS: dict[Carrier, Limits] = {
+    "car": Limits(11.0, 3.0, 2.0, 1.0, 12.0, 0.3, 60.0, 4.0, 0.5, 1.2),
+    "robot": Limits(1.2, 1.5, 0.6, 0.9, 0.3, 0.05, 6.0, 0.6, 0.25, 0.6),
+    "handheld": Limits(1.3, 1.5, 0.8, 1.0, 1.5, 0.15, 7.0, 1.5, 0.25, 0.8),
+    "drone": Limits(5.0, 1.5, 1.2, 0.8, 30.0, 2.0, 60.0, 60.0, 0.25, 1.2),
+    "drone_indoors": Limits(2.0, 1.5, 1.0, 1.0, 2.0, 0.2, 8.0, 10.0, 0.25, 1.0),
+    "rotate": Limits(0.0, 1.5, 0.8, 1.2, 1.5, 0.0, 7.0, 1.5, 0.25, 0.8),
+}
+
+BOUNDS: dict[MotionName, Bounds] = {
+    "car": Bounds(11.3, 4.5, 1.2),
+    "robot": Bounds(1.3, 2.0, 1.3),
+    "handheld": Bounds(1.7, 5.0, 2.0),
+    "drone": Bounds(5.5, 3.5, 1.8),
+    "rotate": Bounds(0.05, 0.1, 1.6),
+    "stop_and_go": Bounds(11.3, 4.5, 1.3),
+    "loop": Bounds(11.3, 5.0, 2.0),
+}
+
+
+def carrier_of(motion: MotionName, course: Course, length_m: float) -> Carrier:
+    """What carries the camera: some motions are done by whatever suits the course."""
+    if motion == "drone" and course.head_room_m <= HIGH_M:
+        return "drone_indoors"
+    if motion == "loop":
+        return "car" if length_m > LARGE_M else "handheld"
+    if motion == "stop_and_go":
+        return "car" if length_m > LARGE_M else "robot"
+    return motion
+
+
+def height_range_m(carrier: Carrier, head_room_m: float) -> tuple[float, float]:
+    """Lowest and highest height of the camera above the levelled ground."""
+    if carrier == "drone":
+        return 15.0, max(16.0, min(35.0, 0.9 * head_room_m))
+    if carrier == "drone_indoors":
+        return 0.8, min(max(2.0, 0.4 * head_room_m), max(0.9, head_room_m - 0.5))
+    height = {"car": 1.6, "robot": 0.5, "handheld": 1.5, "rotate": 1.5}[carrier]
+    return height, height
+
+
+def polygon_length_m(waypoints: Floats) -> float:
+    """Length of a closed way before its corners are rounded."""
+    sides = np.roll(waypoints, -1, axis=0) - waypoints
+    return float(np.linalg.norm(sides, axis=1).sum())

@@ -1,0 +1,164 @@
+"""Paths through worlds: a way that fits, a pace that it allows, and what carries the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_synth.motion.carriers import CARRIERS, Manner
+from data_synth.motion.clear import Clearance, Collision, find_collision
+from data_synth.motion.limits import (
+    HIGH_M,
+    LIMITS,
+    Carrier,
+    Limits,
+    carrier_of,
+    height_range_m,
+    polygon_length_m,
+)
+from data_synth.motion.pace import Schedule, make_pace
+from data_synth.motion.ride import Ride, make_ride, stay
+from data_synth.motion.schedules import come_round, drive_on, stop_and_go
+from data_synth.motion.spline import BODY_FROM_LOOKING_AHEAD, PosePath
+from data_synth.motion.way import Way, make_way
+from data_synth.recipe import MotionName
+from data_synth.scene.scene import Course
+from vo.errors import ConfigError
+from vo.geometry.transforms import make_transform
+from vo.types import Floats
+
+_STEP_S = 0.05
+_LEAD = 14  # 0.6 s to ask for before the start and after the end
+_SMOOTHING_STEPS = 60
+
+_FREEDOMS = (1.0, 0.5, 0.25, 0.0)
+_LEAST_CUT_M = 0.06
+_SEED_WAY, _SEED_SCHEDULE, _SEED_WANDER = 21, 22, 23
+
+
+def mount(motion: MotionName, course: Course) -> Floats:
+    """body_from_cam0 (4, 4): looking ahead, drones somewhat down, a few cm off the body's origin.
+
+    A camera that turns on the spot sits close to the axis.
+    """
+    down_deg = 0.0
+    if motion == "drone":
+        down_deg = 30.0 if course.head_room_m > HIGH_M else 5.0
+    cosine, sine = np.cos(np.deg2rad(down_deg)), np.sin(np.deg2rad(down_deg))
+    nose_down = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    lever = [0.01, 0.01, 0.0] if motion == "rotate" else [0.05, 0.06, 0.02]
+    return make_transform(nose_down @ BODY_FROM_LOOKING_AHEAD, np.array(lever))
+
+
+def make_path(
+    motion: MotionName,
+    course: Course,
+    clearance: Clearance,
+    *,
+    seconds: float,
+    speed: float = 1.0,
+    seed: int = 0,
+) -> PosePath:
+    """Lay a path through a course.
+
+    Where wander and cut corners come too near to something, both shrink until they do not.
+
+    Args:
+        motion: its kind.
+        course: the way and the free space about it.
+        clearance: distances (N,) of points (N, 3) to the nearest solid.
+        seconds: its length.
+        speed: 1 as usual.
+        seed: of its random choices.
+
+    Raises:
+        ConfigError: something solid is in the way, or a loop does not come round in time.
+    """
+    carrier = carrier_of(motion, course, polygon_length_m(course.waypoints))
+    limits = LIMITS[carrier]
+
+    def room(points: Floats) -> Floats:
+        # On slopes the nearest ground is nearer than the ground below.
+        above = 0.7 * (points[:, 2] - course.ground(points[:, :2]))
+        return np.minimum(clearance(points), above)
+
+    collision: Collision | None = None
+    for freedom in _FREEDOMS:
+        path = _lay(motion, carrier, course, freedom, seconds, speed, seed)
+        collision = find_collision(path, room, limits.margin_m)
+        if collision is None:
+            return path
+    raise ConfigError(f"{motion}: {_told(collision, limits)}; choose another motion or world")
+
+
+def _told(collision: Collision | None, limits: Limits) -> str:
+    assert collision is not None
+    x, y, z = collision.place
+    return (
+        f"at {collision.time_s:.1f} s the way passes {collision.distance_m:.2f} m from something "
+        f"solid, at ({x:.2f}, {y:.2f}, {z:.2f}), where it needs {limits.margin_m:g} m"
+    )
+
+
+def _lay(
+    motion: MotionName,
+    carrier: Carrier,
+    course: Course,
+    freedom: float,
+    seconds: float,
+    speed: float,
+    seed: int,
+) -> PosePath:
+    limits = LIMITS[carrier]
+    way = _way(course, limits, freedom, seed)
+    before = _LEAD + _SMOOTHING_STEPS
+    count = int(np.ceil(seconds / _STEP_S)) + 2 * before + 1
+    times = np.arange(-before, count - before, dtype=np.float64) * _STEP_S
+    ride = _ride(motion, way, limits, times, seconds, speed, seed)
+    manner = Manner(
+        rng=np.random.default_rng([seed, _SEED_WANDER]),
+        freedom=freedom,
+        heights_m=height_range_m(carrier, course.head_room_m),
+        outlook=float(np.deg2rad(course.outlook_deg)),
+        seconds=seconds,
+        speed=speed,
+        repeats=motion == "loop",
+    )
+    controls = CARRIERS[carrier](ride, manner)[_SMOOTHING_STEPS:-_SMOOTHING_STEPS]
+    return PosePath(controls, _STEP_S, _LEAD, seconds)
+
+
+def _way(course: Course, limits: Limits, freedom: float, seed: int) -> Way:
+    spare = max(0.0, course.half_width_m - limits.margin_m)
+    return make_way(
+        course.waypoints,
+        course.ground,
+        cut_m=max(_LEAST_CUT_M, 0.5 * freedom * spare),
+        round_m=limits.round_m,
+        weave_m=min(limits.weave_m, 0.3 * spare) * freedom,
+        weave_length_m=limits.weave_length_m,
+        level_m=limits.level_m,
+        rng=np.random.default_rng([seed, _SEED_WAY]),
+    )
+
+
+def _ride(
+    motion: MotionName,
+    way: Way,
+    limits: Limits,
+    times: Floats,
+    seconds: float,
+    speed: float,
+    seed: int,
+) -> Ride:
+    rng = np.random.default_rng([seed, _SEED_SCHEDULE])
+    if motion == "rotate":
+        return stay(way, float(rng.uniform(0.0, way.length_m)), times)
+    pace = make_pace(way, limits, speed)
+    schedule: Schedule
+    if motion == "loop":
+        schedule = come_round(pace, seconds, limits.ease_s)
+    elif motion == "stop_and_go":
+        schedule = stop_and_go(pace, seconds, limits.ease_s, rng)
+    else:
+        schedule = drive_on(pace, seconds)
+    return make_ride(way, schedule, times, limits.ease_s)

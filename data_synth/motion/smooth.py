@@ -1,0 +1,61 @@
+"""Smoothing of series, and random series that are smooth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.types import Floats
+
+
+def smoothed_round(values: Floats, width: float) -> Floats:
+    """A closed series (M, C), three times averaged over a third of `width` rows."""
+    box = max(1, round(width / 3.0)) | 1
+    for _ in range(3):
+        values = _averaged(values, box, "wrap")
+    return values
+
+
+def smoothed(values: Floats, width: float) -> Floats:
+    """An open series (N,), the same, as if its ends went on for ever."""
+    box = max(1, round(width / 3.0)) | 1
+    for _ in range(3):
+        values = _averaged(values[:, None], box, "edge")[:, 0]
+    return values
+
+
+def wander(
+    rng: np.random.Generator,
+    times_s: Floats,
+    amplitude: float,
+    periods_s: tuple[float, float],
+    whole_s: float | None = None,
+) -> Floats:
+    """A smooth random series (N,) within ±amplitude, of three waves.
+
+    Args:
+        rng: random numbers.
+        times_s: (N,).
+        amplitude: largest value.
+        periods_s: shortest and longest period of a wave.
+        whole_s: a time after which it repeats itself, if it must.
+    """
+    total = np.zeros(len(times_s))
+    for _ in range(3):
+        frequency = float(rng.uniform(1.0 / periods_s[1], 1.0 / periods_s[0]))
+        phase = float(rng.uniform(0.0, 2.0 * np.pi))
+        if whole_s is not None:
+            frequency = max(1, round(frequency * whole_s)) / whole_s
+        total += np.sin(2.0 * np.pi * frequency * times_s + phase)
+    return np.asarray(amplitude / 3.0 * total)
+
+
+def _averaged(values: Floats, box: int, mode: str) -> Floats:
+    """Running mean of (M, C) over an odd number of rows; sums stay small, digits are kept."""
+    if box <= 1:
+        return values
+    middle = values.mean(axis=0)
+    reach = box // 2
+    index = np.arange(-reach - 1, len(values) + reach)
+    index = index % len(values) if mode == "wrap" else np.clip(index, 0, len(values) - 1)
+    sums = np.cumsum(values[index] - middle, axis=0)
+    return np.asarray(middle + (sums[box:] - sums[:-box]) / box)
