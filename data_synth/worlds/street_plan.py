@@ -1,0 +1,102 @@
+"""The plan of the town: where roads, pavements and fronts run.
+
+Four streets form a rectangle and go on beyond its corners. Distances are from the middle of a
+street: lane, kerb, parking bays, pavement, fronts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.scene.builder import Place
+from vo.types import Floats
+
+HALF_X_M, HALF_Y_M = 75.0, 45.0  # of the rectangle of the streets' middle lines
+LANE_M, KERB_M, BAY_M, FRONT_M = 2.0, 4.0, 6.0, 9.5
+PAVEMENT_M = FRONT_M - BAY_M
+ARM_M = 58.0  # how far streets go on beyond the crossings
+HOUSE_DEPTH_M = 10.0
+CORNER_M = 8.0  # from the middle lines to the centre of a rounded kerb
+PAVED_Z_M = 0.12
+
+
+@dataclass(frozen=True)
+class Frontage:
+    """One side of a street between two crossings.
+
+    Attributes:
+        place: middle of the line of fronts; it looks across the street.
+        length: of the line of fronts, metres.
+        left: length that its houses leave free at the left end, for those around the corner.
+        right: as left, at the other end.
+        on_loop: whether the course leads past it.
+    """
+
+    place: Place
+    length: float
+    left: float = 0.0
+    right: float = 0.0
+    on_loop: bool = True
+
+
+def frontages() -> tuple[Frontage, ...]:
+    """All of them: around the inner block, opposite it, and along the arms."""
+    long, short = 2 * (HALF_X_M - FRONT_M), 2 * (HALF_Y_M - FRONT_M)
+    corner = HOUSE_DEPTH_M + 1.0
+    sides: list[Frontage] = []
+    for turn in (0.0, np.pi):
+        inner = Place(0.0, _signed(turn, HALF_Y_M - FRONT_M), np.pi - turn)
+        outer = Place(0.0, _signed(turn, HALF_Y_M + FRONT_M), -turn)
+        sides += [Frontage(inner, long), Frontage(outer, long)]
+        inner = Place(_signed(turn, HALF_X_M - FRONT_M), 0.0, np.pi / 2 - turn)
+        outer = Place(_signed(turn, HALF_X_M + FRONT_M), 0.0, -np.pi / 2 - turn)
+        sides += [Frontage(inner, short, corner, corner), Frontage(outer, short)]
+    reach = ARM_M - FRONT_M
+    middle = FRONT_M + reach / 2
+    for x_sign in (-1.0, 1.0):
+        for y_sign in (-1.0, 1.0):
+            up = 0.0 if y_sign > 0 else np.pi
+            out = np.pi / 2 if x_sign > 0 else -np.pi / 2
+            x, y = x_sign * HALF_X_M, y_sign * HALF_Y_M
+            sides += [
+                # Along the arm in x: the outer corner block, then the block beside the loop.
+                _arm(x + x_sign * middle, y + y_sign * FRONT_M, up, reach),
+                _arm(x + x_sign * middle, y - y_sign * FRONT_M, np.pi - up, reach, corner),
+                # Along the arm in y.
+                _arm(x + x_sign * FRONT_M, y + y_sign * middle, -out, reach, corner),
+                _arm(x - x_sign * FRONT_M, y + y_sign * middle, out, reach, corner),
+            ]
+    return tuple(sides)
+
+
+def lane(offset_m: float, radius_m: float) -> Floats:
+    """A closed way (K, 2), counter-clockwise, `offset_m` outside the middle line."""
+    x, y = HALF_X_M + offset_m - radius_m, HALF_Y_M + offset_m - radius_m
+    arc = np.linspace(0.0, np.pi / 2, 9)
+    parts = []
+    for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        turn = arc + k * np.pi / 2
+        parts.append(np.array([sx * x, sy * y]) + radius_m * _unit(turn))
+    return np.concatenate(parts)
+
+
+def crossings() -> tuple[tuple[float, float], ...]:
+    """Where the streets' middle lines meet."""
+    return tuple((x, y) for x in (-HALF_X_M, HALF_X_M) for y in (-HALF_Y_M, HALF_Y_M))
+
+
+def _arm(x: float, y: float, yaw: float, reach: float, corner: float = 0.0) -> Frontage:
+    # The end beside the crossing is at the left or the right, by where the front looks.
+    towards = -np.sign(np.cos(yaw) * x + np.sin(yaw) * y)
+    left, right = (corner, 0.0) if towards < 0 else (0.0, corner)
+    return Frontage(Place(x, y, yaw), reach, left, right, on_loop=False)
+
+
+def _signed(turn: float, value: float) -> float:
+    return value if turn == 0.0 else -value
+
+
+def _unit(angle: Floats) -> Floats:
+    return np.column_stack([np.cos(angle), np.sin(angle)])
