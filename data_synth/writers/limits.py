@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.errors import ConfigError
+from vo.geometry.rectification import working_rig
 from vo.types import Rig
 
 _SAME = 1e-9
@@ -45,6 +46,15 @@ def check_tum(rig: Rig, has_drops: bool) -> None:
             "format tum holds one camera with depth, and this is a pair; make it mono (--mono), or "
             "choose format euroc, which can hold both"
         )
+
+
+def check_mcap(rig: Rig, has_drops: bool) -> None:
+    """MCAP's messages say how a pair is rectified.
+
+    Raises:
+        CalibrationError: the second camera is not to the right of the first.
+    """
+    working_rig(rig)
 
 
 def check_nothing(rig: Rig, has_drops: bool) -> None:

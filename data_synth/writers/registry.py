@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 
 from data_synth.recipe import Recipe
 from data_synth.records import Write
-from data_synth.writers.limits import check_kitti, check_nothing, check_tum
+from data_synth.writers.limits import check_kitti, check_mcap, check_nothing, check_tum
 from vo.errors import ConfigError
 from vo.types import Rig
 
@@ -37,8 +37,8 @@ FORMATS: dict[str, Format] = {
     "kitti": Format("data_synth.writers.kitti:write", _IN_FILES, check=check_kitti),
     "tum": Format("data_synth.writers.tum:write", _IN_FILES, check=check_tum),
     "folder": Format("data_synth.writers.folder:write", _IN_FILES),
-    "mcap": Format("data_synth.writers.mcap:write_foxglove", _IN_MESSAGES, ".mcap"),
-    "mcap-ros2": Format("data_synth.writers.mcap:write_ros2", _IN_MESSAGES, ".mcap"),
+    "mcap": Format("data_synth.writers.mcap:write_foxglove", _IN_MESSAGES, ".mcap", check_mcap),
+    "mcap-ros2": Format("data_synth.writers.mcap:write_ros2", _IN_MESSAGES, ".mcap", check_mcap),
 }
 
 
@@ -57,6 +57,7 @@ def check(recipe: Recipe, rig: Rig) -> None:
 
     Raises:
         ConfigError: saying what to change.
+        CalibrationError: a pair cannot be rectified, and the layout says how to.
     """
     format = FORMATS[recipe.format]
     if recipe.codec not in format.codecs:

@@ -1,0 +1,101 @@
+"""What a layout cannot hold is refused, beforehand and in so many words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from folder_layouts import (
+    BESIDE,
+    IDEAL,
+    IN_FOLDERS,
+    NO_DROPS,
+    PAIR,
+    write_layout,
+)
+from recordings import FISHEYE, RADTAN, make_recording
+
+from data_synth.recipe import Recipe
+from data_synth.writers.registry import FORMATS, check, load_writer
+from vo.errors import CalibrationError, ConfigError
+from vo.geometry.transforms import make_transform, so3_exp
+from vo.types import Rig
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_has_a_writer(name: str) -> None:
+    assert callable(load_writer(name))
+    assert set(FORMATS) == set(Recipe.model_fields["format"].annotation.__args__)
+    assert (FORMATS[name].suffix == ".mcap") == name.startswith("mcap")
+
+
+@pytest.mark.parametrize("name", IN_FOLDERS)
+def test_raw_images_are_for_mcap_only(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name} cannot hold images as raw; choose codec png or"):
+        check(Recipe(format=name, codec="raw"), Rig(IDEAL))
+    check(Recipe(format="mcap", codec="raw"), PAIR)
+
+
+@pytest.mark.parametrize(
+    ("name", "rig"),
+    [("euroc", make_recording().rig), ("kitti", PAIR), ("tum", Rig(FISHEYE)), ("folder", PAIR)],
+)
+def test_what_fits_is_not_refused(name: str, rig: Rig) -> None:
+    check(Recipe(format=name, codec="jpeg"), rig)
+
+
+TURNED = make_transform(so3_exp(np.array([0.0, 1e-5, 0.0])), BESIDE[:3, 3])
+RAISED = make_transform(np.eye(3), np.array([-0.11, 1e-5, 0.0]))
+LEFT = make_transform(np.eye(3), np.array([0.11, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("rig", "reason"),
+    [
+        (Rig(RADTAN), "cam0 is distorted (radtan)"),
+        (Rig(FISHEYE), "cam0 is distorted (equidistant)"),
+        (Rig(IDEAL, RADTAN, BESIDE), "cam1 is distorted (radtan)"),
+        (Rig(IDEAL, replace(IDEAL, fx=40.1), BESIDE), "cam1 is not equal to cam0"),
+        (Rig(IDEAL, IDEAL, TURNED), "cam1 is turned or not straight to the right"),
+        (Rig(IDEAL, IDEAL, RAISED), "shifts by -0.11, 1e-05, 0 m"),
+        (Rig(IDEAL, IDEAL, LEFT), "shifts by 0.11, 0, 0 m"),
+    ],
+)
+def test_kitti_refuses_what_is_not_rectified(rig: Rig, reason: str, tmp_path: Path) -> None:
+    recording = replace(make_recording(stereo=rig.is_stereo, drops=NO_DROPS), rig=rig)
+    with pytest.raises(ConfigError) as told:
+        write_layout("kitti", tmp_path / "a", recording)
+    with pytest.raises(ConfigError) as foretold:
+        check(Recipe(format="kitti"), rig)
+    assert str(told.value) == str(foretold.value)
+    assert reason in str(told.value)
+    assert "or format euroc, which can hold it" in str(told.value)
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize("drops", [((2,), ()), ((), (6,))])
+def test_kitti_refuses_missing_frames(drops: tuple[tuple[int, ...], ...], tmp_path: Path) -> None:
+    recording = replace(make_recording(drops=drops), rig=PAIR)
+    with pytest.raises(ConfigError, match="cannot say which frames are missing; set effects.drops"):
+        write_layout("kitti", tmp_path / "a", recording)
+    recipe = Recipe.model_validate({"format": "kitti", "effects": {"drops": 0.5}})
+    with pytest.raises(ConfigError, match="or choose format euroc"):
+        check(recipe, PAIR)
+
+
+def test_tum_refuses_a_pair_and_no_depth(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="make it mono .--mono., or choose format euroc"):
+        write_layout("tum", tmp_path / "a", make_recording())
+    with pytest.raises(ConfigError, match="holds one camera with depth, and this is a pair"):
+        check(Recipe(format="tum"), PAIR)
+    with pytest.raises(ConfigError, match="needs depth, and the recording has none; set depth"):
+        write_layout("tum", tmp_path / "a", make_recording(stereo=False, depth=False))
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize("name", ["mcap", "mcap-ros2"])
+def test_mcap_refuses_a_pair_that_cannot_be_rectified(name: str) -> None:
+    with pytest.raises(CalibrationError, match="cam1"):
+        check(Recipe(format=name), Rig(IDEAL, IDEAL, LEFT))
