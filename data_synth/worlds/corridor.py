@@ -60,10 +60,10 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     _shell(build, plan)
     for side in range(4):
         _side(build, kit, plan, side)
-    lamps = _lamps(build, plan)
-    course = Course(_loop(plan, 0.0), HALF_WIDTH_M, 2.3, level(), outlook_deg=-15.0)
+    lamps = _lamps(build, plan) + _daylight(plan)
+    course = Course(_loop(plan), HALF_WIDTH_M, 2.3, level(), outlook_deg=-15.0)
     people = _people(build, plan, round(_USUAL_PEOPLE * movers))
-    light = Lighting(lamps, ambient=0.5, points_per_m=6.0, most_points=200)
+    light = Lighting(lamps, ambient=0.68, points_per_m=4.0, most_points=200)
     return Scene(lit(build.world(), light), course, people)
 
 
@@ -113,19 +113,21 @@ def _shell(build: Builder, plan: _Plan) -> None:
 def _side(build: Builder, kit: fittings.Kit, plan: _Plan, side: int) -> None:
     yaw, away = side * np.pi / 2, plan.away(side)
     core = plan.along(side) - WIDTH_M
-    dado = _DADO_M
-    outer = Wall(build, kit, _placed(away + WIDTH_M / 2, yaw, 0.0), HEIGHT_M, dado)
-    inner = Wall(build, kit, _placed(away - WIDTH_M / 2, yaw, np.pi), HEIGHT_M, dado)
+    shifts = (float(s) for s in build.rng.uniform(0.0, 10.0, 2))
+    outer, inner = (
+        Wall(build, kit, _placed(away + out * WIDTH_M / 2, yaw, turn), HEIGHT_M, _DADO_M, shift)
+        for out, turn, shift in zip((1, -1), (0.0, np.pi), shifts, strict=True)
+    )
     _modules(inner, plan.inner[side], core, core / 2, side)
     _modules(outer, plan.outer[side], core, core / 2 + WIDTH_M + fittings.WALL_M, side + 4)
-    corner = (core / 2 + WIDTH_M - 0.28, -0.28)
+    corner = (core / 2 + WIDTH_M - 0.25, -0.25)
     if build.rng.random() < 0.7:
         fittings.plant(outer, *corner)
     else:
         fittings.extinguisher(outer, corner[0] - 0.3)
     # Guards hide that two walls share the volume of a corner.
     inner.box((core / 2 - 0.16, 0.16, HEIGHT_M / 2), (0.34, 0.34, HEIGHT_M), kit.frame)
-    outer.box((0.0, -0.03, HEIGHT_M - 0.16), (core, 0.06, 0.09), kit.metal)
+    outer.box((0.0, -0.03, HEIGHT_M - 0.16), (core + 2 * WIDTH_M, 0.06, 0.09), kit.metal)
     if side % 2 == 0:
         _portal(outer, core / 2 - 0.4)
 
@@ -137,8 +139,7 @@ def _placed(away: float, yaw: float, turn: float) -> Place:
 def _modules(wall: Wall, kinds: tuple[str, ...], core: float, end: float, floor: int) -> None:
     """Build a wall module by module between two bare ends."""
     rng = wall.build.rng
-    start = -core / 2 + _END_M
-    step = (core - 2 * _END_M) / len(kinds)
+    start, step = _grid(core, len(kinds))
     wall.plain(-end, start)
     wall.plain(-start, end)
     for i, kind in enumerate(kinds):
@@ -179,7 +180,7 @@ def _lamps(build: Builder, plan: _Plan) -> tuple[Lamp, ...]:
         count = int((plan.along(side) - WIDTH_M) / _LAMP_STEP_M)
         for i in range(count + 1):
             x = (i - count / 2) * _LAMP_STEP_M + _TILE_M / 2
-            power = float(build.rng.uniform(0.4, 0.55))
+            power = float(build.rng.uniform(0.45, 0.6))
             size = (_TILE_M, 2 * _TILE_M, 0.04)
             build.add(line.at(x, 0.0, HEIGHT_M - 0.005), size, bright, yaw, None)
             lamps.append(Lamp(line.at(x, 0.0, HEIGHT_M - 0.1), power, 2.6))
@@ -192,18 +193,35 @@ def _lamps(build: Builder, plan: _Plan) -> tuple[Lamp, ...]:
     return tuple(lamps)
 
 
-def _loop(plan: _Plan, outward: float) -> Floats:
-    """The loop's corners, counter-clockwise, moved outward from the centre line."""
-    x, y = plan.long_m / 2 + outward, plan.short_m / 2 + outward
+def _daylight(plan: _Plan) -> tuple[Lamp, ...]:
+    """Light just inside each window, which also makes its pane bright."""
+    found = []
+    for side in range(4):
+        wall = _placed(plan.away(side) + WIDTH_M / 2, side * np.pi / 2, 0.0)
+        start, step = _grid(plan.along(side) - WIDTH_M, len(plan.outer[side]))
+        for i, kind in enumerate(plan.outer[side]):
+            if kind == "window":
+                found.append(Lamp(wall.at(start + (i + 0.5) * step, -0.05, 1.65), 0.45, 1.1, 0.8))
+    return tuple(found)
+
+
+def _grid(core: float, count: int) -> tuple[float, float]:
+    """Where a wall's first module begins, and how wide each is."""
+    return -core / 2 + _END_M, (core - 2 * _END_M) / count
+
+
+def _loop(plan: _Plan) -> Floats:
+    """The corners of the loop's centre line, counter-clockwise."""
+    x, y = plan.long_m / 2, plan.short_m / 2
     return np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
 
 
 def _people(build: Builder, plan: _Plan, count: int) -> tuple[Body, ...]:
-    """People on either side of the middle: towards the outer wall one way, along the core back."""
+    """People who keep to the right, either way round."""
     people = []
     for i in range(count):
-        outward = 0.78 if build.rng.random() < 0.5 else -0.78
-        way = _loop(plan, outward)[:: 1 if outward > 0 else -1]
+        way = _loop(plan)
+        way = bodies.beside(way if build.rng.random() < 0.5 else way[::-1], -0.78)
         radius = bodies.person(build, i)
         speed, start = float(build.rng.uniform(0.9, 1.5)), float(build.rng.random())
         people.append(Body(f"person {i}", way, speed, start, radius))

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from data_synth.scene.builder import Builder, Place
 from data_synth.scene.solids import Kind, Solid
 from data_synth.worlds import indoor_textures, prints, textures
@@ -16,7 +18,6 @@ WALL_M = 0.3
 DOOR_M = (0.96, 2.1)
 NICHE_M = (1.7, 2.2, 0.6)
 _WALL_DENSITY = 200.0
-_WALL_STAIN = 0.25
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,12 @@ def make_kit(build: Builder) -> Kit:
     """Paint the textures; shades and which doors there are differ by seed."""
     rng = build.rng
     wall, wood = float(rng.uniform(0.62, 0.74)), float(rng.uniform(0.3, 0.55))
-    dado = wall - float(rng.choice((0.0, 0.14, 0.22)))
+    darker = float(rng.choice((0.0, 0.14, 0.22)))
+    paint = build.paint(partial(indoor_textures.paint, shade=wall), (1024, 2048))
+    dado = partial(indoor_textures.paint, shade=wall - darker)
     return Kit(
-        paint=build.paint(partial(indoor_textures.paint, shade=wall), (1024, 2048)),
-        dado=build.paint(partial(indoor_textures.paint, shade=dado), (1024, 2048)),
+        paint=paint,
+        dado=build.paint(dado, (1024, 2048)) if darker > 0.0 else paint,
         doors=tuple(
             build.paint(partial(prints.door_leaf, shade=wood + 0.04 * i), (512, 256))
             for i in range(3)
@@ -69,13 +72,14 @@ def make_kit(build: Builder) -> Kit:
 
 @dataclass
 class Wall:
-    """One straight wall while it is built, from x = -length / 2 to length / 2."""
+    """One straight wall while it is built, about x = 0; shift_m moves its paint along."""
 
     build: Builder
     kit: Kit
     place: Place
     height_m: float
     dado_m: float
+    shift_m: float
 
     def slab(
         self, x: tuple[float, float], z: tuple[float, float], y: float = 0.0, thick: float = WALL_M
@@ -93,8 +97,7 @@ class Wall:
                         texture,
                         self.place.yaw,
                         _WALL_DENSITY,
-                        (_WALL_DENSITY * (along + self.place.x), -_WALL_DENSITY * up),
-                        stain=_WALL_STAIN,
+                        (_WALL_DENSITY * (along + self.shift_m), -_WALL_DENSITY * up),
                     )
                 )
 
@@ -225,8 +228,9 @@ def plant(wall: Wall, x: float, y: float) -> None:
     leaves = int(rng.choice(kit.leaves))
     wall.box((x, y, 0.18), (0.32, 0.32, 0.36), kit.dark, kind=Kind.CYLINDER)
     wall.box((x, y, 0.52), (0.05, 0.05, 0.4), kit.doors[0], kind=Kind.CYLINDER)
-    for _ in range(5):
-        dx, dy = (float(d) for d in rng.uniform(-0.09, 0.09, 2))
-        z, across = float(rng.uniform(0.6, 1.15)), float(rng.uniform(0.2, 0.36))
-        high = float(rng.uniform(0.25, 0.5))
+    for i in range(11):
+        away, turn = 0.14 * np.sqrt(rng.random()), 2.4 * i
+        dx, dy = float(away * np.cos(turn)), float(away * np.sin(turn))
+        z, across = 0.5 + 0.07 * i, float(rng.uniform(0.16, 0.26))
+        high = float(rng.uniform(0.12, 0.3))
         wall.box((x + dx, y + dy, z), (across, across, high), leaves, 300.0, Kind.ELLIPSOID)

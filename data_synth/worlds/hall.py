@@ -119,9 +119,9 @@ def lamps(build: Builder, lines_y: Sequence[float]) -> tuple[Lamp, ...]:
     steel = build.paint(indoor_textures.steel, (64, 64))
     found = []
     for y in lines_y:
-        for x in (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0):
+        for x in (-15.0, -7.5, 0.0, 7.5, 15.0):
             build.add((x, y, _LAMP_Z), (1.3, 0.3, 0.1), panel, density=None)
             build.add((x, y, (_LAMP_Z + 6.5) / 2 + 0.1), (0.02, 0.02, 0.5), steel)
-            power = float(build.rng.uniform(0.75, 0.95))
-            found.append(Lamp((x, y, _LAMP_Z - 0.15), power, 4.5, 0.8))
+            power = float(build.rng.uniform(0.36, 0.46))
+            found.append(Lamp((x, y, _LAMP_Z - 0.15), power, 7.0, 0.8))
     return tuple(found)

@@ -17,7 +17,7 @@ CEILING_TILE_PX = 64
 
 def paint(rng: Rng, shape: tuple[int, int], shade: float = 0.68) -> Floats32:
     """A wall painted with a roller: hardly any grain, a few marks where things knocked it."""
-    image = shade + 0.010 * noise(rng, shape, 1.4) + 0.010 * noise(rng, shape, 0.5)
+    image = shade + 0.02 * noise(rng, shape, 1.6) + 0.010 * noise(rng, shape, 0.5)
     specks(rng, image, count=image.size // 9000, radius=(1, 4), contrast=0.16)
     _scuffs(rng, image, count=image.size // 60_000, contrast=0.10)
     return clipped(image)
@@ -92,8 +92,8 @@ def rack_steel(rng: Rng, shape: tuple[int, int], shade: float = 0.35) -> Floats3
     """A perforated, painted upright: a row of slots along v, scratched."""
     image = shade + 0.02 * noise(rng, shape, 1.0) + 0.012 * noise(rng, shape, 0.4)
     for row in range(4, shape[0], 16):
-        for column in range(4, shape[1], 12):
-            image[row : row + 7, column : column + 4] = 0.06
+        for column in range(4, shape[1], 16):
+            image[row : row + 7, column : column + 4] = 0.5 * shade
     _scuffs(rng, image, count=image.size // 4000, contrast=0.25)
     return clipped(image)
 

@@ -43,7 +43,7 @@ def notices(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A cork board with papers pinned over each other: print, lists and pictures."""
     image = 0.42 + 0.05 * noise(rng, shape, 0.6)
     specks(rng, image, count=image.size // 300, radius=(1, 2), contrast=0.2)
-    for _ in range(int(rng.integers(12, 20))):
+    for _ in range(int(rng.integers(24, 36))):
         height, width = int(rng.integers(50, 120)), int(rng.integers(40, 110))
         top = int(rng.integers(8, max(9, shape[0] - height - 8)))
         left = int(rng.integers(8, max(9, shape[1] - width - 8)))
@@ -224,7 +224,8 @@ def label(rng: Rng, shape: tuple[int, int]) -> Floats32:
 def _carton(rng: Rng, box: Floats32) -> None:
     """Draw one carton of a stack in place: its shade, edges, tape and label."""
     box += rng.normal(0, 0.045)
-    box[:2], box[-2:], box[:, :2], box[:, -2:] = 0.12, 0.2, 0.15, 0.15
+    for edge in (box[:2], box[-2:], box[:, :2], box[:, -2:]):
+        edge -= 0.2
     height, width = box.shape
     tape = height // 2
     box[tape - 4 : tape + 4] += 0.1
@@ -246,7 +247,7 @@ def _sheet(rng: Rng, shape: tuple[int, int]) -> Floats32:
         start = 4
         while start < width - 6:  # words of a line, so that it breaks up as type does
             stop = min(start + int(rng.integers(4, 16)), width - 5)
-            sheet[row : row + 2, start:stop] = rng.uniform(0.2, 0.5)
+            sheet[row : row + 2, start:stop] = rng.uniform(0.35, 0.6)
             start = stop + 3
     if height > 40 and rng.random() < 0.5:
         bars = rng.random(width // 4) < 0.5

@@ -153,8 +153,8 @@ def _barrels(build: Builder, kit: Kit, spot: Place, top: float) -> None:
 
 def _sacks(build: Builder, kit: Kit, spot: Place, top: float) -> None:
     sack = int(build.rng.choice(kit.sacks))
-    for layer in range(int(build.rng.integers(2, 5))):
-        for y in (-0.28, 0.28):
-            turn = float(build.rng.uniform(-0.08, 0.08))
-            at: Point = spot.at(0.0, y, top + 0.09 + 0.13 * layer)
-            build.add(at, (0.84, 0.62, 0.2), sack, spot.yaw + turn, 280.0, Kind.ELLIPSOID)
+    for layer in range(int(build.rng.integers(2, 6))):
+        for y in (-0.3, 0.3):
+            x, turn = (float(r) for r in build.rng.uniform(-0.04, 0.04, 2))
+            at: Point = spot.at(x, y, top + 0.1 + 0.12 * layer)
+            build.add(at, (0.9, 0.72, 0.26), sack, spot.yaw + 2 * turn, 280.0, Kind.ELLIPSOID)
