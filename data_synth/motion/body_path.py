@@ -8,7 +8,6 @@ from data_synth.motion.way import Way, make_way
 from data_synth.scene.scene import Body, Heights
 from vo.types import Floats
 
-_LEAST_ROUND_M = 0.5
 _SLOPE_STEP_M = 0.05
 
 
@@ -50,12 +49,10 @@ def _way(body: Body, ground: Heights) -> Way:
         corners = np.array(
             [corners[0] - left, corners[1] - left, corners[1] + left, corners[0] + left]
         )
-    round_m = max(_LEAST_ROUND_M, 2.0 * body.radius_m)
     return make_way(
         corners,
         ground,
         cut_m=body.radius_m,
-        round_m=round_m,
         weave_m=0.0,
         weave_length_m=10.0,
         level_m=0.0,

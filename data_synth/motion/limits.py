@@ -26,7 +26,7 @@ class Limits:
         lateral_m_s2: across the way, in curves and over the ground's rises and dips.
         tangential_m_s2: along the way.
         turn_rad_s: of the heading.
-        round_m: largest radius of a rounded corner.
+        cut_m: how far inside a corner it passes, at most.
         weave_m: amplitude of the deviation to both sides.
         weave_length_m: usual length of one such wave.
         level_m: length over which the ground's rises and dips are levelled out.
@@ -38,7 +38,7 @@ class Limits:
     lateral_m_s2: float
     tangential_m_s2: float
     turn_rad_s: float
-    round_m: float
+    cut_m: float
     weave_m: float
     weave_length_m: float
     level_m: float
@@ -62,12 +62,12 @@ class Bounds:
 
 
 LIMITS: dict[Carrier, Limits] = {
-    "car": Limits(11.0, 3.0, 2.0, 1.0, 12.0, 0.3, 60.0, 4.0, 0.5, 1.2),
-    "robot": Limits(1.2, 1.5, 0.6, 0.9, 0.3, 0.05, 6.0, 0.6, 0.25, 0.6),
-    "handheld": Limits(1.3, 1.5, 0.8, 1.0, 1.5, 0.15, 7.0, 1.5, 0.25, 0.8),
-    "drone": Limits(5.0, 1.5, 1.2, 0.8, 30.0, 2.0, 60.0, 60.0, 0.25, 1.2),
-    "drone_indoors": Limits(2.0, 1.5, 1.0, 1.0, 2.0, 0.2, 8.0, 10.0, 0.25, 1.0),
-    "rotate": Limits(0.0, 1.5, 0.8, 1.2, 1.5, 0.0, 7.0, 1.5, 0.25, 0.8),
+    "car": Limits(11.0, 3.0, 2.0, 1.0, 5.0, 0.3, 60.0, 4.0, 0.5, 1.2),
+    "robot": Limits(1.2, 1.5, 0.6, 0.9, 0.12, 0.05, 6.0, 0.6, 0.25, 0.6),
+    "handheld": Limits(1.3, 1.5, 0.8, 1.0, 0.6, 0.15, 7.0, 1.5, 0.25, 0.8),
+    "drone": Limits(5.0, 1.5, 1.2, 0.8, 12.0, 2.0, 60.0, 60.0, 0.25, 1.2),
+    "drone_indoors": Limits(2.0, 1.5, 1.0, 1.0, 0.8, 0.2, 8.0, 10.0, 0.25, 1.0),
+    "rotate": Limits(0.0, 1.5, 0.8, 1.2, 0.6, 0.0, 7.0, 1.5, 0.25, 0.8),
 }
 
 BOUNDS: dict[MotionName, Bounds] = {

@@ -132,9 +132,8 @@ def _way(course: Course, limits: Limits, freedom: float, seed: int) -> Way:
     return make_way(
         course.waypoints,
         course.ground,
-        cut_m=max(_LEAST_CUT_M, 0.5 * freedom * spare),
-        round_m=limits.round_m,
-        weave_m=min(limits.weave_m, 0.3 * spare) * freedom,
+        cut_m=max(_LEAST_CUT_M, min(limits.cut_m, 0.7 * spare) * freedom),
+        weave_m=min(limits.weave_m, 0.2 * spare) * freedom,
         weave_length_m=limits.weave_length_m,
         level_m=limits.level_m,
         rng=np.random.default_rng([seed, _SEED_WAY]),

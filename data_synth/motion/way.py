@@ -51,7 +51,6 @@ def make_way(
     ground: Heights,
     *,
     cut_m: float,
-    round_m: float,
     weave_m: float,
     weave_length_m: float,
     level_m: float,
@@ -65,7 +64,6 @@ def make_way(
         waypoints: (K, 2) corners, K >= 2.
         ground: heights below points.
         cut_m: how far inside a corner it may pass.
-        round_m: largest radius of a corner.
         weave_m: largest deviation to the sides.
         weave_length_m: usual length of a wave of that deviation.
         level_m: length over which the ground is levelled.
@@ -78,7 +76,7 @@ def make_way(
     corners = corners[np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1) > 1e-6]
     if len(corners) < 2:
         raise ConfigError(f"a way needs two different corners or more; got {len(corners)}")
-    radii = corner_radii(corners, cut_m, round_m)
+    radii = _radii(corners, cut_m)
     points, step = _resampled(_filleted(corners, radii))
     points = points + _weave(points, step, weave_m, weave_length_m, rng)
     # Arcs end in jumps of curvature; over this length it changes instead.
@@ -89,14 +87,14 @@ def make_way(
     return Way(np.column_stack([points, heights[:, 0]]), step)
 
 
-def corner_radii(corners: Floats, cut_m: float, round_m: float) -> Floats:
+def _radii(corners: Floats, cut_m: float) -> Floats:
     """Radii (K,) of arcs that pass at most `cut_m` inside the corners and fit between them."""
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     shorter = np.minimum(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
     half = np.clip(np.abs(_turns(corners)), 1e-6, _SHARPEST_RAD) / 2.0
     by_cut = cut_m / (1.0 / np.cos(half) - 1.0)
     by_length = 0.5 * shorter / np.tan(half)
-    return np.asarray(np.minimum(np.minimum(by_cut, by_length), round_m))
+    return np.asarray(np.minimum(by_cut, by_length))
 
 
 def _turns(corners: Floats) -> Floats:
