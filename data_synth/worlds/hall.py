@@ -1,4 +1,4 @@
-"""The hall of a warehouse: floor, walls with loading doors, roof with trusses, lamps."""
+"""The hall of a warehouse: floor, walls with loading doors, roof with girders, lamps."""
 
 from __future__ import annotations
 
@@ -96,14 +96,14 @@ def _back_wall(build: Builder, place: Place) -> None:
 
 
 def _roof(build: Builder) -> None:
-    """Trusses across, purlins along, a duct and a tray of cables."""
+    """Cellular girders across, purlins along, skylights and a duct."""
     steel = build.paint(partial(indoor_textures.steel, shade=0.42), (256, 512))
+    girder = build.paint(prints.girder, (128, 128))
     bright = build.paint(prints.view_outside, (128, 512))
     for x in np.arange(-17.5, 17.6, _TRUSS_STEP_M):
-        build.add((float(x), 0, 6.55), (0.12, DEPTH_M, 0.16), steel, stain=0.3)
-        build.add((float(x), 0, 7.22), (0.14, DEPTH_M, 0.18), steel, stain=0.3)
-        for y in np.arange(-12.0, 12.1, 2.0):
-            build.add((float(x), float(y), 6.88), (0.06, 0.06, 0.5), steel)
+        build.add((float(x), 0, 6.95), (0.12, DEPTH_M, 0.75), girder, density=170.0, stain=0.3)
+        for z in (6.555, 7.32):
+            build.add((float(x), 0, z), (0.24, DEPTH_M, 0.04), steel, stain=0.3)
     for y in (-11.0, -5.5, 0.0, 5.5, 11.0):
         build.add((0, y, 7.35), (LENGTH_M, 0.1, 0.1), steel)
     for y in (-8.1, 2.7):
@@ -122,6 +122,6 @@ def lamps(build: Builder, lines_y: Sequence[float]) -> tuple[Lamp, ...]:
         for x in (-15.0, -7.5, 0.0, 7.5, 15.0):
             build.add((x, y, _LAMP_Z), (1.3, 0.3, 0.1), panel, density=None)
             build.add((x, y, (_LAMP_Z + 6.5) / 2 + 0.1), (0.02, 0.02, 0.5), steel)
-            power = float(build.rng.uniform(0.36, 0.46))
-            found.append(Lamp((x, y, _LAMP_Z - 0.15), power, 7.0, 0.8))
+            power = float(build.rng.uniform(0.4, 0.5))
+            found.append(Lamp((x, y, _LAMP_Z - 0.15), power, 5.0, 0.8))
     return tuple(found)

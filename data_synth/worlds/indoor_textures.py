@@ -63,8 +63,8 @@ def ceiling_tiles(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 def concrete(rng: Rng, shape: tuple[int, int], shade: float = 0.46) -> Floats32:
     """A worn floor: clouds, pores, cracks, oil, tyre marks and sawn joints."""
-    image = shade + 0.05 * noise(rng, shape, 1.5) + 0.03 * noise(rng, shape, 0.7)
-    specks(rng, image, count=image.size // 1500, radius=(1, 4), contrast=0.22)
+    image = shade + 0.05 * noise(rng, shape, 1.5) + 0.02 * noise(rng, shape, 0.7)
+    specks(rng, image, count=image.size // 3000, radius=(1, 4), contrast=0.18)
     for _ in range(image.size // 60_000):
         crack(rng, image, contrast=-0.16)
     _tyre_marks(rng, image, count=image.size // 130_000)
@@ -83,7 +83,7 @@ def corrugated(rng: Rng, shape: tuple[int, int], shade: float = 0.58) -> Floats3
     image += 0.025 * noise(rng, shape, 1.2, stretch=0.12) + 0.015 * noise(rng, shape, 0.7)
     for row in range(24, shape[0], 128):
         for column in range(8, shape[1], 32):
-            cv2.circle(image, (column, row), 2, shade - 0.28, -1, cv2.LINE_AA)
+            cv2.circle(image, (column, row), 2, shade - 0.16, -1, cv2.LINE_AA)
     specks(rng, image, count=image.size // 5000, radius=(1, 4), contrast=0.2)
     return clipped(image)
 
@@ -93,7 +93,7 @@ def rack_steel(rng: Rng, shape: tuple[int, int], shade: float = 0.35) -> Floats3
     image = shade + 0.02 * noise(rng, shape, 1.0) + 0.012 * noise(rng, shape, 0.4)
     for row in range(4, shape[0], 16):
         for column in range(4, shape[1], 16):
-            image[row : row + 7, column : column + 4] = 0.5 * shade
+            image[row : row + 7, column : column + 4] = 0.65 * shade
     _scuffs(rng, image, count=image.size // 4000, contrast=0.25)
     return clipped(image)
 

@@ -137,7 +137,7 @@ def carton_stack(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A pallet's worth of equal cartons in courses, taped, printed, under film."""
     rows, columns = int(rng.integers(2, 5)), int(rng.integers(2, 4))
     base = float(rng.uniform(0.35, 0.62))
-    image = base + 0.025 * noise(rng, shape, 1.3) + 0.02 * noise(rng, shape, 0.6)
+    image = base + 0.025 * noise(rng, shape, 1.4) + 0.012 * noise(rng, shape, 0.6)
     height, width = shape[0] // rows, shape[1] // columns
     for row in range(rows):
         for column in range(-1, columns):
@@ -147,7 +147,7 @@ def carton_stack(rng: Rng, shape: tuple[int, int]) -> Floats32:
                 _carton(rng, box)
     if rng.random() < 0.6:
         film = np.abs(noise(rng, shape, 1.1, stretch=0.3))
-        image += 0.07 * (film > 1.2) * film
+        image += 0.05 * np.maximum(film - 1.0, 0.0)
     return clipped(image)
 
 
@@ -162,14 +162,14 @@ def barrel(rng: Rng, shape: tuple[int, int]) -> Floats32:
         sheet = _sheet(rng, (shape[0] // 4, shape[1] // 5))
         top = int(0.39 * shape[0])
         image[top : top + sheet.shape[0], left : left + sheet.shape[1]] = sheet
-    specks(rng, image, count=image.size // 1500, radius=(1, 6), contrast=-0.3)
+    specks(rng, image, count=image.size // 3000, radius=(1, 6), contrast=-0.2)
     return clipped(image)
 
 
 def sackcloth(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A filled paper sack: creases and print."""
     image = rng.uniform(0.5, 0.7) + 0.05 * noise(rng, shape, 1.2) + 0.02 * noise(rng, shape, 0.5)
-    for _ in range(5):
+    for _ in range(3):
         word(rng, image, dark=True)
     return clipped(image)
 
@@ -209,6 +209,15 @@ def pallet(rng: Rng, shape: tuple[int, int]) -> Floats32:
     return clipped(image)
 
 
+def girder(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """The web of a cellular girder: one round hole, to be repeated."""
+    image = 0.45 + 0.015 * noise(rng, shape, 1.2)
+    middle = (shape[1] // 2, shape[0] // 2)
+    cv2.circle(image, middle, int(0.32 * shape[0]), 0.12, -1, cv2.LINE_AA)
+    cv2.circle(image, middle, int(0.34 * shape[0]), 0.6, 3, cv2.LINE_AA)
+    return clipped(image)
+
+
 def worn_paint(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """Paint on a floor, rubbed through in places."""
     wear = noise(rng, shape, 0.9)
@@ -225,11 +234,11 @@ def _carton(rng: Rng, box: Floats32) -> None:
     """Draw one carton of a stack in place: its shade, edges, tape and label."""
     box += rng.normal(0, 0.045)
     for edge in (box[:2], box[-2:], box[:, :2], box[:, -2:]):
-        edge -= 0.2
+        edge -= 0.12
     height, width = box.shape
     tape = height // 2
     box[tape - 4 : tape + 4] += 0.1
-    if width > 40 and rng.random() < 0.8:
+    if width > 40 and rng.random() < 0.4:
         tall, wide = int(height * rng.uniform(0.2, 0.34)), int(width * rng.uniform(0.25, 0.45))
         top, left = int(rng.integers(6, height - tall - 4)), int(rng.integers(6, width - wide - 4))
         box[top : top + tall, left : left + wide] = _sheet(rng, (tall, wide))

@@ -13,10 +13,11 @@ from data_synth.scene.solids import Kind
 from data_synth.worlds import indoor_textures, prints, textures
 
 BAY_M, DEPTH_M = 2.7, 1.1
-LEVELS_M = (0.0, 1.55, 3.05, 4.5)
-_HEIGHT_M = 5.3
+LEVELS_M = (0.0, 1.6, 3.2)
+_HEIGHT_M = 4.3
+_BACKED = 0.7  # share of bays that one cannot see through
 _PALLET_M = (0.8, 1.16, 0.14)
-_ROOM_M = 1.12  # height of the goods that fit between pallet and beam
+_ROOM_M = 1.16  # height of the goods that fit between pallet and beam
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Kit:
     post: int
     beam: int
     grey: int
+    sheet: int
     hazard: int
     pallet: int
     wood: int
@@ -45,6 +47,7 @@ def make_kit(build: Builder) -> Kit:
         post=build.paint(post, (512, 128)),
         beam=build.paint(beam, (256, 512)),
         grey=build.paint(indoor_textures.steel, (256, 256)),
+        sheet=build.paint(partial(indoor_textures.steel, shade=0.5), (512, 512)),
         hazard=build.paint(prints.hazard, (64, 256)),
         pallet=build.paint(prints.pallet, (64, 256)),
         wood=build.paint(textures.wood, (256, 256)),
@@ -67,8 +70,12 @@ def rack(build: Builder, kit: Kit, place: Place, bays: int) -> None:
             for y in (-0.03, 0.03 - DEPTH_M):
                 size = (BAY_M - 0.1, 0.05, 0.12)
                 build.add(place.at(middle, y, z - 0.06), size, kit.beam, place.yaw)
+        if build.rng.random() < _BACKED:
+            back = place.at(middle, -0.01, _HEIGHT_M / 2)
+            size = (BAY_M - 0.1, 0.01, _HEIGHT_M - 0.2)
+            build.add(back, size, kit.sheet, place.yaw, 120.0, stain=0.4)
         for level, z in enumerate(LEVELS_M):
-            if level in (1, 2):
+            if level > 0:
                 _labels(build, kit, place, middle, z)
             for slot in (-0.86, 0.0, 0.86):
                 _slot(build, kit, place, (middle + slot, z), level)
@@ -77,7 +84,7 @@ def rack(build: Builder, kit: Kit, place: Place, bays: int) -> None:
 def _frame(build: Builder, kit: Kit, place: Place, x: float) -> None:
     for y in (-0.05, 0.05 - DEPTH_M):
         build.add(place.at(x, y, _HEIGHT_M / 2), (0.09, 0.08, _HEIGHT_M), kit.post, place.yaw)
-    for z in (0.25, 1.25, 2.4, 3.5, 4.7):
+    for z in (0.25, 1.3, 2.4, 3.5):
         build.add(place.at(x, -DEPTH_M / 2, z), (0.04, DEPTH_M - 0.18, 0.05), kit.grey, place.yaw)
 
 
@@ -117,6 +124,9 @@ def pallet(build: Builder, kit: Kit, spot: Place, z: float, near_eye: bool = Tru
     else:
         for layer in range(int(rng.integers(2, 6))):
             _bare_pallet(build, kit, spot, top + layer * _PALLET_M[2], False)
+        lid = (_PALLET_M[0], _PALLET_M[1], 0.01)
+        z = top + (layer + 1) * _PALLET_M[2] + 0.005
+        build.add(spot.at(0.0, 0.0, z), lid, kit.wood, spot.yaw)
 
 
 def _bare_pallet(build: Builder, kit: Kit, spot: Place, z: float, near_eye: bool) -> None:
