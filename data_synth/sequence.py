@@ -14,6 +14,7 @@ import numpy as np
 
 from data_synth.motion.spline import CameraWalk, walk_around
 from data_synth.scene.render import camera_rays, render
+from data_synth.scene.shutter import still
 from data_synth.worlds.room import make_room
 from data_synth.writers import euroc
 from vo.errors import ConfigError, OutputError
@@ -144,7 +145,7 @@ def _write_images(
             pending.append([])
             for camera in (0, 1):
                 world_from_cam = world_from_cam0 @ inverse(cam_from_cam0[camera])
-                image = render(world, rays, world_from_cam, pool).image
+                image = render(world, rays, still(world_from_cam), pool).image
                 file = euroc.image_path(folder, camera, int(stamp))
                 rng = np.random.default_rng([seed, 2, index, camera])
                 pending[-1].append(pool.submit(_save, file, image, noise, rng))

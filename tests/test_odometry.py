@@ -13,6 +13,7 @@ import pytest
 
 from data_synth.motion.spline import walk_around
 from data_synth.scene.render import camera_rays, render
+from data_synth.scene.shutter import still
 from data_synth.sequence import grey_levels, stereo_rig
 from data_synth.worlds.room import make_room
 from vo.config import Config, FeaturesConfig
@@ -87,7 +88,7 @@ def _recording() -> Recording:
         for index, pose in enumerate(poses):
             pair: list[Bytes] = []
             for side, cam_from_cam0 in enumerate((np.eye(4), rig.cam1_from_cam0)):
-                image = render(world, rays, pose @ inverse(cam_from_cam0), pool).image
+                image = render(world, rays, still(pose @ inverse(cam_from_cam0)), pool).image
                 pair.append(grey_levels(image, 2.0, np.random.default_rng([index, side])))
             frames.append(Frame(index, round(index / FPS * 1e9), pair[0], pair[1]))
     return Recording(rig, tuple(frames), poses)

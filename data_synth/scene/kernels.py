@@ -14,26 +14,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.scene.atlas import LEVELS
+from data_synth.scene.shutter import Shutter
 from data_synth.scene.solids import Kind
-from data_synth.scene.world import World
+from data_synth.scene.world import STAIN_PER_TEXEL, World
 from vo.types import Floats, Floats32, Ints
 
 TILE = 16
 _MAX_ANISOTROPY = 8
-_EDGE_GRID = 3
+_LEAST_MOTION = 0.2  # of half the way, in pixels
+_JUMP = 3.0
+_LEAST_JUMP = 0.01
 _FAR_M = 1000.0
+_LIFT_M = 1e-4  # else rounding lets a surface shade itself
 _DARKEST = 0.35  # ambient light in the deepest corner
 
 _BOX, _ELLIPSOID = int(Kind.BOX), int(Kind.ELLIPSOID)
 _ROUND, _SIDE = 3, 4  # parts of solids: 0, 1, 2 are flat faces across an axis
-_SKY = -1
+_SKY, _NOTHING = -1, -2  # numbers of surfaces
+_GROUND = 1 << 40  # stands for a solid
 _CLOUDS_PER_TURN = 90.0
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Vector = tuple[float, float, float]
 _Pair = tuple[float, float]
-_List = tuple[Ints, Floats]  # solids, and ray lengths below which each cannot be met
+_Turn = tuple[_Vector, _Vector, _Vector]  # rows of a rotation
+_Beam = tuple[_Vector, _Vector, _Vector, _Vector]  # least and greatest origins, then rays
+_Seen = tuple[Ints, Floats, float]  # solids, ray lengths below which each and the ground are not
 _ZERO = (0.0, 0.0, 0.0)
+_UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def _entry(function: _F) -> _F:
@@ -56,30 +64,32 @@ def _compiled(function: _F) -> _F:
 @_entry
 def cast_rows(
     world: World,
+    shutter: Shutter,
     rays: Floats,
-    rotation: Floats,
-    origin: Floats,
     band: tuple[int, int],
     image: Floats32,
     depth: Floats32,
     surface: NDArray[np.int32],
 ) -> None:
-    """One ray for each pixel of rows band[0]…band[1]: shade, depth and what was hit."""
-    start = (origin[0], origin[1], origin[2])
+    """One ray for each pixel of rows band[0]…band[1], in the middle of its exposure."""
     solids, starts = _empty_list(world)
     for top in range(band[0], band[1], TILE):
         bottom = min(top + TILE, band[1])
         for left in range(0, rays.shape[1], TILE):
             right = min(left + TILE, rays.shape[1])
-            count = _list_solids(
-                world, start, rays, rotation, (top, bottom, left, right), solids, starts
-            )
-            seen = (solids[:count], starts[:count])
+            tile = (top, bottom, left, right)
+            count, earth = _list_seen(world, shutter, rays, tile, 0.0, solids, starts)
+            seen = (solids[:count], starts[:count], earth)
             for row in range(top, bottom):
+                turn, start, time = _pose(shutter, rays.shape[0], row, 0.0)
                 for column in range(left, right):
-                    ray, across, down = _ray(rays, row, column, rotation)
+                    if np.isnan(rays[row, column, 0]):
+                        image[row, column], depth[row, column] = 0.0, np.inf
+                        surface[row, column] = _NOTHING
+                        continue
+                    ray, across, down = _ray(rays, row, column, turn)
                     shade, t, face = _radiance(
-                        world, start, ray, across, down, seen, _MAX_ANISOTROPY
+                        world, start, time, ray, across, down, seen, _MAX_ANISOTROPY
                     )
                     image[row, column] = shade
                     depth[row, column] = t * rays[row, column, 2]
@@ -87,100 +97,330 @@ def cast_rows(
 
 
 @_entry
+def mark_rows(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    band: tuple[int, int],
+    depth: Floats32,
+    surface: NDArray[np.int32],
+    crossed: NDArray[np.uint8],
+) -> None:
+    """Set to 1 all pixels over which an edge between surfaces passes while they are exposed."""
+    rows, columns = surface.shape
+    for row in range(band[0], band[1]):
+        sweep = _sweep(shutter, row)
+        for column in range(columns):
+            if surface[row, column] == _NOTHING:
+                continue
+            edge = False
+            for side in range(4):
+                i = row + (1 if side == 0 else (-1 if side == 1 else 0))
+                j = column + (1 if side == 2 else (-1 if side == 3 else 0))
+                if i < 0 or j < 0 or i >= rows or j >= columns:
+                    continue
+                if _differ(world, depth, surface, row, column, i, j):
+                    edge = True
+                    motion = _motion(world, shutter, rays, sweep, depth, surface, row, column)
+                    _cross(crossed, i, j, motion)
+            if edge:
+                motion = _motion(world, shutter, rays, sweep, depth, surface, row, column)
+                _cross(crossed, row, column, motion)
+
+
+@_entry
 def smooth_rows(
     world: World,
+    shutter: Shutter,
     rays: Floats,
-    rotation: Floats,
-    origin: Floats,
     band: tuple[int, int],
-    image: Floats32,
+    sharp: Floats32,
+    depth: Floats32,
     surface: NDArray[np.int32],
+    crossed: NDArray[np.uint8],
+    counts: Ints,
+    grains: Floats,
+    image: Floats32,
 ) -> None:
-    """More rays for the pixels beside an edge of rows band[0]…band[1]."""
-    start = (origin[0], origin[1], origin[2])
+    """The mean over the area and the exposure of each pixel of rows band[0]…band[1].
+
+    Where one surface fills both, it is the mean of the sharp image along its motion; elsewhere of
+    `counts` rays with offsets `grains` in area and time.
+    """
     solids, starts = _empty_list(world)
     for top in range(band[0], band[1], TILE):
         bottom = min(top + TILE, band[1])
         for left in range(0, rays.shape[1], TILE):
             right = min(left + TILE, rays.shape[1])
-            count = _list_solids(
-                world, start, rays, rotation, (top, bottom, left, right), solids, starts
-            )
-            seen = (solids[:count], starts[:count])
+            count, earth = -1, np.inf
             for row in range(top, bottom):
+                sweep = _sweep(shutter, row)
                 for column in range(left, right):
-                    if _is_edge(surface, row, column):
-                        ray, across, down = _ray(rays, row, column, rotation)
-                        image[row, column] = _mean_radiance(world, start, ray, across, down, seen)
+                    if surface[row, column] == _NOTHING:
+                        image[row, column] = 0.0
+                        continue
+                    motion = _motion(world, shutter, rays, sweep, depth, surface, row, column)
+                    if crossed[row, column] == 0 and _fits(sharp, row, column, motion):
+                        image[row, column] = _mean_along(sharp, row, column, motion)
+                        continue
+                    if count < 0:
+                        tile = (top, bottom, left, right)
+                        count, earth = _list_seen(world, shutter, rays, tile, 0.5, solids, starts)
+                    length = abs(motion[0]) + abs(motion[1])
+                    level = 0
+                    while level + 1 < len(counts) and counts[level] < 4.0 + 1.2 * length:
+                        level += 1
+                    image[row, column] = _mean_radiance(
+                        world,
+                        shutter,
+                        rays,
+                        row,
+                        column,
+                        (solids[:count], starts[:count], earth),
+                        grains[level, : counts[level]],
+                    )
 
 
 @_compiled
 def _mean_radiance(
-    world: World, start: _Vector, ray: _Vector, across: _Vector, down: _Vector, seen: _List
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    row: int,
+    column: int,
+    seen: _Seen,
+    grains: Floats,
 ) -> float:
-    """Mean shade of a grid of rays within one pixel."""
-    step = 1.0 / _EDGE_GRID
-    across, down = _moved(_ZERO, across, step), _moved(_ZERO, down, step)
+    """Mean shade of rays spread over the area and the exposure of one pixel."""
+    size = 1.0 / np.sqrt(len(grains))
+    turn, start, time = _pose(shutter, rays.shape[0], row, 0.0)
+    ray, across, down = _ray(rays, row, column, _UNTURNED)
     total = 0.0
-    for i in range(_EDGE_GRID * _EDGE_GRID):
-        shifted = _moved(ray, across, i % _EDGE_GRID - 0.5 * (_EDGE_GRID - 1))
-        shifted = _moved(shifted, down, i // _EDGE_GRID - 0.5 * (_EDGE_GRID - 1))
+    for k in range(len(grains)):
+        shifted = _moved(_moved(ray, across, grains[k, 0]), down, grains[k, 1])
+        if shutter.width > 0.0:
+            turn, start, time = _pose(shutter, rays.shape[0], row, grains[k, 2])
         # The rays are close already, so that one sample of the texture is enough.
-        total += _radiance(world, start, shifted, across, down, seen, 1)[0]
-    return total / (_EDGE_GRID * _EDGE_GRID)
+        total += _radiance(
+            world,
+            start,
+            time,
+            _turned(turn, shifted),
+            _turned(turn, _moved(_ZERO, across, size)),
+            _turned(turn, _moved(_ZERO, down, size)),
+            seen,
+            1,
+        )[0]
+    return total / len(grains)
 
 
 @_compiled
-def _is_edge(surface: NDArray[np.int32], row: int, column: int) -> bool:
-    here = surface[row, column]
+def _differ(
+    world: World,
+    depth: Floats32,
+    surface: NDArray[np.int32],
+    row: int,
+    column: int,
+    i: int,
+    j: int,
+) -> bool:
+    """Whether there is an edge between a pixel and its neighbour (i, j)."""
+    here, there = surface[row, column], surface[i, j]
+    if here != there:
+        return True
+    if here != _ground_number(world):
+        return False
+    # Along one slope, inverse depth changes evenly; where a hill hides another, it jumps.
     rows, columns = surface.shape
+    ib, jb, ia, ja = 2 * row - i, 2 * column - j, 2 * i - row, 2 * j - column
+    if min(ib, jb, ia, ja) < 0 or max(ib, ia) >= rows or max(jb, ja) >= columns:
+        return False
+    if surface[ib, jb] != here or surface[ia, ja] != here:
+        return False
+    w, v = 1.0 / depth[row, column], 1.0 / depth[i, j]
+    step = abs(w - v)
+    around = max(abs(1.0 / depth[ib, jb] - w), abs(1.0 / depth[ia, ja] - v))
+    return bool(step > _JUMP * around and step > _LEAST_JUMP * max(w, v))
+
+
+@_compiled
+def _cross(crossed: NDArray[np.uint8], row: int, column: int, motion: _Pair) -> None:
+    """Set the pixels over which a point of a pixel moves."""
+    rows, columns = crossed.shape
+    crossed[row, column] = 1
+    steps = min(int(max(abs(motion[0]), abs(motion[1]))) + 1, 256)
+    for k in range(-steps, steps + 1):
+        share = 0.5 * k / steps
+        i, j = (
+            int(np.floor(row + share * motion[1] + 0.5)),
+            int(np.floor(column + share * motion[0] + 0.5)),
+        )
+        if 0 <= i < rows and 0 <= j < columns:
+            crossed[i, j] = 1
+
+
+@_compiled
+def _fits(sharp: Floats32, row: int, column: int, motion: _Pair) -> bool:
+    """Whether the image holds all that passes a pixel."""
+    rows, columns = sharp.shape
+    across, down = 0.5 * abs(motion[0]), 0.5 * abs(motion[1])
     return bool(
-        (row > 0 and surface[row - 1, column] != here)
-        or (row + 1 < rows and surface[row + 1, column] != here)
-        or (column > 0 and surface[row, column - 1] != here)
-        or (column + 1 < columns and surface[row, column + 1] != here)
+        (across < _LEAST_MOTION or across <= min(column, columns - 1 - column))
+        and (down < _LEAST_MOTION or down <= min(row, rows - 1 - row))
     )
 
 
 @_compiled
-def _ray(rays: Floats, row: int, column: int, rotation: Floats) -> tuple[_Vector, _Vector, _Vector]:
+def _mean_along(sharp: Floats32, row: int, column: int, motion: _Pair) -> float:
+    """Mean of the sharp image along a line about a pixel."""
+    length = np.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
+    if length < 2.0 * _LEAST_MOTION:
+        return float(sharp[row, column])
+    count = min(int(length) + 2, 128)
+    rows, columns = sharp.shape
+    total = 0.0
+    for k in range(count):
+        share = (k + 0.5) / count - 0.5
+        u, v = column + share * motion[0], row + share * motion[1]
+        j = min(max(int(u), 0), columns - 2)
+        i = min(max(int(v), 0), rows - 2)
+        fu, fv = u - j, v - i
+        total += (1.0 - fv) * ((1.0 - fu) * sharp[i, j] + fu * sharp[i, j + 1]) + fv * (
+            (1.0 - fu) * sharp[i + 1, j] + fu * sharp[i + 1, j + 1]
+        )
+    return total / count
+
+
+@_compiled
+def _sweep(shutter: Shutter, row: int) -> tuple[_Turn, _Vector]:
+    """How points in the camera's frame move from when a row opens to when it closes.
+
+    A point of depth 1/w on a ray r moves by D r + w e; D (as rows) and e are returned.
+    """
+    if shutter.width == 0.0:
+        return (_ZERO, _ZERO, _ZERO), _ZERO
+    middle, _, _ = _pose(shutter, 1, row, 0.0)
+    first, from_, _ = _pose(shutter, 1, row, -0.5)
+    last, to, _ = _pose(shutter, 1, row, 0.5)
+    # To first order: Rm^T (P - om) with the poses of both ends for R and o, one minus the other.
+    c = (_minus(last[0], first[0]), _minus(last[1], first[1]), _minus(last[2], first[2]))
+    d = (
+        _turned_back(middle, (c[0][0], c[1][0], c[2][0])),
+        _turned_back(middle, (c[0][1], c[1][1], c[2][1])),
+        _turned_back(middle, (c[0][2], c[1][2], c[2][2])),
+    )
+    return d, _turned_back(middle, _minus(from_, to))
+
+
+@_compiled
+def _motion(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    sweep: tuple[_Turn, _Vector],
+    depth: Floats32,
+    surface: NDArray[np.int32],
+    row: int,
+    column: int,
+) -> _Pair:
+    """How many pixels across and down what a pixel sees moves during the exposure."""
+    if shutter.width == 0.0:
+        return 0.0, 0.0
+    x, y = rays[row, column, 0], rays[row, column, 1]
+    inverse = 1.0 / depth[row, column]
+    d, e = sweep
+    ray = (x, y, 1.0)
+    moved = _moved((_dot(d[0], ray), _dot(d[1], ray), _dot(d[2], ray)), e, inverse)
+    mover = surface[row, column] // 6 - (len(world.kinds) - len(world.movers.bodies))
+    if 0 <= mover < len(world.movers.bodies):
+        speed = world.movers.velocities[mover]
+        turn, _, _ = _pose(shutter, 1, row, 0.0)
+        way = _turned_back(turn, (speed[0], speed[1], speed[2]))
+        moved = _moved(moved, way, shutter.width * shutter.step_s * inverse)
+    _, across, down = _ray(rays, row, column, _UNTURNED)
+    mx, my = moved[0] - x * moved[2], moved[1] - y * moved[2]
+    area = across[0] * down[1] - across[1] * down[0]
+    if area == 0.0:  # alone at the end of what the lens sees
+        return 0.0, 0.0
+    scale = 1.0 / area
+    u = scale * (mx * down[1] - my * down[0])
+    v = scale * (across[0] * my - across[1] * mx)
+    # Rows are taken one after the other: what moves down with them seems to move faster.
+    if shutter.per_row != 0.0:
+        late = 1.0 / (1.0 - min(v * shutter.per_row / shutter.width, 0.5))
+        u, v = late * u, late * v
+    return u, v
+
+
+@_compiled
+def _pose(shutter: Shutter, rows: int, row: int, share: float) -> tuple[_Turn, _Vector, float]:
+    """Rotation, origin and seconds since the frame's stamp, at a share -0.5…0.5 of the exposure."""
+    at = shutter.first + shutter.per_row * row + share * shutter.width
+    time = shutter.step_s * (shutter.per_row * (row - 0.5 * (rows - 1)) + share * shutter.width)
+    last = len(shutter.origins) - 1
+    at = min(max(at, 0.0), float(last))
+    i = min(int(at), max(last - 1, 0))
+    j, f = min(i + 1, last), at - i
+    r, q, o, p = shutter.rotations[i], shutter.rotations[j], shutter.origins[i], shutter.origins[j]
+    g = 1.0 - f
+    return (
+        (
+            (g * r[0, 0] + f * q[0, 0], g * r[0, 1] + f * q[0, 1], g * r[0, 2] + f * q[0, 2]),
+            (g * r[1, 0] + f * q[1, 0], g * r[1, 1] + f * q[1, 1], g * r[1, 2] + f * q[1, 2]),
+            (g * r[2, 0] + f * q[2, 0], g * r[2, 1] + f * q[2, 1], g * r[2, 2] + f * q[2, 2]),
+        ),
+        (g * o[0] + f * p[0], g * o[1] + f * p[1], g * o[2] + f * p[2]),
+        time,
+    )
+
+
+@_compiled
+def _ray(rays: Floats, row: int, column: int, turn: _Turn) -> tuple[_Vector, _Vector, _Vector]:
     """A pixel's ray in the world and how it changes by one pixel across and down."""
     x, y, z = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
-    j = 1 if column + 1 < rays.shape[1] else -1
-    i = 1 if row + 1 < rays.shape[0] else -1
-    across, down = rays[row, column + j], rays[row + i, column]
-    return (
-        _turned(rotation, x, y, z),
-        _turned(rotation, j * (across[0] - x), j * (across[1] - y), j * (across[2] - z)),
-        _turned(rotation, i * (down[0] - x), i * (down[1] - y), i * (down[2] - z)),
-    )
+    j = 1 if column + 1 < rays.shape[1] and not np.isnan(rays[row, column + 1, 0]) else -1
+    i = 1 if row + 1 < rays.shape[0] and not np.isnan(rays[row + 1, column, 0]) else -1
+    a, d = rays[row, column + j], rays[row + i, column]
+    across = (j * (a[0] - x), j * (a[1] - y), j * (a[2] - z))
+    down = (i * (d[0] - x), i * (d[1] - y), i * (d[2] - z))
+    if np.isnan(across[0]):
+        across = (0.0, 0.0, 0.0)
+    if np.isnan(down[0]):
+        down = (0.0, 0.0, 0.0)
+    return _turned(turn, (x, y, z)), _turned(turn, across), _turned(turn, down)
 
 
-# --- Which solids a tile may see -------------------------------------------------------------
+# --- What a tile may see ---------------------------------------------------------------------
 
 
 @_entry
-def _empty_list(world: World) -> _List:
+def _empty_list(world: World) -> tuple[Ints, Floats]:
     return np.empty(len(world.kinds), np.int64), np.empty(len(world.kinds))
 
 
 @_compiled
-def _list_solids(
+def _list_seen(
     world: World,
-    start: _Vector,
+    shutter: Shutter,
     rays: Floats,
-    rotation: Floats,
     tile: tuple[int, int, int, int],
+    share: float,
     solids: Ints,
     starts: Floats,
-) -> int:
-    """List the solids that any ray of a tile may meet, by the shortest length at which it may."""
-    low, high = _ray_range(rays, rotation, tile)
+) -> tuple[int, float]:
+    """List the solids that any ray of a tile may meet, by the shortest length at which it may.
+
+    The rays are those of the middle `share` of the exposure to either side. Also returned is the
+    length below which no ray meets the ground.
+    """
+    beam = _beam(shutter, rays, tile, share)
+    if beam[2][0] > beam[3][0]:  # nothing at all is seen
+        return 0, np.inf
     tree = world.tree
     node, count = 0, 0
     while node < len(tree.skip):
         b = tree.bounds[node]
-        near = _earliest((b[0], b[1], b[2]), (b[3], b[4], b[5]), start, low, high)
+        near = _earliest((b[0], b[1], b[2]), (b[3], b[4], b[5]), beam)
         if near == np.inf:
             node = tree.skip[node]
             continue
@@ -188,12 +428,16 @@ def _list_solids(
             count = _insert(solids, starts, count, tree.solid[node], near)
         node += 1
     moving = len(world.movers.bodies)
-    for solid in range(len(world.kinds) - moving, len(world.kinds)):
-        lower, upper = _bounds(world, solid)
-        near = _earliest(lower, upper, start, low, high)
-        if near != np.inf:
-            count = _insert(solids, starts, count, solid, near)
-    return count
+    if moving > 0:
+        _, _, first = _pose(shutter, rays.shape[0], tile[0], -share)
+        _, _, last = _pose(shutter, rays.shape[0], tile[1] - 1, share)
+        for mover in range(moving):
+            solid = len(world.kinds) - moving + mover
+            lower, upper = _moving_bounds(world, mover, solid, first, last)
+            near = _earliest(lower, upper, beam)
+            if near != np.inf:
+                count = _insert(solids, starts, count, solid, near)
+    return count, _ground_start(world, beam)
 
 
 @_compiled
@@ -207,44 +451,88 @@ def _insert(solids: Ints, starts: Floats, count: int, solid: int, near: float) -
 
 
 @_compiled
-def _bounds(world: World, solid: int) -> tuple[_Vector, _Vector]:
-    """Corners of an upright box in the world's frame around a solid."""
-    shape = world.shapes[solid]
+def _moving_bounds(
+    world: World, mover: int, solid: int, first: float, last: float
+) -> tuple[_Vector, _Vector]:
+    """Corners of an upright box around all places of a moving solid between two times."""
+    shape, speed = world.shapes[solid], world.movers.velocities[mover]
     cosine, sine = abs(shape[6]), abs(shape[7])
     x, y, z = cosine * shape[3] + sine * shape[4], sine * shape[3] + cosine * shape[4], shape[5]
-    return (
+    lower, upper = (
         (shape[0] - x, shape[1] - y, shape[2] - z),
-        (shape[0] + x, shape[1] + y, shape[2] + z),
+        (
+            shape[0] + x,
+            shape[1] + y,
+            shape[2] + z,
+        ),
+    )
+    way = (speed[0], speed[1], speed[2])
+    return (
+        _least(_moved(lower, way, first), _moved(lower, way, last)),
+        _greatest(_moved(upper, way, first), _moved(upper, way, last)),
     )
 
 
 @_compiled
-def _ray_range(
-    rays: Floats, rotation: Floats, tile: tuple[int, int, int, int]
-) -> tuple[_Vector, _Vector]:
-    """Least and greatest x, y, z of a tile's rays in the world, a pixel wider all round."""
+def _beam(shutter: Shutter, rays: Floats, tile: tuple[int, int, int, int], share: float) -> _Beam:
+    """Least and greatest origins and rays of a tile in the world, a pixel wider all round."""
     low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
-    for row in range(tile[0], tile[1]):
-        for column in range(tile[2], tile[3]):
-            x, y, z = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
-            ray = _turned(rotation, x, y, z)
-            low = (min(low[0], ray[0]), min(low[1], ray[1]), min(low[2], ray[2]))
-            high = (max(high[0], ray[0]), max(high[1], ray[1]), max(high[2], ray[2]))
-    _, across, down = _ray(rays, tile[0], tile[2], rotation)
-    x, y, z = (
-        abs(across[0]) + abs(down[0]),
-        abs(across[1]) + abs(down[1]),
-        abs(across[2]) + abs(down[2]),
-    )
-    return (low[0] - x, low[1] - y, low[2] - z), (high[0] + x, high[1] + y, high[2] + z)
+    from_, to = low, high
+    moments = 1 if len(shutter.origins) == 1 else (6 if share > 0.0 else 2)
+    whole, size = _has_hole(rays, tile), _ZERO
+    for moment in range(moments):
+        row = tile[0] if moment % 2 == 0 else tile[1] - 1
+        turn, origin, _ = _pose(shutter, rays.shape[0], row, share * (moment // 2 - 1))
+        from_, to = _least(from_, origin), _greatest(to, origin)
+        for i in range(tile[0], tile[1]):
+            # The rays inside lie between those around; but not where the lens ends inside.
+            rim = whole or i == tile[0] or i == tile[1] - 1
+            j = tile[2]
+            while j < tile[3]:
+                if not np.isnan(rays[i, j, 0]):
+                    ray = _turned(turn, (rays[i, j, 0], rays[i, j, 1], rays[i, j, 2]))
+                    low, high = _least(low, ray), _greatest(high, ray)
+                j += 1 if rim else max(tile[3] - 1 - tile[2], 1)
+        size = _greatest(size, _pixel_size(rays, tile, turn))
+    return from_, to, _minus(low, size), _moved(high, size, 1.0)
 
 
 @_compiled
-def _earliest(lower: _Vector, upper: _Vector, start: _Vector, low: _Vector, high: _Vector) -> float:
-    """Lower bound of the length at which rays between low and high meet a box; or infinite."""
+def _has_hole(rays: Floats, tile: tuple[int, int, int, int]) -> bool:
+    """Whether a corner of a tile sees nothing."""
+    top, bottom, left, right = tile
+    return bool(
+        np.isnan(rays[top, left, 0])
+        or np.isnan(rays[top, right - 1, 0])
+        or np.isnan(rays[bottom - 1, left, 0])
+        or np.isnan(rays[bottom - 1, right - 1, 0])
+    )
+
+
+@_compiled
+def _pixel_size(rays: Floats, tile: tuple[int, int, int, int], turn: _Turn) -> _Vector:
+    """Greatest change of the rays at the corners of a tile by one pixel."""
+    most = _ZERO
+    for corner in range(4):
+        row = tile[0] if corner < 2 else tile[1] - 1
+        column = tile[2] if corner % 2 == 0 else tile[3] - 1
+        if not np.isnan(rays[row, column, 0]):
+            _, across, down = _ray(rays, row, column, turn)
+            most = (
+                max(most[0], abs(across[0]) + abs(down[0])),
+                max(most[1], abs(across[1]) + abs(down[1])),
+                max(most[2], abs(across[2]) + abs(down[2])),
+            )
+    return most
+
+
+@_compiled
+def _earliest(lower: _Vector, upper: _Vector, beam: _Beam) -> float:
+    """Lower bound of the length at which rays of a beam meet a box; or infinite."""
+    from_, to, low, high = beam
     near, far = 0.0, np.inf
     for k in range(3):
-        first, last = lower[k] - start[k], upper[k] - start[k]
+        first, last = lower[k] - to[k], upper[k] - from_[k]
         slow, fast = low[k], high[k]
         if fast < 0.0:  # mirrored, rays go forward
             first, last, slow, fast = -last, -first, -fast, -slow
@@ -258,6 +546,53 @@ def _earliest(lower: _Vector, upper: _Vector, start: _Vector, low: _Vector, high
     return near if near <= far else np.inf
 
 
+@_compiled
+def _ground_start(world: World, beam: _Beam) -> float:
+    """Length below which no ray of a beam meets the ground."""
+    relief = world.relief
+    if relief.heights.shape[0] == 1:
+        return np.inf
+    from_, to, low, high = beam
+    begin, end = 0.0, 0.5
+    while begin < _FAR_M:
+        down = from_[2] + min(begin * low[2], end * low[2])
+        x0, x1 = (
+            from_[0] + min(begin * low[0], end * low[0]),
+            to[0] + max(begin * high[0], end * high[0]),
+        )
+        y0, y1 = (
+            from_[1] + min(begin * low[1], end * low[1]),
+            to[1] + max(begin * high[1], end * high[1]),
+        )
+        if down <= _peak_within(world, x0, x1, y0, y1):
+            return begin
+        begin, end = end, 1.15 * end
+    return begin
+
+
+@_compiled
+def _peak_within(world: World, x0: float, x1: float, y0: float, y1: float) -> float:
+    """Upper bound of the ground's heights over an area; minus infinity beside the ground."""
+    relief = world.relief
+    rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
+    scale = 1.0 / relief.cell
+    left, right = (x0 - relief.corner[0]) * scale, (x1 - relief.corner[0]) * scale
+    top, bottom = (y0 - relief.corner[1]) * scale, (y1 - relief.corner[1]) * scale
+    if right < 0.0 or bottom < 0.0 or left > columns or top > rows:
+        return -np.inf
+    j0, j1 = int(min(max(left, 0.0), columns - 1.0)), int(min(right, columns - 1.0))
+    i0, i1 = int(min(max(top, 0.0), rows - 1.0)), int(min(bottom, rows - 1.0))
+    level = 0
+    while level + 1 < len(relief.starts) and max(j1 - j0, i1 - i0) >> level > 2:
+        level += 1
+    peak = -np.inf
+    for i in range(i0 >> level, (i1 >> level) + 1):
+        for j in range(j0 >> level, (j1 >> level) + 1):
+            at = relief.starts[level] + i * relief.widths[level] + j
+            peak = max(peak, relief.peaks[at])
+    return peak
+
+
 # --- What one ray meets ----------------------------------------------------------------------
 
 
@@ -265,16 +600,24 @@ def _earliest(lower: _Vector, upper: _Vector, start: _Vector, low: _Vector, high
 def _radiance(
     world: World,
     start: _Vector,
+    time: float,
     ray: _Vector,
     across: _Vector,
     down: _Vector,
-    seen: _List,
+    seen: _Seen,
     samples: int,
 ) -> tuple[float, float, int]:
     """Shade, ray length and number of the face that a ray meets, among the solids seen."""
-    t, solid, part = _nearest(world, start, ray, seen)
+    t, solid, part = _nearest(world, start, time, ray, seen)
+    if seen[2] < t:
+        below = _ground_hit(world, start, ray, seen[2], t)
+        if below < t:
+            hit = _moved(start, ray, below)
+            shade = _ground_shade(world, hit, ray, across, down, below, samples)
+            return shade, below, _ground_number(world)
     if solid < 0:
         return _sky(world, ray), np.inf, _SKY
+    start = _beside(world, solid, start, time)
     to = _local(world, solid, ray)
     hit = _moved(_local_point(world, solid, start), to, t)
     normal = _normal(world, solid, part, hit, to)
@@ -290,17 +633,29 @@ def _radiance(
 
 
 @_compiled
-def _nearest(world: World, start: _Vector, ray: _Vector, seen: _List) -> tuple[float, int, int]:
+def _nearest(
+    world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen
+) -> tuple[float, int, int]:
     """Ray length, solid and part of the first hit; solid -1 for none."""
-    solids, starts = seen
+    solids, starts, _ = seen
     t, solid, part = np.inf, -1, 0
     for i in range(len(solids)):
         if starts[i] >= t:
             break
-        closer, there = _enter(world, solids[i], start, ray)
+        closer, there = _enter(world, solids[i], _beside(world, solids[i], start, time), ray)
         if closer < t:
             t, solid, part = closer, solids[i], there
     return t, solid, part
+
+
+@_compiled
+def _beside(world: World, solid: int, start: _Vector, time: float) -> _Vector:
+    """Where a point is relative to a solid's place at the frame's stamp."""
+    mover = solid - (len(world.kinds) - len(world.movers.bodies))
+    if mover < 0:
+        return start
+    speed = world.movers.velocities[mover]
+    return _moved(start, (speed[0], speed[1], speed[2]), -time)
 
 
 @_compiled
@@ -379,7 +734,7 @@ def _sky(world: World, ray: _Vector) -> float:
     """Radiance of the sky: paler at the horizon, with soft clouds."""
     flat = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
     slope = ray[2] / max(flat, 1e-9)
-    radiance = world.sky.radiance
+    radiance = world.sources.sky
     pale = 0.3 + 0.7 * radiance
     if slope <= 0.0:
         return pale
@@ -390,7 +745,148 @@ def _sky(world: World, ray: _Vector) -> float:
     value = _bilinear(world, stain, 2, spread * ray[0], spread * ray[1]) / 255.0
     cloud = min(max(2.5 * (value - 0.5), 0.0), 1.0)
     clear = radiance + (0.97 - radiance) * cloud
-    return clear + (pale - clear) * mist
+    return float(clear + (pale - clear) * mist)
+
+
+# --- Ground ----------------------------------------------------------------------------------
+
+
+@_compiled
+def _ground_number(world: World) -> int:
+    return 6 * len(world.kinds)
+
+
+@_compiled
+def _ground_hit(world: World, start: _Vector, ray: _Vector, begin: float, end: float) -> float:
+    """Ray length between begin and end at which a ray meets the ground; infinite for a miss.
+
+    It walks over the blocks of the pyramid of peaks and leaps over those that it stays above.
+    """
+    relief = world.relief
+    rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
+    scale = 1.0 / relief.cell
+    ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
+    dx, dy = scale * ray[0], scale * ray[1]
+    ix, iy = _inverse(dx), _inverse(dy)
+    first, second = -ox * ix, (columns - ox) * ix
+    near, far = max(begin, min(first, second)), min(end, max(first, second))
+    first, second = -oy * iy, (rows - oy) * iy
+    t, far = max(near, min(first, second)), min(far, max(first, second))
+    if not t < far:
+        return np.inf
+    j = min(max(int(ox + t * dx), 0), columns - 1)
+    i = min(max(int(oy + t * dy), 0), rows - 1)
+    level, top = 1 if len(relief.starts) > 1 else 0, len(relief.starts) - 1
+    while True:
+        bj, bi = j >> level, i >> level
+        tx = (((bj + (dx > 0.0)) << level) - ox) * ix
+        ty = (((bi + (dy > 0.0)) << level) - oy) * iy
+        out = max(min(tx, ty, far), t)
+        peak = relief.peaks[relief.starts[level] + bi * relief.widths[level] + bj]
+        if start[2] + min(t * ray[2], out * ray[2]) <= peak:
+            if level > 0:
+                level -= 1
+                continue
+            hit = _cell_hit(world, i, j, (ox - j, oy - i, start[2]), (dx, dy, ray[2]), t, out)
+            if hit < np.inf:
+                return hit
+        if out >= far:
+            return np.inf
+        t, oj, oi = out, j, i
+        if tx < ty:
+            j = (bj + 1) << level if dx > 0.0 else (bj << level) - 1
+            i = min(max(int(oy + t * dy), bi << level), ((bi + 1) << level) - 1)
+        else:
+            i = (bi + 1) << level if dy > 0.0 else (bi << level) - 1
+            j = min(max(int(ox + t * dx), bj << level), ((bj + 1) << level) - 1)
+        if j < 0 or i < 0 or j >= columns or i >= rows:
+            return np.inf
+        up = level + 1
+        if level < top and (j >> up != oj >> up or i >> up != oi >> up):
+            level = up
+
+
+@_compiled
+def _cell_hit(
+    world: World, i: int, j: int, o: _Vector, d: _Vector, begin: float, end: float
+) -> float:
+    """Where a ray, in the frame of a cell, meets its bilinear patch between two lengths."""
+    z = world.relief.heights
+    a, b = float(z[i, j]), float(z[i, j + 1]) - float(z[i, j])
+    c, e = float(z[i + 1, j]) - a, float(z[i + 1, j + 1]) - float(z[i + 1, j]) - b
+    u, v = o[0] + begin * d[0], o[1] + begin * d[1]
+    above = o[2] + begin * d[2] - (a + b * u + c * v + e * u * v)
+    if above <= 0.0:  # it went under just now, on the rim between two cells
+        return begin
+    slope = d[2] - (b * d[0] + c * d[1] + e * (u * d[1] + v * d[0]))
+    bend = -e * d[0] * d[1]
+    # The smaller positive root of above + slope s + bend s^2, without cancellation.
+    square = slope * slope - 4.0 * bend * above
+    if square < 0.0:
+        return np.inf
+    root = np.sqrt(square)
+    if slope <= 0.0:
+        s = 2.0 * above / (root - slope) if root - slope > 0.0 else np.inf
+    else:
+        s = -(slope + root) / (2.0 * bend) if bend < 0.0 else np.inf
+    return begin + s if s <= end - begin else np.inf
+
+
+@_compiled
+def _ground_normal(world: World, x: float, y: float) -> _Vector:
+    """Unit normal of the patch below a point."""
+    relief = world.relief
+    z = relief.heights
+    u, v = (x - relief.corner[0]) / relief.cell, (y - relief.corner[1]) / relief.cell
+    j = min(max(int(u), 0), z.shape[1] - 2)
+    i = min(max(int(v), 0), z.shape[0] - 2)
+    u, v = u - j, v - i
+    gx = ((1.0 - v) * (z[i, j + 1] - z[i, j]) + v * (z[i + 1, j + 1] - z[i + 1, j])) / relief.cell
+    gy = ((1.0 - u) * (z[i + 1, j] - z[i, j]) + u * (z[i + 1, j + 1] - z[i, j + 1])) / relief.cell
+    scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    return -scale * gx, -scale * gy, scale
+
+
+@_compiled
+def _ground_shade(
+    world: World, hit: _Vector, ray: _Vector, across: _Vector, down: _Vector, t: float, samples: int
+) -> float:
+    """Shade of the ground: its texture laid on from above, stains and baked light."""
+    relief = world.relief
+    normal = _ground_normal(world, hit[0], hit[1])
+    a, d = _slid(ray, across, normal, t), _slid(ray, down, normal, t)
+    k = relief.density
+    value = _filtered(
+        world,
+        relief.texture,
+        k * hit[0],
+        -k * hit[1],
+        (k * a[0], -k * a[1]),
+        (k * d[0], -k * d[1]),
+        samples,
+    )
+    if relief.stain > 0.0:
+        k *= STAIN_PER_TEXEL
+        size = k * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
+        value *= 1.0 + 2.0 * relief.stain * (_stain(world, k * hit[0], -k * hit[1], size) - 0.5)
+    return value * _ground_light(world, hit[0], hit[1])
+
+
+@_compiled
+def _ground_light(world: World, x: float, y: float) -> float:
+    """Baked light on the ground, bilinear."""
+    relief = world.relief
+    rows, columns = relief.light.shape
+    right = (x - relief.corner[0]) / relief.cell / (relief.heights.shape[1] - 1) * (columns - 1)
+    up = (y - relief.corner[1]) / relief.cell / (relief.heights.shape[0] - 1) * (rows - 1)
+    j = min(max(int(right), 0), columns - 2)
+    i = min(max(int(up), 0), rows - 2)
+    fu, fv = right - j, up - i
+    z = relief.light
+    return float(
+        (1.0 - fv) * ((1.0 - fu) * z[i, j] + fu * z[i, j + 1])
+        + fv * ((1.0 - fu) * z[i + 1, j] + fu * z[i + 1, j + 1])
+    )
 
 
 # --- Frames ----------------------------------------------------------------------------------
@@ -411,11 +907,31 @@ def _moved(start: _Vector, direction: _Vector, by: float) -> _Vector:
 
 
 @_compiled
-def _turned(rotation: Floats, x: float, y: float, z: float) -> _Vector:
+def _minus(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@_compiled
+def _least(a: _Vector, b: _Vector) -> _Vector:
+    return min(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
+
+
+@_compiled
+def _greatest(a: _Vector, b: _Vector) -> _Vector:
+    return max(a[0], b[0]), max(a[1], b[1]), max(a[2], b[2])
+
+
+@_compiled
+def _turned(turn: _Turn, v: _Vector) -> _Vector:
+    return _dot(turn[0], v), _dot(turn[1], v), _dot(turn[2], v)
+
+
+@_compiled
+def _turned_back(turn: _Turn, v: _Vector) -> _Vector:
     return (
-        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
-        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
-        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+        turn[0][0] * v[0] + turn[1][0] * v[1] + turn[2][0] * v[2],
+        turn[0][1] * v[0] + turn[1][1] * v[1] + turn[2][1] * v[2],
+        turn[0][2] * v[0] + turn[1][2] * v[1] + turn[2][2] * v[2],
     )
 
 
@@ -542,7 +1058,7 @@ def _stain(world: World, u: float, v: float, size: float) -> float:
     value = (1.0 - level + base) * _bilinear(world, texture, base, u, v)
     if level > base:
         value += (level - base) * _bilinear(world, texture, base + 1, u, v)
-    return value / 255.0
+    return float(value / 255.0)
 
 
 @_compiled
@@ -639,7 +1155,7 @@ def _simple_light(world: World, mover: int, normal: _Vector) -> float:
     """Light on a solid that moves: from above, and half of it from all around."""
     light = world.movers.lights[mover]
     facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
-    return max(facing, 0.0) + light[3] * (0.8 + 0.2 * normal[2])
+    return float(max(facing, 0.0) + light[3] * (0.8 + 0.2 * normal[2]))
 
 
 # --- Baking ----------------------------------------------------------------------------------
@@ -671,13 +1187,80 @@ def light_faces(
                 right, up = 2.0 * j / (columns - 1) - 1.0, 2.0 * i / (rows - 1) - 1.0
                 point, normal = _surface_point(world, solid, face, right, up)
                 tint = _tint(normal)
-                here = _moved(point, normal, 1e-4)  # else rounding lets a face shade itself
+                here = _moved(point, normal, _LIFT_M)
                 shape = world.shapes[solid]
                 here = _moved(_upright(world, solid, here), (shape[0], shape[1], shape[2]), 1.0)
                 outward = _upright(world, solid, normal)
                 lights.values[lights.offsets[solid, face] + i * columns + j] = _all_light(
                     world, here, outward, tint, solid, lamps, lamp_points, to_sky
                 )
+
+
+@_entry
+def light_ground(
+    world: World, band: tuple[int, int], lamps: Floats, lamp_points: Floats, to_sky: Floats
+) -> None:
+    """Bake the light on rows band[0]…band[1] - 1 of the ground; `relief.light` is written."""
+    relief = world.relief
+    light = relief.light
+    rows, columns = light.shape
+    across = relief.cell * (relief.heights.shape[1] - 1) / (columns - 1)
+    down = relief.cell * (relief.heights.shape[0] - 1) / (rows - 1)
+    for i in range(band[0], band[1]):
+        for j in range(columns):
+            x, y = relief.corner[0] + across * j, relief.corner[1] + down * i
+            normal = _smooth_normal(world, x, y)
+            here = _moved((x, y, _height(world, x, y)), normal, _LIFT_M)
+            light[i, j] = _all_light(world, here, normal, 1.1, _GROUND, lamps, lamp_points, to_sky)
+
+
+@_compiled
+def _smooth_normal(world: World, x: float, y: float) -> _Vector:
+    """Unit normal of the ground from heights a cell away, so that cells do not show."""
+    cell = world.relief.cell
+    gx = (_height(world, x + cell, y) - _height(world, x - cell, y)) / (2.0 * cell)
+    gy = (_height(world, x, y + cell) - _height(world, x, y - cell)) / (2.0 * cell)
+    scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    return -scale * gx, -scale * gy, scale
+
+
+@_compiled
+def _height(world: World, x: float, y: float) -> float:
+    relief = world.relief
+    z = relief.heights
+    u = min(max((x - relief.corner[0]) / relief.cell, 0.0), z.shape[1] - 1.0)
+    v = min(max((y - relief.corner[1]) / relief.cell, 0.0), z.shape[0] - 1.0)
+    j, i = min(int(u), z.shape[1] - 2), min(int(v), z.shape[0] - 2)
+    u, v = u - j, v - i
+    return float(
+        (1.0 - v) * ((1.0 - u) * z[i, j] + u * z[i, j + 1])
+        + v * ((1.0 - u) * z[i + 1, j] + u * z[i + 1, j + 1])
+    )
+
+
+@_entry
+def light_movers(world: World, centres: Floats, lights: Floats) -> None:
+    """Light (K, 4) that falls on moving solids at these places: direction and ambient.
+
+    From the sun and from lamps where they are in sight.
+    """
+    sources = world.sources
+    for k in range(len(centres)):
+        here = (centres[k, 0], centres[k, 1], centres[k, 2])
+        total = _ZERO
+        sun = (sources.sun[0], sources.sun[1], sources.sun[2])
+        if sources.sun_power > 0.0 and (
+            _blocker(world, here, _moved(_ZERO, sun, _FAR_M), _GROUND) < 0
+        ):
+            total = _moved(total, sun, sources.sun_power)
+        for lamp in range(len(sources.lamps)):
+            x, y, z, power, reach = sources.lamps[lamp]
+            to = _minus((x, y, z), here)
+            square = _dot(to, to)
+            if power > 0.004 * (1.0 + square / reach**2) and _blocker(world, here, to, _GROUND) < 0:
+                total = _moved(total, to, power / np.sqrt(square) / (1.0 + square / reach**2))
+        lights[k, 0], lights[k, 1], lights[k, 2] = total
+        lights[k, 3] = sources.ambient
 
 
 @_compiled
@@ -693,11 +1276,11 @@ def _all_light(
 ) -> float:
     """Light at a point from all around, from the sun and from lamps."""
     open_share = _open_share(world, here, normal, guess, to_sky)
-    total = world.sky.ambient * tint * (_DARKEST + (1.0 - _DARKEST) * open_share)
-    sun = (world.sky.sun[0], world.sky.sun[1], world.sky.sun[2])
+    total = world.sources.ambient * tint * (_DARKEST + (1.0 - _DARKEST) * open_share)
+    sun = (world.sources.sun[0], world.sources.sun[1], world.sources.sun[2])
     facing = _dot(normal, sun)
     if facing > 0.0 and _blocker(world, here, _moved(_ZERO, sun, _FAR_M), guess) < 0:
-        total += world.sky.sun_power * facing
+        total += world.sources.sun_power * facing
     for k in range(len(lamps)):
         total += _lamp_light(world, here, normal, lamps[k], lamp_points[k], guess)
     return total
@@ -776,7 +1359,7 @@ def _lamp_light(
     total, hidden = 0.0, 0
     for k in range(len(points)):
         if k == 4 and (hidden == 0 or hidden == 4):  # all corners agree: so will the rest
-            return lamp[3] * total / 4.0
+            return float(lamp[3] * total / 4.0)
         to = (points[k, 0] - here[0], points[k, 1] - here[1], points[k, 2] - here[2])
         facing = _dot(normal, to)
         if facing <= 0.0:
@@ -789,13 +1372,13 @@ def _lamp_light(
             continue
         square = _dot(to, to)
         total += facing / np.sqrt(square) / (1.0 + square / lamp[4] ** 2)
-    return lamp[3] * total / len(points)
+    return float(lamp[3] * total / len(points))
 
 
 @_compiled
 def _blocker(world: World, start: _Vector, ray: _Vector, guess: int) -> int:
-    """A solid between start and start + ray, or -1; `guess` is the one to try first."""
-    if _blocks(world, guess, start, ray):
+    """A solid or the ground between start and start + ray, or -1; `guess` is tried first."""
+    if guess != _GROUND and _blocks(world, guess, start, ray):
         return guess
     inverse = (_inverse(ray[0]), _inverse(ray[1]), _inverse(ray[2]))
     tree = world.tree
@@ -808,6 +1391,8 @@ def _blocker(world: World, start: _Vector, ray: _Vector, guess: int) -> int:
         if leaf >= 0 and _blocks(world, leaf, start, ray):
             return int(leaf)
         node += 1
+    if world.relief.heights.shape[0] > 1 and _ground_hit(world, start, ray, 0.0, 1.0) < 1.0:
+        return _GROUND
     return -1
 
 

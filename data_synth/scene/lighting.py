@@ -7,13 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from data_synth.scene import kernels
+from data_synth.scene.relief import Relief
 from data_synth.scene.solids import Lamp, Lighting
-from data_synth.scene.world import Lights, Sky, World
+from data_synth.scene.world import Lights, Sources, World
 from vo.types import Floats, Ints
 
 _LAMP_GRID = 4
 _SKY_RAYS = 24
 _POINTS_PER_TASK = 4000
+_MOST_GROUND_POINTS = 1024
 
 
 def lit(world: World, lighting: Lighting) -> World:
@@ -23,8 +25,12 @@ def lit(world: World, lighting: Lighting) -> World:
     ends = np.cumsum(counts)
     values = np.zeros(ends[-1] if len(ends) else 0, np.float32)
     starts = (ends - counts).reshape(-1, 6)
-    world = world._replace(lights=Lights(values, starts, sizes), sky=_sky(lighting))
-    lamps = np.array([[*a.centre, a.power, a.reach_m] for a in lighting.lamps]).reshape(-1, 5)
+    world = world._replace(
+        lights=Lights(values, starts, sizes),
+        sources=_sources(lighting),
+        relief=_relief(world, lighting),
+    )
+    lamps = world.sources.lamps
     points = np.array([_lamp_points(lamp) for lamp in lighting.lamps])
     points = points.reshape(len(lamps), _LAMP_GRID**2, 3)
     to_sky = _sky_directions() * lighting.corner_m
@@ -32,22 +38,39 @@ def lit(world: World, lighting: Lighting) -> World:
     def work(faces: tuple[int, int]) -> None:
         kernels.light_faces(world, faces, lamps, points, to_sky)
 
+    def work_below(row: int) -> None:
+        kernels.light_ground(world, (row, row + 1), lamps, points, to_sky[::2])
+
     with ThreadPoolExecutor() as pool:
         list(pool.map(work, _tasks(ends)))
+        if world.relief.is_there:
+            list(pool.map(work_below, range(len(world.relief.light))))
     return world
 
 
 def _tasks(ends: Ints) -> list[tuple[int, int]]:
     """Ranges of faces with about as many points each."""
     cuts = np.flatnonzero(np.diff(ends // _POINTS_PER_TASK)) + 1
-    edges = [0, *(int(c) for c in cuts), len(ends)]
+    edges = [0, *(int(c) for c in cuts), len(ends)] if len(ends) else [0]
     return list(zip(edges[:-1], edges[1:], strict=True))
 
 
-def _sky(lighting: Lighting) -> Sky:
+def _sources(lighting: Lighting) -> Sources:
     sun = np.zeros(3) if lighting.sun is None else np.array(lighting.sun, dtype=np.float64)
     sun = sun / max(float(np.linalg.norm(sun)), 1e-12)
-    return Sky(lighting.sky, sun, lighting.sun_power, lighting.ambient)
+    lamps = np.array([[*a.centre, a.power, a.reach_m] for a in lighting.lamps]).reshape(-1, 5)
+    return Sources(lighting.sky, sun, lighting.sun_power, lighting.ambient, lamps)
+
+
+def _relief(world: World, lighting: Lighting) -> Relief:
+    """The ground with an empty grid for its light."""
+    relief = world.relief
+    if not relief.is_there:
+        return relief
+    cells = np.array(relief.heights.shape) - 1
+    finer = max(1, round(relief.cell * lighting.points_per_m))
+    finer = max(1, min(finer, _MOST_GROUND_POINTS // int(cells.max())))
+    return relief._replace(light=np.zeros(finer * cells + 1, np.float32))
 
 
 def _sizes(world: World, lighting: Lighting) -> Ints:

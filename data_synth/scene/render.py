@@ -1,8 +1,10 @@
-"""Ray casting of a world of boxes: grey images without aliasing, with exact depth.
+"""Ray casting of a world: grey images without aliasing, with motion blur and exact depth.
 
-Each pixel gets one ray, whose footprint on the surface chooses mip-map levels and the number of
-samples along its longer side; only pixels beside an edge get more rays. Rays come as an array, so
-that any camera model fits.
+Each pixel gets one ray in the middle of its exposure, whose footprint on the surface chooses
+mip-map levels and the number of samples along its longer side. Where one surface fills a pixel all
+the time, motion blur is the mean of that sharp image along its motion; only pixels that an edge
+passes get more rays, spread over area and time. Rays come as an array, so that any camera model
+fits.
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.scene import kernels
+from data_synth.scene.grains import grains
+from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
 from vo.geometry.cameras import normalise
 from vo.types import Camera, Floats, Floats32
@@ -26,7 +30,8 @@ class Rendered:
 
     Attributes:
         image: (H, W) float32 radiance, 0…1.
-        depth: (H, W) float32 z of the surface in the camera's frame, infinite for the sky.
+        depth: (H, W) float32 z of the surface in the camera's frame, in the middle of the row's
+            exposure; infinite for the sky and where the lens sees nothing.
     """
 
     image: Floats32
@@ -41,23 +46,32 @@ def camera_rays(camera: Camera) -> Floats:
     return np.column_stack([rays, np.ones(len(rays))]).reshape(shape)
 
 
-def render(
-    world: World, rays: Floats, world_from_cam: Floats, pool: ThreadPoolExecutor
-) -> Rendered:
-    """Render one view; the pool's threads share its rows."""
+def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecutor) -> Rendered:
+    """Render one view; the pool's threads share its rows.
+
+    Args:
+        world: what is seen.
+        rays: (H, W, 3) of the pixels in the camera's frame, z = 1; NaN where the lens sees nothing.
+        shutter: where the camera is, row by row, and for how long each row is exposed.
+        pool: works on it.
+    """
     shape = rays.shape[:2]
-    image, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    surface = np.empty(shape, np.int32)
-    rotation = np.ascontiguousarray(world_from_cam[:3, :3])
-    origin = np.ascontiguousarray(world_from_cam[:3, 3])
+    sharp, image = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    depth, surface = np.empty(shape, np.float32), np.empty(shape, np.int32)
+    crossed = np.zeros(shape, np.uint8)
     bands = [(top, min(top + _BAND_ROWS, shape[0])) for top in range(0, shape[0], _BAND_ROWS)]
 
-    def first(band: tuple[int, int]) -> None:
-        kernels.cast_rows(world, rays, rotation, origin, band, image, depth, surface)
+    def cast(band: tuple[int, int]) -> None:
+        kernels.cast_rows(world, shutter, rays, band, sharp, depth, surface)
 
-    def second(band: tuple[int, int]) -> None:
-        kernels.smooth_rows(world, rays, rotation, origin, band, image, surface)
+    def mark(band: tuple[int, int]) -> None:
+        kernels.mark_rows(world, shutter, rays, band, depth, surface, crossed)
 
-    for work in (first, second):  # edges are known once all rows have been seen
+    def smooth(band: tuple[int, int]) -> None:
+        kernels.smooth_rows(
+            world, shutter, rays, band, sharp, depth, surface, crossed, *grains(), image
+        )
+
+    for work in (cast, mark, smooth):  # each needs all rows of the one before
         list(pool.map(work, bands))
     return Rendered(image, depth)

@@ -1,4 +1,4 @@
-"""A world of textured solids and ground as arrays, the light on them, and the tree of the solids."""
+"""A world of textured solids and ground as arrays, with their light, ready to be seen."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from data_synth.scene.atlas import Atlas, pack
 from data_synth.scene.noise import soft_noise
+from data_synth.scene.relief import Relief, heights_at, make_relief
 from data_synth.scene.solids import Ground, Kind, Solid
 from data_synth.scene.tree import Tree, grow
 from vo.types import Bools, Floats, Floats32, Ints
@@ -38,20 +39,22 @@ class Lights(NamedTuple):
     sizes: Ints
 
 
-class Sky(NamedTuple):
-    """Light from far away.
+class Sources(NamedTuple):
+    """Where light comes from.
 
     Attributes:
-        radiance: at the zenith.
+        sky: radiance at the zenith.
         sun: (3,) unit vector towards the sun, or zeros.
         sun_power: radiance that the sun adds to a surface that faces it.
         ambient: radiance of light from everywhere.
+        lamps: (L, 5) centre, power and reach.
     """
 
-    radiance: float
+    sky: float
     sun: Floats
     sun_power: float
     ambient: float
+    lamps: Floats
 
 
 class Movers(NamedTuple):
@@ -85,7 +88,8 @@ class World(NamedTuple):
         tree: of the solids that do not move.
         atlas: the textures; the last one is the stain.
         lights: the light on the faces of the solids that do not move.
-        sky: what is behind everything.
+        sources: where the light comes from.
+        relief: the ground.
         movers: the solids that move.
     """
 
@@ -99,7 +103,8 @@ class World(NamedTuple):
     tree: Tree
     atlas: Atlas
     lights: Lights
-    sky: Sky
+    sources: Sources
+    relief: Relief
     movers: Movers
 
     @property
@@ -139,40 +144,25 @@ def build_world(
         tree=grow(bounds_of(shapes[: len(solids)])),
         atlas=atlas,
         lights=_darkness(len(solids)),
-        sky=Sky(0.8, np.zeros(3), 0.0, 0.0),
+        sources=Sources(0.8, np.zeros(3), 0.0, 0.0, np.zeros((0, 5))),
+        relief=make_relief(ground),
         movers=_movers(movers),
     )
 
 
-def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> World:
-    """The same world with its bodies at these places.
-
-    Args:
-        world: shares all but a few arrays with the result.
-        world_from_bodies: (B, 4, 4) upright poses in the middle of the exposure of the image's
-            middle row.
-        velocities: (B, 3) metres per second; a body moves evenly while an image is exposed.
-    """
-    movers = world.movers
-    if len(movers.bodies) == 0:
-        return world
-    poses = np.asarray(world_from_bodies, dtype=np.float64)[movers.bodies]
-    shapes = world.shapes.copy()
-    moved = shapes[world.still :]
-    moved[:, :3] = np.einsum("kij,kj->ki", poses[:, :3, :3], movers.places[:, :3]) + poses[:, :3, 3]
-    yaws = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) + movers.places[:, 3]
-    moved[:, 6], moved[:, 7] = np.cos(yaws), np.sin(yaws)
-    speeds = np.asarray(velocities, dtype=np.float64)[movers.bodies]
-    return world._replace(shapes=shapes, movers=movers._replace(velocities=speeds))
-
-
 def clearance(world: World, points: Floats) -> Floats:
-    """Distance (N,) of points (N, 3) to the box around the nearest still solid; 0 inside one."""
+    """Distance (N,) of points (N, 3) to the box around the nearest still solid; 0 inside one.
+
+    Where there is ground, its distance is the height above it.
+    """
     parts = [
         _clearance(world, points[k : k + _CLEARANCE_STEP])
         for k in range(0, len(points), _CLEARANCE_STEP)
     ]
-    return np.concatenate(parts) if parts else np.empty(0)
+    free = np.concatenate(parts) if parts else np.empty(0)
+    if not world.relief.is_there:
+        return free
+    return np.maximum(np.minimum(free, points[:, 2] - heights_at(world.relief, points)), 0.0)
 
 
 def _clearance(world: World, points: Floats) -> Floats:
@@ -188,7 +178,7 @@ def _clearance(world: World, points: Floats) -> Floats:
         axis=-1,
     )
     outside = np.maximum(np.abs(local) - shapes[:, 3:6], 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=-1).min(axis=1))
+    return np.asarray(np.linalg.norm(outside, axis=-1).min(axis=1, initial=np.inf))
 
 
 def bounds_of(shapes: Floats) -> Floats:

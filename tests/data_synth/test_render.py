@@ -9,6 +9,7 @@ import pytest
 
 from data_synth.motion.spline import walk_around
 from data_synth.scene.render import camera_rays, render
+from data_synth.scene.shutter import still
 from data_synth.scene.solids import Solid
 from data_synth.scene.world import World, build_world
 from data_synth.sequence import BASELINE_M, grey_levels, stereo_rig
@@ -25,7 +26,7 @@ ROOM_TIMES_S = [(0.0, 0.0667), (1.7, 1.8), (3.1, 3.2), (5.9, 5.95), (7.95, 8.05)
 def _seen(
     world: World, camera: Camera, world_from_cam: Floats, pool: ThreadPoolExecutor
 ) -> tuple[Bytes, Floats32]:
-    view = render(world, camera_rays(camera), world_from_cam, pool)
+    view = render(world, camera_rays(camera), still(world_from_cam), pool)
     return grey_levels(view.image, 2.0, np.random.default_rng(0)), view.depth
 
 
@@ -112,7 +113,7 @@ def test_depth_is_exact_on_a_turned_box(pool: ThreadPoolExecutor) -> None:
     world = build_world([box], [np.full((4, 4), 0.5, np.float32)])
     looking_along_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose = make_transform(looking_along_x, np.array([-3.0, 0.0, 0.0]))
-    view = render(world, camera_rays(Camera(41, 41, 40, 40, 20, 20)), pose, pool)
+    view = render(world, camera_rays(Camera(41, 41, 40, 40, 20, 20)), still(pose), pool)
     assert view.depth[20, 20] == pytest.approx(2.5, abs=1e-6)  # its own y looks at the camera
     assert view.depth[20, 33] == pytest.approx(2.5, abs=1e-6)
     assert np.isinf(view.depth[0, 20])
@@ -126,7 +127,7 @@ def test_fine_stripes_far_away_turn_grey_instead_of_moire(pool: ThreadPoolExecut
     down_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose = make_transform(down_x, np.array([0.0, 0.0, 1.5]))
     camera = Camera(320, 200, 176, 176, 159.5, 40)
-    view = render(world._replace(lights=lights), camera_rays(camera), pose, pool)
+    view = render(world._replace(lights=lights), camera_rays(camera), still(pose), pool)
     floor = view.image[60:120]  # less than half a period for each pixel
     assert abs(float(floor.mean()) - 0.5) < 0.01
     assert float(floor.std()) < 0.02

@@ -1,0 +1,47 @@
+"""Where in a pixel, and when, the rays are sent that find the mean over its area and exposure."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from vo.types import Floats, Ints
+
+COUNTS = (6, 8, 12, 16, 24, 32)
+
+_TRIES = 400
+
+
+@cache
+def grains() -> tuple[Ints, Floats]:
+    """Counts (C,) and offsets (C, 32, 3) across, down and in time, -0.5…0.5.
+
+    Along each of the three they are spread evenly, and each has its mirror image about the middle,
+    so that no edge is moved.
+    """
+    offsets = np.zeros((len(COUNTS), max(COUNTS), 3))
+    for i, count in enumerate(COUNTS):
+        offsets[i, :count] = _spread(count)
+    return np.array(COUNTS, dtype=np.int64), offsets
+
+
+def _spread(count: int) -> Floats:
+    """Of many random ones, the offsets whose nearest pair is farthest apart in each plane."""
+    rng = np.random.default_rng([count, 51])
+    half = (np.arange(count // 2) + 0.5) / count
+    best, result = -1.0, np.zeros((count, 3))
+    for _ in range(_TRIES):
+        signs = rng.choice([-1.0, 1.0], (2, len(half)))
+        across, down = (rng.permutation(half) * s for s in signs)
+        offsets = np.column_stack([across, down, half])
+        offsets = np.vstack([offsets, -offsets])
+        apart = min(_apart(offsets[:, pair]) for pair in ([0, 1], [0, 2], [1, 2]))
+        if apart > best:
+            best, result = apart, offsets
+    return result
+
+
+def _apart(points: Floats) -> float:
+    distances = np.linalg.norm(points[:, None] - points, axis=2)
+    return float(distances[~np.eye(len(points), dtype=bool)].min())

@@ -1,0 +1,92 @@
+"""Rolling ground as arrays, with a pyramid of its peaks that lets rays leap over what is below."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from data_synth.scene.solids import Ground
+from vo.types import Floats, Floats32, Ints
+
+
+class Relief(NamedTuple):
+    """Ground on a grid of R x C points, bilinear between.
+
+    Attributes:
+        heights: (R, C); 1 x 1 where there is no ground.
+        corner: (2,) x and y of heights[0, 0].
+        cell: metres between grid points.
+        peaks: (P,) greatest heights of blocks of 1, 2, 4, … cells squared, level by level.
+        starts: (L,) where each level begins.
+        widths: (L,) blocks in a row of each level.
+        texture: number of its texture.
+        density: texels per metre.
+        stain: strength of its stain.
+        light: on a finer grid over the same area.
+    """
+
+    heights: Floats32
+    corner: Floats
+    cell: float
+    peaks: Floats32
+    starts: Ints
+    widths: Ints
+    texture: int
+    density: float
+    stain: float
+    light: Floats32
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is any ground."""
+        return self.heights.size > 1
+
+
+def make_relief(ground: Ground | None) -> Relief:
+    """The ground as arrays, still dark."""
+    dark = np.zeros((2, 2), np.float32)
+    if ground is None:
+        none = np.zeros((1, 1), np.float32)
+        level = np.zeros(1, np.int64)
+        return Relief(none, np.zeros(2), 1.0, none[0], level, level + 1, 0, 1.0, 0.0, dark)
+    heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
+    levels = _peaks(heights)
+    sizes = [level.size for level in levels]
+    return Relief(
+        heights=heights,
+        corner=np.array(ground.origin, dtype=np.float64),
+        cell=float(ground.cell),
+        peaks=np.concatenate([level.ravel() for level in levels]),
+        starts=np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64),
+        widths=np.array([level.shape[1] for level in levels], dtype=np.int64),
+        texture=ground.texture,
+        density=float(ground.density),
+        stain=float(ground.stain),
+        light=dark,
+    )
+
+
+def heights_at(relief: Relief, points: Floats) -> Floats:
+    """Heights (N,) of the ground at points (N, 2 or more), bilinear; at its rim outside."""
+    rows, columns = relief.heights.shape
+    x = np.clip((points[:, 0] - relief.corner[0]) / relief.cell, 0.0, columns - 1.0)
+    y = np.clip((points[:, 1] - relief.corner[1]) / relief.cell, 0.0, rows - 1.0)
+    j = np.minimum(x.astype(np.int64), columns - 2)
+    i = np.minimum(y.astype(np.int64), rows - 2)
+    u, v, z = x - j, y - i, relief.heights.astype(np.float64)
+    near = (1.0 - u) * z[i, j] + u * z[i, j + 1]
+    far = (1.0 - u) * z[i + 1, j] + u * z[i + 1, j + 1]
+    return np.asarray((1.0 - v) * near + v * far)
+
+
+def _peaks(heights: Floats32) -> list[Floats32]:
+    """Greatest height of each cell, then of blocks of cells up to all of them."""
+    rows = np.maximum(heights[:-1], heights[1:])
+    levels = [np.maximum(rows[:, :-1], rows[:, 1:])]
+    while levels[-1].size > 1:
+        last = levels[-1]
+        even = np.pad(last, [(0, n % 2) for n in last.shape], mode="edge")
+        pairs = np.maximum(even[::2], even[1::2])
+        levels.append(np.maximum(pairs[:, ::2], pairs[:, 1::2]))
+    return levels

@@ -1,0 +1,74 @@
+"""How a camera moves while it takes one image, row after row."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.types import Floats
+
+_STEP_S = 2e-3
+
+
+class Shutter(NamedTuple):
+    """Poses of a camera from when its first row opens to when its last row closes.
+
+    Between the poses it moves evenly: they are to be so close that this is exact enough.
+
+    Attributes:
+        rotations: (M, 3, 3) of world_from_cam, evenly spaced in time.
+        origins: (M, 3).
+        first: number (with fraction) of the pose in the middle of the first row's exposure.
+        per_row: poses from one row's middle to the next row's.
+        width: poses that pass while a row is exposed.
+        step_s: seconds from one pose to the next.
+    """
+
+    rotations: Floats
+    origins: Floats
+    first: float
+    per_row: float
+    width: float
+    step_s: float
+
+
+def still(world_from_cam: Floats) -> Shutter:
+    """A camera that does not move."""
+    rotation = np.array(world_from_cam[None, :3, :3], dtype=np.float64)
+    origin = np.array(world_from_cam[None, :3, 3], dtype=np.float64)
+    return Shutter(rotation, origin, 0.0, 0.0, 0.0, 0.0)
+
+
+def moving(
+    world_from_cam: Callable[[Floats], Floats],
+    time_s: float,
+    rows: int,
+    exposure_s: float,
+    readout_s: float = 0.0,
+) -> Shutter:
+    """A camera on its path.
+
+    Args:
+        world_from_cam: poses (N, 4, 4) at times (N,) in seconds.
+        time_s: the middle of the exposure of the image's middle row.
+        rows: of the image.
+        exposure_s: for how long each row is exposed.
+        readout_s: time from the first row to the last.
+    """
+    whole = exposure_s + readout_s
+    if whole <= 0.0:
+        return still(world_from_cam(np.array([time_s]))[0])
+    steps = max(1, math.ceil(whole / _STEP_S))
+    poses = world_from_cam(time_s + whole * (np.arange(steps + 1) / steps - 0.5))
+    step = whole / steps
+    return Shutter(
+        rotations=np.ascontiguousarray(poses[:, :3, :3]),
+        origins=np.ascontiguousarray(poses[:, :3, 3]),
+        first=0.5 * exposure_s / step,
+        per_row=readout_s / step / max(1, rows - 1),
+        width=exposure_s / step,
+        step_s=step,
+    )
