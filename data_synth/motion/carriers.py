@@ -21,6 +21,7 @@ _BOB_M, _SWAY_M = 0.018, 0.02
 _LEAN_RAD_S2_M = 1.5e-3  # of a car on its springs
 _BANK = 0.6  # of the lean that would fully make up for an acceleration
 _FULL_TURN_S = 14.0  # once round and back
+_MOST_HURRY = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,11 @@ class Manner:
         """A smooth random series (N,) within ±amplitude."""
         whole = self.seconds if self.repeats else None
         return wander(self.rng, ride.times_s, amplitude, (shortest_s, longest_s), whole)
+
+    def look(self, ride: Ride, amplitude: float, shortest_s: float, longest_s: float) -> Floats:
+        """The same for where it looks: who hurries looks about faster."""
+        hurry = min(self.speed, _MOST_HURRY)
+        return self.wander(ride, amplitude, shortest_s / hurry, longest_s / hurry)
 
 
 def car(ride: Ride, manner: Manner) -> Floats:
@@ -79,10 +85,10 @@ def handheld(ride: Ride, manner: Manner) -> Floats:
     z = ride.points[:, 2] + manner.heights_m[0] + ride.stir * _BOB_M * np.cos(steps) + drift[2]
     tremble = [manner.wander(ride, 0.002, 0.22, 0.4) for _ in range(3)]
     yaw = ride.smoothed(ride.heading, 1.8) + manner.outlook
-    yaw = yaw + manner.wander(ride, 0.16, 2.5, 8.0) + tremble[0]
+    yaw = yaw + manner.look(ride, 0.16, 2.5, 8.0) + tremble[0]
     nod = ride.stir * 0.006 * np.sin(steps)
-    pitch = np.deg2rad(-5.0) + manner.wander(ride, 0.09, 2.5, 7.0) + tremble[1] + nod
-    roll = manner.wander(ride, 0.06, 2.0, 6.0) + tremble[2] + 0.2 * left
+    pitch = np.deg2rad(-5.0) + manner.look(ride, 0.09, 2.5, 7.0) + tremble[1] + nod
+    roll = manner.look(ride, 0.06, 2.0, 6.0) + tremble[2] + 0.2 * left
     return np.column_stack([x, y, z, yaw, pitch, roll])
 
 
@@ -95,7 +101,7 @@ def drone(ride: Ride, manner: Manner) -> Floats:
     z = z + manner.freedom * manner.wander(ride, 0.5 * (high - low), *slow)
     aside = manner.freedom * (1.0 if outdoors else 0.08)
     x, y = (ride.points[:, i] + manner.wander(ride, aside, *near) for i in (0, 1))
-    yaw = ride.smoothed(ride.heading, 1.5) + manner.outlook + manner.wander(ride, 0.35, 5.0, 12.0)
+    yaw = ride.smoothed(ride.heading, 1.5) + manner.outlook + manner.look(ride, 0.35, 5.0, 12.0)
     off = yaw - ride.heading
     ahead = np.cos(off) * ride.ahead_m_s2 + np.sin(off) * ride.left_m_s2
     left = np.cos(off) * ride.left_m_s2 - np.sin(off) * ride.ahead_m_s2

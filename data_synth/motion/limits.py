@@ -51,9 +51,9 @@ class Bounds:
     """What the finished path of a motion never exceeds, wander, bob and bumps included.
 
     Attributes:
-        speed_m_s: at speed 1.
-        acceleration_m_s2: of the body's origin.
-        turn_rad_s: angular velocity.
+        speed_m_s: at speed 1; it grows with the speed asked for.
+        acceleration_m_s2: of the body's origin, at any speed.
+        turn_rad_s: angular velocity, at speed 1; it grows at most with the speed asked for.
     """
 
     speed_m_s: float
@@ -71,13 +71,13 @@ LIMITS: dict[Carrier, Limits] = {
 }
 
 BOUNDS: dict[MotionName, Bounds] = {
-    "car": Bounds(11.3, 4.5, 1.2),
-    "robot": Bounds(1.3, 2.0, 1.3),
-    "handheld": Bounds(1.7, 5.0, 2.0),
-    "drone": Bounds(5.5, 3.5, 1.8),
-    "rotate": Bounds(0.05, 0.1, 1.6),
-    "stop_and_go": Bounds(11.3, 4.5, 1.3),
-    "loop": Bounds(11.3, 5.0, 2.0),
+    "car": Bounds(11.5, 3.2, 1.0),
+    "robot": Bounds(1.3, 1.2, 0.9),
+    "handheld": Bounds(1.6, 3.5, 1.3),
+    "drone": Bounds(6.0, 2.3, 1.3),
+    "rotate": Bounds(0.05, 0.1, 1.1),
+    "stop_and_go": Bounds(11.5, 3.2, 1.0),
+    "loop": Bounds(11.5, 3.5, 1.3),
 }
 
 
