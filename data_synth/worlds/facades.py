@@ -197,7 +197,9 @@ def _window(rng: Rng, plan: Facade, sheet: _Sheet, opening: Opening) -> None:
             _pane(rng, sheet.patch(pane))
     if rng.random() < 0.3:  # a blind, let down in part
         drop = float(rng.uniform(0.2, 0.9)) * opening.height
-        blind = sheet.patch(Opening(opening.x, opening.z + opening.height - drop, opening.width, drop))
+        blind = sheet.patch(
+            Opening(opening.x, opening.z + opening.height - drop, opening.width, drop)
+        )
         blind[:] = rng.uniform(0.45, 0.75)
         blind[::4] -= 0.12
     if plan.shutters:

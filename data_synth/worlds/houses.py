@@ -55,8 +55,8 @@ def _roof(build: Builder, palette: Palette, place: Place, plan: Facade, depth: f
         parapet = (plan.width, depth, 0.4)
         build.add(place.at(0, depth / 2 + 0.1, high + 0.2), parapet, palette.concrete, place.yaw)
     else:
-        rise, back = 0.42, float(build.rng.uniform(0.3, 0.5))
-        steps = int(build.rng.integers(4, 9))
+        rise, back = 0.55, float(build.rng.uniform(0.4, 0.65))
+        steps = int(build.rng.integers(3, 6))
         for k in range(steps):
             size = (plan.width - 0.1, depth - 2 * back * k, rise)
             at = place.at(0, depth / 2, high + 0.05 + rise * (k + 0.5))
@@ -75,7 +75,9 @@ def _dormers(build: Builder, palette: Palette, place: Place, plan: Facade, foot:
         x = plan.width * ((k + 0.5) / count - 0.5)
         build.add(place.at(x, 1.4, foot + 0.9), (1.3, 2.0, 1.4), palette.coats[0], place.yaw, 90.0)
         build.add(place.at(x, 0.4, foot + 0.95), (0.8, 0.06, 0.9), palette.white, place.yaw)
-        build.add(place.at(x, 0.37, foot + 0.95), (0.68, 0.06, 0.78), palette.glass, place.yaw, None)
+        build.add(
+            place.at(x, 0.37, foot + 0.95), (0.68, 0.06, 0.78), palette.glass, place.yaw, None
+        )
         build.add(place.at(x, 1.3, foot + 1.68), (1.6, 2.2, 0.16), palette.tiles, place.yaw, 70.0)
 
 

@@ -17,8 +17,8 @@ _WORDS = (
 
 def asphalt(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """Worn asphalt: stones, tar seams, cracks and oil spots."""
-    image = 0.4 + 0.03 * noise(rng, shape, 1.3) + 0.035 * noise(rng, shape, 0.35)
-    specks(rng, image, image.size // 1200, (1, 3), 0.16)
+    image = 0.46 + 0.035 * noise(rng, shape, 1.3) + 0.05 * noise(rng, shape, 0.4)
+    specks(rng, image, image.size // 700, (1, 3), 0.22)
     specks(rng, image, image.size // 60_000, (6, 26), -0.07)
     for _ in range(image.size // 30_000):
         crack(rng, image, -0.14)
@@ -79,12 +79,12 @@ def roof_tiles(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 def leaves(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """Foliage: leaves and clumps of leaves before dark gaps."""
-    image = 0.16 + 0.05 * noise(rng, shape, 1.2)
+    image = 0.12 + 0.04 * noise(rng, shape, 1.2)
     clumps = noise(rng, shape, 1.5)
     count = image.size // 28
     at = rng.integers(0, (shape[1], shape[0]), (count, 2))
     for u, v in at:
-        shade = 0.3 + 0.06 * clumps[v, u] + 0.09 * float(rng.standard_normal())
+        shade = 0.36 + 0.08 * clumps[v, u] + 0.11 * float(rng.standard_normal())
         axes = (int(rng.integers(2, 6)), int(rng.integers(1, 4)))
         _blob(image, (int(u), int(v)), axes, float(rng.uniform(0, 180)), float(shade))
     return clipped(image)

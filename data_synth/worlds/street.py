@@ -49,9 +49,15 @@ def make_scene(seed: int, movers: float) -> Scene:
 def _daylight(build: Builder) -> Lighting:
     """The sun stands beside no street, so that every street has a sunny and a shady side."""
     turn = float(build.rng.uniform(0.3, 0.7) + np.pi / 2 * build.rng.integers(4))
-    sun = (float(np.cos(turn)), float(np.sin(turn)), float(build.rng.uniform(0.75, 1.1)))
+    sun = (float(np.cos(turn)), float(np.sin(turn)), float(build.rng.uniform(0.95, 1.4)))
     return Lighting(
-        sun=sun, sun_power=0.78, ambient=0.34, sky=0.95, corner_m=4.0, points_per_m=3.0, most_points=160
+        sun=sun,
+        sun_power=0.85,
+        ambient=0.46,
+        sky=0.97,
+        corner_m=4.0,
+        points_per_m=2.2,
+        most_points=64,
     )
 
 

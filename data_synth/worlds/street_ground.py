@@ -11,7 +11,7 @@ from data_synth.worlds.palette import Palette
 from data_synth.worlds.street_plan import Frontage
 
 _DEEP_M = 0.4  # thickness of what lies on the ground
-_PIECE_M = 42.0
+_PIECE_M = 26.0
 _ASPHALT_DENSITY, _PAVING_DENSITY = 100.0, 64.0
 _KERB_M = 0.16
 _MARK_M = 0.006
@@ -26,7 +26,11 @@ def lay_ground(build: Builder, palette: Palette) -> None:
         _road(build, palette, Place(0.0, y, 0.0), (-reach, reach))
     inside, reach = plan.HALF_Y_M - plan.BAY_M, plan.HALF_Y_M + plan.ARM_M + 8.0
     for x in (-plan.HALF_X_M, plan.HALF_X_M):
-        for ends in ((-reach, -inside - 2 * plan.BAY_M), (-inside, inside), (inside + 2 * plan.BAY_M, reach)):
+        for ends in (
+            (-reach, -inside - 2 * plan.BAY_M),
+            (-inside, inside),
+            (inside + 2 * plan.BAY_M, reach),
+        ):
             _road(build, palette, Place(x, 0.0, np.pi / 2), ends)
     for crossing in plan.crossings():
         _corners(build, palette, crossing)
@@ -45,7 +49,8 @@ def lay_pavement(build: Builder, palette: Palette, side: Frontage, level: int) -
     """
     long, top = side.length + 2 * plan.PAVEMENT_M, plan.PAVED_Z_M + 0.002 * (level % 3)
     texture = palette.paving if level % 4 else palette.cobbles
-    _strip(build, side.place, (-long / 2, long / 2), (-plan.PAVEMENT_M, 0.3), top, texture)
+    for span in _pieces((-long / 2, long / 2)):
+        _strip(build, side.place, span, (-plan.PAVEMENT_M, 0.3), top, texture)
     kerb = (-plan.PAVEMENT_M - 0.02, -plan.PAVEMENT_M + _KERB_M)
     _strip(build, side.place, (-long / 2, long / 2), kerb, top + 0.008, palette.kerb)
     garden = (0.25, plan.HOUSE_DEPTH_M + 12.0)
@@ -73,11 +78,9 @@ def lay_bay(build: Builder, palette: Palette, place: Place, span: tuple[float, f
 
 def _road(build: Builder, palette: Palette, place: Place, ends: tuple[float, float]) -> None:
     """Asphalt along x, in pieces that were laid one after the other."""
-    count = max(1, round((ends[1] - ends[0]) / _PIECE_M))
-    cuts = np.linspace(*ends, count + 1)
-    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
-        centre = place.at(float(low + high) / 2, 0.0, -_DEEP_M / 2)
-        size = (float(high - low), 2 * plan.BAY_M, _DEEP_M)
+    for low, high in _pieces(ends):
+        centre = place.at((low + high) / 2, 0.0, -_DEEP_M / 2)
+        size = (high - low, 2 * plan.BAY_M, _DEEP_M)
         build.add(centre, size, palette.asphalt, place.yaw, _ASPHALT_DENSITY, stain=0.5)
 
 
@@ -93,6 +96,13 @@ def _strip(
     centre = place.at(sum(x) / 2, sum(y) / 2, top - _DEEP_M / 2)
     size = (x[1] - x[0], y[1] - y[0], _DEEP_M)
     build.add(centre, size, texture, place.yaw, _PAVING_DENSITY, stain=0.4)
+
+
+def _pieces(ends: tuple[float, float]) -> list[tuple[float, float]]:
+    """Equal parts, short enough for the grid of light on each to show shadows."""
+    count = max(1, round((ends[1] - ends[0]) / _PIECE_M))
+    cuts = [float(c) for c in np.linspace(*ends, count + 1)]
+    return list(zip(cuts[:-1], cuts[1:], strict=True))
 
 
 def _corners(build: Builder, palette: Palette, crossing: tuple[float, float]) -> None:

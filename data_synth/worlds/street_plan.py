@@ -72,14 +72,17 @@ def frontages() -> tuple[Frontage, ...]:
 
 
 def lane(offset_m: float, radius_m: float) -> Floats:
-    """A closed way (K, 2), counter-clockwise, `offset_m` outside the middle line."""
+    """A closed way (K, 2), counter-clockwise, `offset_m` outside the middle line.
+
+    It begins with a straight side.
+    """
     x, y = HALF_X_M + offset_m - radius_m, HALF_Y_M + offset_m - radius_m
     arc = np.linspace(0.0, np.pi / 2, 9)
     parts = []
     for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
         turn = arc + k * np.pi / 2
         parts.append(np.array([sx * x, sy * y]) + radius_m * _unit(turn))
-    return np.concatenate(parts)
+    return np.roll(np.concatenate(parts), -(len(arc) - 1), axis=0)
 
 
 def crossings() -> tuple[tuple[float, float], ...]:

@@ -47,7 +47,9 @@ def row_of_houses(build: Builder, palette: Palette, fronts: Fronts, side: Fronta
             wide = min(room, float(build.rng.uniform(5.0, 8.5)))
             _gap(build, palette, _moved(side.place, x + wide / 2), wide)
         else:
-            plan, front = _front(build, fronts, min(room, float(build.rng.uniform(9.0, 17.0))), side)
+            plan, front = _front(
+                build, fronts, min(room, float(build.rng.uniform(9.0, 17.0))), side
+            )
             wide = plan.width
             place = _moved(side.place, x + wide / 2)
             if not at_corner and build.rng.random() < open_share:
@@ -57,9 +59,7 @@ def row_of_houses(build: Builder, palette: Palette, fronts: Fronts, side: Fronta
         x += wide
 
 
-def _front(
-    build: Builder, fronts: Fronts, width: float, side: Frontage
-) -> tuple[Facade, int]:
+def _front(build: Builder, fronts: Fronts, width: float, side: Frontage) -> tuple[Facade, int]:
     """A new front along the course; elsewhere one that fits, or else a new one."""
     fitting = [f for f in fronts.painted if f[0].width <= width] if not side.on_loop else []
     if len(fitting) > 6:
@@ -70,9 +70,7 @@ def _front(
     return fronts.painted[-1]
 
 
-def verge(
-    build: Builder, palette: Palette, colours: tuple[Paint, ...], side: Frontage
-) -> None:
+def verge(build: Builder, palette: Palette, colours: tuple[Paint, ...], side: Frontage) -> None:
     """The strip between road and pavement: parking bays, trees, lamps and signs."""
     reach = side.length / 2 + layout.FRONT_M - layout.CORNER_M
     x, parking = -reach, False
@@ -160,9 +158,9 @@ def _planted(build: Builder, palette: Palette, place: Place, span: tuple[float, 
         spot = Place(*place.at(float(x), _BAY_MIDDLE_M + 0.15, 0)[:2], place.yaw)
         chance = build.rng.random()
         if chance < 0.5:
-            high, spread = (float(s) for s in build.rng.uniform((5.6, 2.8), (8.5, 3.6)))
+            high, spread = (float(s) for s in build.rng.uniform((5.8, 3.6), (9.0, 4.6)))
             foot = (spot.x, spot.y, layout.PAVED_Z_M - 0.02)
-            tree(build, palette, foot, high, spread, clumps=22, bare=0.43)
+            tree(build, palette, foot, high, spread, clumps=36, bare=0.43)
         elif chance < 0.62:
             things.tub(build, palette, spot)
         elif chance < 0.74:

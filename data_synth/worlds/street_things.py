@@ -12,7 +12,9 @@ def lamp_post(build: Builder, palette: Palette, place: Place) -> None:
     """A lamp on a mast whose arm reaches along -y."""
     mast = (0.15, 0.15, 7.2)
     build.add(place.at(0, 0, 3.6), mast, palette.metal, place.yaw, 120.0, Kind.CYLINDER)
-    build.add(place.at(0, 0, 0.6), (0.24, 0.24, 1.2), palette.metal, place.yaw, 120.0, Kind.CYLINDER)
+    build.add(
+        place.at(0, 0, 0.6), (0.24, 0.24, 1.2), palette.metal, place.yaw, 120.0, Kind.CYLINDER
+    )
     build.add(place.at(0, -0.75, 7.15), (0.09, 1.7, 0.09), palette.metal, place.yaw, 120.0)
     build.add(place.at(0, -1.7, 7.12), (0.3, 0.75, 0.16), palette.dark, place.yaw)
 
@@ -24,7 +26,9 @@ def road_sign(build: Builder, palette: Palette, place: Place) -> None:
     build.add(place.at(0, 0, high / 2), post, palette.metal, place.yaw, 120.0, Kind.CYLINDER)
     for k in range(int(build.rng.integers(1, 3))):
         sign = int(build.rng.choice(palette.signs))
-        build.add(place.at(0.05, 0, high - 0.35 - 0.68 * k), (0.04, 0.6, 0.6), sign, place.yaw, None)
+        build.add(
+            place.at(0.05, 0, high - 0.35 - 0.68 * k), (0.04, 0.6, 0.6), sign, place.yaw, None
+        )
 
 
 def advertising_column(build: Builder, palette: Palette, place: Place) -> None:
@@ -68,11 +72,13 @@ def tub(build: Builder, palette: Palette, place: Place) -> None:
 
 def fence(build: Builder, palette: Palette, place: Place, length: float) -> None:
     """Slats on two rails along x, with posts."""
-    slats = max(2, round(length / 0.26))
+    slats = max(2, round(length / 0.34))
     for k in range(slats):
         x = length * ((k + 0.5) / slats - 0.5)
         high = 1.05 + float(build.rng.uniform(-0.04, 0.04))
-        build.add(place.at(x, 0, 0.1 + high / 2), (0.11, 0.03, high), palette.bark, place.yaw, 120.0)
+        build.add(
+            place.at(x, 0, 0.1 + high / 2), (0.11, 0.03, high), palette.bark, place.yaw, 120.0
+        )
     for z in (0.35, 0.95):
         build.add(place.at(0, 0.04, z), (length, 0.04, 0.08), palette.bark, place.yaw, 120.0)
 
@@ -80,6 +86,8 @@ def fence(build: Builder, palette: Palette, place: Place, length: float) -> None
 def wall(build: Builder, palette: Palette, place: Place, length: float, height: float) -> None:
     """A garden wall along x with a coping."""
     texture = palette.bricks if build.rng.random() < 0.6 else palette.coats[0]
-    build.add(place.at(0, 0, height / 2), (length, 0.3, height), texture, place.yaw, 90.0, stain=0.5)
+    build.add(
+        place.at(0, 0, height / 2), (length, 0.3, height), texture, place.yaw, 90.0, stain=0.5
+    )
     coping = (length + 0.02, 0.4, 0.09)
     build.add(place.at(0, 0, height + 0.04), coping, palette.kerb, place.yaw, 90.0)

@@ -39,18 +39,20 @@ def tree(
     leaf = int(build.rng.choice(palette.leaves))
     half_high = 0.5 * height * (1.0 - bare)
     middle = z + height - half_high
-    size = 1.5 * spread / np.cbrt(clumps)
+    size = 1.15 * spread / np.cbrt(clumps)
     for k in range(clumps):
         # Clumps lie on a shell, thinned towards the poles, so that gaps show between them.
         up = 1.0 - 2.0 * (k + 0.5) / clumps
-        turn = k * np.pi * (3.0 - np.sqrt(5.0)) + float(build.rng.uniform(-0.4, 0.4))
-        out = np.sqrt(1.0 - up * up) * float(build.rng.uniform(0.55, 1.0))
-        wide, deep, high = (float(s) for s in size * build.rng.uniform(0.65, 1.15, 3))
+        turn = k * np.pi * (3.0 - np.sqrt(5.0)) + float(build.rng.uniform(-0.6, 0.6))
+        up *= float(build.rng.uniform(0.6, 1.0))
+        out = np.sqrt(1.0 - up * up) * float(build.rng.uniform(0.5, 1.05))
+        scale = size * float(build.rng.uniform(0.65, 1.3))
+        wide, deep, high = (float(s) for s in scale * build.rng.uniform(0.8, 1.2, 3))
         reach = 0.5 * (spread - size) * out
         at = (
             x + float(reach * np.cos(turn)),
             y + float(reach * np.sin(turn)),
-            middle + (half_high - 0.35 * high) * up,
+            middle + (half_high - 0.4 * high) * up,
         )
         yaw = float(build.rng.uniform(0, np.pi))
         build.add(at, (wide, deep, 0.75 * high), leaf, yaw, _LEAF_DENSITY, Kind.ELLIPSOID, 0.5)
