@@ -60,7 +60,7 @@ def person(build: Builder, body: int, at: Point = (0.0, 0.0, 0.0)) -> float:
         side = float(build.rng.choice((-1.0, 1.0)))
         size = (0.34 * unit, 0.1 * unit, 0.26 * unit)
         some.add(Kind.BOX, (-0.02, 0.3 * side * unit, 0.68 * unit), size, bag)
-    return 0.4
+    return 0.45
 
 
 def _head_and_trunk(some: _Body, shirt: int, unit: float) -> None:

@@ -21,6 +21,7 @@ _MODULE_M = 3.0
 _LAMP_STEP_M = 3.6
 _DADO_M = 1.05
 _END_M = 0.9  # of each core wall, without anything on it
+_ASIDE_M = 0.66  # of people, off the middle
 _USUAL_PEOPLE = 5
 
 
@@ -220,8 +221,7 @@ def _people(build: Builder, plan: _Plan, count: int) -> tuple[Body, ...]:
     """People who keep to the right, either way round."""
     people = []
     for i in range(count):
-        way = _loop(plan)
-        way = bodies.beside(way if build.rng.random() < 0.5 else way[::-1], -0.78)
+        way = bodies.beside(_loop(plan)[:: int(build.rng.choice((-1, 1)))], -_ASIDE_M)
         radius = bodies.person(build, i)
         speed, start = float(build.rng.uniform(0.9, 1.5)), float(build.rng.random())
         people.append(Body(f"person {i}", way, speed, start, radius))

@@ -196,30 +196,33 @@ def extinguisher(wall: Wall, x: float) -> None:
 
 def niche(wall: Wall, start: float, stop: float) -> None:
     """A recess with a machine, a bench, or plants."""
-    middle, (width, height, deep), kit, rng = (start + stop) / 2, NICHE_M, wall.kit, wall.build.rng
+    middle, (width, height, deep) = (start + stop) / 2, NICHE_M
     left, right = middle - width / 2, middle + width / 2
     wall.around(start, stop, (left, right, 0.0, height))
     wall.slab((left - 0.1, right + 0.1), (0.0, height + 0.1), deep, 0.1)
-    for x in ((left - 0.1, left), (right, right + 0.1)):
-        wall.slab(x, (0.0, height), WALL_M, deep - WALL_M)
+    for cheek in ((left - 0.1, left), (right, right + 0.1)):
+        wall.slab(cheek, (0.0, height), WALL_M, deep - WALL_M)
     over = (middle, (WALL_M + deep) / 2, height + 0.05)
-    wall.box(over, (width, deep - WALL_M, 0.1), kit.paint)
+    wall.box(over, (width, deep - WALL_M, 0.1), wall.kit.paint)
+    _furnish(wall, middle, deep)
+
+
+def _furnish(wall: Wall, middle: float, deep: float) -> None:
+    kit, rng = wall.kit, wall.build.rng
+    picture, machine = int(rng.choice(kit.posters)), int(rng.choice(kit.machines))
     what = int(rng.integers(3))
     if what == 0:
-        machine = int(rng.choice(kit.machines))
         wall.box((middle - 0.3, 0.33, 0.95), (0.92, 0.5, 1.86), machine, None)
         plant(wall, middle + 0.52, 0.28)
-    elif what == 1:
+        return
+    wall.box((middle, deep - 0.012, 1.6), (0.9, 0.024, 0.65), picture, None)
+    if what == 1:
         wall.box((middle, 0.34, 0.43), (1.4, 0.42, 0.08), kit.cushion)
         for x in (-0.6, 0.6):
             wall.box((middle + x, 0.34, 0.195), (0.05, 0.38, 0.39), kit.metal)
-        picture = int(rng.choice(kit.posters))
-        wall.box((middle, deep - 0.012, 1.45), (1.1, 0.024, 0.7), picture, None)
     else:
         for x in (-0.45, 0.45):
             plant(wall, middle + x, 0.32)
-        picture = int(rng.choice(kit.posters))
-        wall.box((middle, deep - 0.012, 1.6), (0.6, 0.024, 0.6), picture, None)
 
 
 def plant(wall: Wall, x: float, y: float) -> None:

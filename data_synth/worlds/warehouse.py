@@ -21,6 +21,7 @@ _AISLES_Y = (-10.8, -5.4, 0.0, 5.4, 10.8)
 _CROSSINGS_X = (-18.2, -4.0, 10.2)
 _LANE_X = 12.6  # where forklifts cross in front of the loading doors
 _BACK_GAP_M = 0.08
+_ASIDE_M = {"person": 0.9, "cart": 0.55}  # carts cut corners more
 _USUAL = {"person": 4, "cart": 2, "forklift": 2}
 
 
@@ -108,25 +109,22 @@ def _movers(build: Builder, way: Floats, side: float, share: float) -> tuple[Bod
     """Walkers beside the course's middle, forklifts in the aisles that it does not take."""
     found: list[Body] = []
     rng = build.rng
-    round_way = np.array(
-        [
-            [_LANE_X, 0.0],
-            [_LANE_X, side * _AISLES_Y[4]],
-            [_CROSSINGS_X[0], side * _AISLES_Y[4]],
-            [_CROSSINGS_X[0], 0.0],
-        ]
-    )
     for name, make, speeds in (
         ("person", bodies.person, (0.9, 1.5)),
         ("cart", bodies.cart, (0.7, 1.2)),
-        ("forklift", bodies.forklift, (1.2, 2.2)),
+        ("forklift", bodies.forklift, (1.8, 1.8)),
     ):
-        for i in range(round(_USUAL[name] * share)):
-            if name == "forklift":
-                path = round_way
-            else:
-                path = bodies.beside(way, float(rng.choice((-0.95, 0.95))))
+        count = round(_USUAL[name] * share)
+        for i in range(count):
             radius = make(build, len(found))
-            speed, start = float(rng.uniform(*speeds)), float(rng.random())
+            speed, start = float(rng.uniform(*speeds)), float((i + rng.random()) / count)
+            path = _forklift_way(side)
+            if name != "forklift":
+                path = bodies.beside(way[:: int(rng.choice((-1, 1)))], -_ASIDE_M[name])
             found.append(Body(f"{name} {i}", path, speed, start, radius))
     return tuple(found)
+
+
+def _forklift_way(side: float) -> Floats:
+    left, right, low, high = _CROSSINGS_X[0], _LANE_X, _AISLES_Y[2], side * _AISLES_Y[4]
+    return np.array([[right, low], [right, high], [left, high], [left, low]])
