@@ -7,6 +7,7 @@ its middle, x ahead and z up. It returns the radius of the upright cylinder that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def person(build: Builder, body: int, at: Point = (0.0, 0.0, 0.0)) -> float:
     """Somebody in the middle of a step, 1.55 m to 1.9 m tall, some with a bag."""
     height = float(build.rng.uniform(1.55, 1.9))
     shirt, trousers = (build.paint(indoor_textures.cloth, (256, 256)) for _ in range(2))
-    shoes = build.paint(indoor_textures.steel, (64, 64))
+    shoes = build.paint(partial(indoor_textures.steel, shade=0.15), (64, 64))
     some, unit = _Body(build, body, at), height / 1.75
     _head_and_trunk(some, shirt, unit)
     for side in (-1.0, 1.0):
@@ -64,14 +65,16 @@ def person(build: Builder, body: int, at: Point = (0.0, 0.0, 0.0)) -> float:
 
 
 def _head_and_trunk(some: _Body, shirt: int, unit: float) -> None:
-    head = some.build.paint(indoor_textures.skin_and_hair, (128, 256))
+    head = some.build.paint(indoor_textures.skin, (128, 128))
+    hair = some.build.paint(indoor_textures.hair, (64, 128))
     for centre, size, texture, density in (
         ((0.02, 0.0, 1.63), (0.2, 0.17, 0.25), head, None),
+        ((0.0, 0.0, 1.66), (0.21, 0.18, 0.22), hair, 400.0),
         ((0.0, 0.0, 1.47), (0.13, 0.13, 0.2), head, None),
         ((0.0, 0.0, 1.2), (0.28, 0.44, 0.62), shirt, 260.0),
         ((0.0, 0.0, 0.93), (0.26, 0.36, 0.34), shirt, 260.0),
-        ((0.06, 0.25, 1.1), (0.13, 0.12, 0.62), shirt, 260.0),
-        ((-0.06, -0.25, 1.1), (0.13, 0.12, 0.62), shirt, 260.0),
+        ((0.06, 0.235, 1.1), (0.13, 0.12, 0.62), shirt, 260.0),
+        ((-0.06, -0.235, 1.1), (0.13, 0.12, 0.62), shirt, 260.0),
         ((0.1, 0.26, 0.78), (0.1, 0.08, 0.16), head, None),
         ((-0.1, -0.26, 0.78), (0.1, 0.08, 0.16), head, None),
     ):
@@ -106,7 +109,7 @@ def cart(build: Builder, body: int) -> float:
 def forklift(build: Builder, body: int) -> float:
     """A counterbalanced forklift with its driver and a loaded pallet."""
     paint = build.paint(indoor_textures.steel, (256, 256))
-    dark = build.paint(lambda rng, shape: indoor_textures.steel(rng, shape, 0.18), (128, 128))
+    dark = build.paint(partial(indoor_textures.steel, shade=0.18), (128, 128))
     stripes = build.paint(prints.hazard, (64, 128))
     truck = _Body(build, body, at=(-0.35, 0.0, 0.0))
     truck.add(Kind.BOX, (-0.1, 0.0, 0.42), (1.7, 1.0, 0.5), paint)

@@ -132,14 +132,16 @@ def cloth(rng: Rng, shape: tuple[int, int]) -> Floats32:
     return clipped(image)
 
 
-def skin_and_hair(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """A head: hair above, skin below, with blots where a face has its features."""
-    image = rng.uniform(0.45, 0.65) + 0.03 * noise(rng, shape, 1.3)
+def skin(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """A face or a hand: blots where it has its features."""
+    image = rng.uniform(0.3, 0.62) + 0.03 * noise(rng, shape, 1.3)
     specks(rng, image, count=image.size // 3000, radius=(3, 10), contrast=-0.3)
-    line = int(0.42 * shape[0])
-    hair = rng.uniform(0.08, 0.4) + 0.05 * noise(rng, shape, 0.8, stretch=0.2)
-    image[:line] = hair[:line]
     return clipped(image)
+
+
+def hair(rng: Rng, shape: tuple[int, int]) -> Floats32:
+    """Hair: strands along v."""
+    return clipped(rng.uniform(0.06, 0.45) + 0.05 * noise(rng, shape, 0.8, stretch=0.2))
 
 
 def _scuffs(rng: Rng, image: Floats32, count: int, contrast: float) -> None:

@@ -42,7 +42,7 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     way = _way(side)[:: int(build.rng.choice((-1, 1)))]
     course = Course(way, HALF_WIDTH_M, 5.0, level(), outlook_deg=25.0)
     movers_ = _movers(build, way, side, movers)
-    light = Lighting(lamps, ambient=0.88, points_per_m=1.5, most_points=160)
+    light = Lighting(lamps, ambient=0.82, points_per_m=1.5, most_points=160)
     return Scene(lit(build.world(), light), course, movers_)
 
 

@@ -82,7 +82,7 @@ def _image(view: Rendered) -> Bytes:
 
 
 def _corners(view: Rendered, threshold: int) -> int:
-    return len(cv2.FastFeatureDetector_create(threshold).detect(_image(view)))
+    return len(cv2.FastFeatureDetector.create(threshold).detect(_image(view)))
 
 
 def _same(first: World, second: World) -> bool:
