@@ -108,7 +108,7 @@ def test_course_is_free_on_its_whole_width(name: str, seed: int) -> None:
     scene = _dark(name, seed, 2.0)
     turn = np.arange(8) * np.pi / 4
     rim = scene.course.half_width_m * np.column_stack([np.cos(turn), np.sin(turn)])
-    places = _along(scene.course.waypoints, 0.35)[0]
+    places = _along(scene.course.waypoints, 0.6)[0]
     around = np.vstack([places + offset for offset in rim] + [places])
     assert clearance(scene.world, _at_heights(around, (0.3, 1.0, 1.8))).min() > 0.25
     overhead = _at_heights(places, (scene.course.head_room_m,))
