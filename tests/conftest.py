@@ -10,10 +10,11 @@ import pytest
 @pytest.fixture(scope="session")
 def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty stereo frames with ground truth in the EuRoC layout; not to be written to."""
+    from data_synth.recipe import load_recipe
     from data_synth.sequence import make_sequence
 
     folder = tmp_path_factory.mktemp("synthetic") / "walk"
-    make_sequence(folder, seconds=2.0, fps=15.0, width=400, height=250, seed=0)
+    make_sequence(folder, load_recipe("demo", ["seconds=2", "motion=handheld", "scale=0.625"]))
     return folder
 
 

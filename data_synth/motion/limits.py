@@ -85,6 +85,8 @@ def carrier_of(motion: MotionName, course: Course, length_m: float) -> Carrier:
     """What carries the camera: some motions are done by whatever suits the course."""
     if motion == "drone" and course.head_room_m <= HIGH_M:
         return "drone_indoors"
+    if motion == "loop" and course.head_room_m > HIGH_M:
+        return "drone"
     if motion == "loop":
         return "car" if length_m > LARGE_M else "handheld"
     if motion == "stop_and_go":

@@ -7,7 +7,6 @@ import numpy as np
 from data_synth.motion.carriers import CARRIERS, Manner
 from data_synth.motion.clear import Clearance, Collision, find_collision
 from data_synth.motion.limits import (
-    HIGH_M,
     LIMITS,
     Carrier,
     Limits,
@@ -40,9 +39,8 @@ def mount(motion: MotionName, course: Course) -> Floats:
 
     A camera that turns on the spot sits close to the axis.
     """
-    down_deg = 0.0
-    if motion == "drone":
-        down_deg = 30.0 if course.head_room_m > HIGH_M else 5.0
+    carrier = carrier_of(motion, course, polygon_length_m(course.waypoints))
+    down_deg = {"drone": 30.0, "drone_indoors": 5.0}.get(carrier, 0.0)
     cosine, sine = np.cos(np.deg2rad(down_deg)), np.sin(np.deg2rad(down_deg))
     nose_down = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     lever = [0.01, 0.01, 0.0] if motion == "rotate" else [0.05, 0.06, 0.02]

@@ -15,9 +15,6 @@ _ROUNDING = 1e-6
 # The axes of a camera that looks along the body's x: right, down and forward as columns.
 BODY_FROM_LOOKING_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
-_LAP_S = 8.0
-_KNOTS_PER_LAP = 8
-
 
 def bspline(controls: Floats, at: Floats, derivative: int = 0, lap: Floats | None = None) -> Floats:
     """Values (N, C) of a uniform cubic B-spline, or its first or second derivative.
@@ -118,41 +115,3 @@ def rotations(yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
     ahead = np.stack([cy * cp, sy * cp, sp], axis=-1)
     left = np.stack([-sy * cr - cy * sp * sr, cy * cr - sy * sp * sr, cp * sr], axis=-1)
     return np.stack([ahead, left, np.cross(ahead, left)], axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class CameraWalk:
-    """A walk of cam0, at the body's origin and looking ahead."""
-
-    path: PosePath
-
-    def world_from_cam0(self, time_s: Floats) -> Floats:
-        """Poses (N, 4, 4) at times (N,), which wrap around."""
-        poses = self.path.world_from_body(time_s)
-        poses[:, :3, :3] = poses[:, :3, :3] @ BODY_FROM_LOOKING_AHEAD
-        return poses
-
-
-def walk_around(seed: int, duration_s: float) -> CameraWalk:
-    """Walk counter-clockwise around the origin, looking ahead and outward, back to the start.
-
-    One lap of about 9 m takes about 8 s; longer walks take more laps, each a little different, and
-    shorter ones do not come round.
-    """
-    rng = np.random.default_rng([seed, 1])
-    laps = max(1, round(duration_s / _LAP_S))
-    count = laps * _KNOTS_PER_LAP
-    around = 2 * np.pi * np.arange(count) / _KNOTS_PER_LAP
-    scale = 1.0 + rng.uniform(-0.07, 0.07, count)
-    controls = np.column_stack(
-        [
-            1.85 * scale * np.cos(around),
-            1.35 * scale * np.sin(around),
-            1.45 + rng.uniform(-0.18, 0.18, count),
-            around + np.deg2rad(65.0) + rng.uniform(-0.14, 0.14, count),
-            np.deg2rad(-7.0) + rng.uniform(-0.09, 0.09, count),
-            rng.uniform(-0.05, 0.05, count),
-        ]
-    )
-    whole_s = max(duration_s, _LAP_S)
-    return CameraWalk(PosePath(controls, whole_s / count, 1, whole_s, laps))

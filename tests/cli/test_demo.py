@@ -1,19 +1,19 @@
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from data_synth import sequence
+from data_synth import recipe
+from data_synth.recipe import load_recipe
 from vo.cli.app import app
 
 
 @pytest.fixture
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
-    small = functools.partial(sequence.make_sequence, seconds=1.0, fps=12.0, width=320, height=200)
-    monkeypatch.setattr(sequence, "make_sequence", small)
+    small = ["motion=handheld", "seconds=1", "fps=12", "scale=0.5"]  # a loop takes longer
+    monkeypatch.setattr(recipe, "load_recipe", lambda name: load_recipe(name, small))
 
 
 @pytest.mark.usefixtures("_small")
@@ -27,7 +27,7 @@ def test_demo_makes_runs_scores_and_keeps_the_recording(tmp_path: Path) -> None:
         assert (output / name).stat().st_size > 0
         if name.endswith(("rrd", "png")):
             assert str(output / name) in result.output.replace("\n", "")
-    recordings = [p for p in output.iterdir() if p.name.startswith("room_v")]
+    recordings = [p for p in output.iterdir() if p.name.startswith("recording-")]
     assert len(recordings) == 1
 
     image = next(recordings[0].rglob("*.png"))

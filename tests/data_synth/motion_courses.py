@@ -41,7 +41,7 @@ COURSES: dict[str, Course] = {
     ),
 }
 
-LOOP_S = {"ring": 20.0, "rectangle": 90.0, "aisles": 90.0, "hills": 120.0}
+LOOP_S = {"ring": 20.0, "rectangle": 90.0, "aisles": 90.0, "hills": 150.0}
 
 
 def walls(course: Course, half_width_m: float) -> Callable[[Floats], Floats]:

@@ -25,9 +25,9 @@ def demo_command(
 ) -> None:
     """Show the odometry at work on a synthetic stereo recording with exact truth.
 
-    Makes a walk around a furnished room (the first time only), computes the
-    camera's path from its images, compares it with the truth, and says where
-    the results are.
+    Films a walk of 20 s around a furnished room (the first time only), computes
+    the camera's path from its images, compares it with the truth, and says
+    where the results are.
     """
     from rich.console import Console
 
@@ -45,28 +45,22 @@ def demo_command(
 
 def _find_or_make_sequence(output: Path, console: Console) -> Path:
     """The recording: it appears only when it is whole, so one that is there is good."""
-    from data_synth.sequence import VERSION, make_sequence
-    from vo.errors import OutputError
-
-    sequence = output / f"room_v{VERSION}"
-    if (sequence / "groundtruth.tum").is_file():
-        console.print(f"recording   {sequence} (made before)", soft_wrap=True)
-        return sequence
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
+    from data_synth.cache import cached_sequence
+    from data_synth.recipe import load_recipe
+
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("getting the renderer ready", total=None)
 
         def show(done: int, total: int) -> None:
             bar.update(task, description="rendering", completed=done, total=total)
 
-        try:
-            make_sequence(sequence, on_frame=show)
-        except OutputError:
-            if not (sequence / "groundtruth.tum").is_file():  # else another demo was faster
-                raise
-    console.print(f"recording   {sequence}", soft_wrap=True)
+        recipe = load_recipe("demo")
+        sequence = cached_sequence(recipe, output, "recording", on_frame=show)
+        made = "" if bar.tasks[0].total else " (made before)"
+    console.print(f"recording   {sequence}{made}: {recipe.about}", soft_wrap=True)
     return sequence
 
 
@@ -107,6 +101,7 @@ def _print_what_next(
         "\nTry next:",
         f"  {rerun} {quoted[2]}    # look at the run in 3D",
         f"  {vo} eval {quoted[1]} {quoted[0]} --json    # the same numbers for a script",
+        f"  {vo} synth out/street --preset kitti    # another world, camera and motion",
         f"  {vo} run MY_RECORDING --output out/mine    # your own, see README.md",
         f"  {vo} --help",
     )

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from data_synth.recipe import Recipe
 
-_EPILOG = """\
+EPILOG = """\
 Examples:
 
 vo synth out/street --preset kitti
@@ -144,7 +144,8 @@ def _make(recipe: Recipe, output: Path, force: bool, console: Console) -> None:
     from data_synth.sequence import make_sequence
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, Remaining(), console=console, disable=console.quiet) as bar:
+    still = console.quiet or not console.is_terminal
+    with Progress(*columns, Remaining(), console=console, disable=still) as bar:
         task = bar.add_task(f"building the {recipe.world}", total=None)
 
         def show(done: int, total: int) -> None:

@@ -1,0 +1,139 @@
+"""Films a plan: renders each frame, and makes of its light what the sensor would."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.plan import Plan
+from data_synth.records import Shot
+from data_synth.scene.bodies import with_bodies
+from data_synth.scene.render import camera_rays, render
+from data_synth.scene.shutter import Shutter, moving, still
+from data_synth.scene.world import World
+from data_synth.sensor.exposure import AutoExposure, Settings, readout_s
+from data_synth.sensor.photometrics import develop, vignetting
+from vo.geometry.transforms import inverse
+from vo.types import Bytes, Camera, Floats, Floats32
+
+_PREVIEW_STEP = 8
+_SEED_NOISE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Eye:
+    """One camera, ready to film."""
+
+    camera: Camera
+    rays: Floats
+    vignette: Floats32
+    body_from_cam: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Exposed:
+    """A frame whose images are being developed."""
+
+    index: int
+    images: tuple[Future[Bytes] | None, ...]
+    depth: Floats32 | None
+
+    def mean(self) -> float | None:
+        """Mean of cam0's image, 0…1."""
+        return None if self.images[0] is None else float(self.images[0].result().mean()) / 255.0
+
+    def shot(self) -> Shot:
+        """The developed images."""
+        done = tuple(None if image is None else image.result() for image in self.images)
+        return Shot(self.index, done, self.depth)
+
+
+def film(plan: Plan, pool: ThreadPoolExecutor) -> Iterator[Shot]:
+    """Render all frames in order; a frame is developed while the next one is rendered.
+
+    Args:
+        plan: what to film.
+        pool: threads that share the rows of an image; their number changes no byte.
+    """
+    eyes = _eyes(plan)
+    effects, fps = plan.recipe.effects, plan.recipe.fps
+    auto = AutoExposure(effects, fps, _preview_mean(plan, eyes[0], pool))
+    developing: _Exposed | None = None
+    for index in range(len(plan.recording)):
+        exposed = _expose(plan, eyes, index, auto.next(), pool)
+        if developing is not None:
+            auto.observe(developing.mean())
+            yield developing.shot()
+        developing = exposed
+    if developing is not None:
+        yield developing.shot()
+
+
+def _eyes(plan: Plan) -> tuple[_Eye, ...]:
+    rig, strength = plan.recording.rig, plan.recipe.effects.vignetting
+    placed = [(rig.cam0, plan.recording.body_from_cam0)]
+    if rig.cam1 is not None and rig.cam1_from_cam0 is not None:
+        body_from_cam1 = plan.recording.body_from_cam0 @ inverse(rig.cam1_from_cam0)
+        placed.append((rig.cam1, body_from_cam1))
+    return tuple(
+        _Eye(camera, camera_rays(camera), vignetting(camera, strength), body_from_cam)
+        for camera, body_from_cam in placed
+    )
+
+
+def _preview_mean(plan: Plan, eye: _Eye, pool: ThreadPoolExecutor) -> float:
+    """Mean light of the first view, at a fraction of the pixels."""
+    step = _PREVIEW_STEP
+    world_from_body = plan.path.world_from_body(plan.timing.times_s[:1])[0]
+    rays = np.ascontiguousarray(eye.rays[::step, ::step])
+    view = render(_world(plan, 0), rays, still(world_from_body @ eye.body_from_cam), pool)
+    return float((view.image * eye.vignette[::step, ::step]).mean())
+
+
+def _expose(
+    plan: Plan, eyes: tuple[_Eye, ...], index: int, settings: Settings, pool: ThreadPoolExecutor
+) -> _Exposed:
+    """Render a frame and begin to develop it."""
+    images: list[Future[Bytes] | None] = []
+    depth = None
+    world = _world(plan, index)
+    for number, eye in enumerate(eyes):
+        if plan.timing.dropped[number][index]:
+            images.append(None)
+            continue
+        view = render(world, eye.rays, _shutter(plan, eye, index, settings), pool)
+        if number == 0 and plan.recording.has_depth:
+            depth = view.depth
+        images.append(
+            pool.submit(
+                develop,
+                view.image,
+                settings,
+                plan.recipe.effects,
+                float(plan.timing.illumination[index]),
+                eye.vignette,
+                np.random.default_rng([plan.recipe.seed, _SEED_NOISE, index, number]),
+            )
+        )
+    return _Exposed(index, tuple(images), depth)
+
+
+def _world(plan: Plan, index: int) -> World:
+    """The world with everything that moves at its place in the middle of the frame's exposure."""
+    if plan.mover_poses.shape[1] == 0:
+        return plan.scene.world
+    return with_bodies(plan.scene.world, plan.mover_poses[index], plan.mover_velocities[index])
+
+
+def _shutter(plan: Plan, eye: _Eye, index: int, settings: Settings) -> Shutter:
+    """The way of a camera from the first moment of its first row to the last of its last."""
+    return moving(
+        lambda times_s: plan.path.world_from_body(times_s) @ eye.body_from_cam,
+        time_s=float(plan.timing.times_s[index]),
+        rows=eye.camera.height,
+        exposure_s=settings.exposure_s,
+        readout_s=readout_s(plan.recipe.effects, plan.recipe.fps),
+    )

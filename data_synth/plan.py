@@ -1,0 +1,131 @@
+"""From a recipe to everything that is known before the first image is rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.cameras import load_rig
+from data_synth.motion.body_path import poses_at
+from data_synth.motion.imu import measure
+from data_synth.motion.motions import make_path, mount
+from data_synth.motion.spline import PosePath
+from data_synth.recipe import Recipe
+from data_synth.records import BodyTruth, Imu, ImuNoise, MoverTruth, Recording
+from data_synth.scene.scene import Scene
+from data_synth.scene.world import clearance
+from data_synth.sensor.timing import Timing, make_timing
+from data_synth.worlds.registry import make_scene
+from data_synth.writers.registry import check
+from vo.types import Floats, Trajectory
+
+FIRST_STAMP_NS = 1_700_000_000_000_000_000
+
+_ELBOW_ROOM_M = 0.8
+_OUT_OF_SIGHT_M = -1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What will be filmed, and how.
+
+    Attributes:
+        recipe: the settings.
+        scene: the world.
+        path: of the body.
+        timing: when each frame is taken.
+        mover_poses: (F, B, 4, 4) world_from_mover by frame.
+        mover_velocities: (F, B, 3) in the world, m/s.
+        recording: what the writers need to know.
+    """
+
+    recipe: Recipe
+    scene: Scene
+    path: PosePath
+    timing: Timing
+    mover_poses: Floats
+    mover_velocities: Floats
+    recording: Recording
+
+
+def make_plan(recipe: Recipe) -> Plan:
+    """Build the world, lay the path through it, and work out all that is true.
+
+    Raises:
+        ConfigError: the recipe asks for what cannot be.
+        CalibrationError: the camera's calibration makes no sense.
+    """
+    rig = load_rig(recipe.camera, scale=recipe.scale, mono=recipe.mono)
+    check(recipe, rig)
+    scene = make_scene(recipe.world, recipe.seed, recipe.effects.movers)
+    path = make_path(
+        recipe.motion,
+        scene.course,
+        lambda points: clearance(scene.world, points),
+        seconds=recipe.seconds,
+        speed=recipe.speed,
+        seed=recipe.seed,
+    )
+    body_from_cam0 = mount(recipe.motion, scene.course)
+    timing = make_timing(
+        recipe.effects,
+        frames=max(1, round(recipe.seconds * recipe.fps)),
+        fps=recipe.fps,
+        cameras=2 if rig.is_stereo else 1,
+        seed=recipe.seed,
+        first_stamp_ns=FIRST_STAMP_NS,
+    )
+    world_from_cam0 = path.world_from_body(timing.times_s) @ body_from_cam0
+    mover_poses, mover_velocities = _movers(scene, timing.times_s, world_from_cam0)
+    imu, body = _inertial(recipe, path, timing)
+    recording = Recording(
+        name=f"{recipe.world}_{recipe.motion}",
+        rig=rig,
+        body_from_cam0=body_from_cam0,
+        fps=recipe.fps,
+        stamps_ns=timing.stamps_ns,
+        dropped=timing.dropped,
+        cam0_truth=Trajectory(timing.stamps_ns[0], world_from_cam0),
+        body_truth=body,
+        imu=imu,
+        movers=_present(scene, mover_poses),
+        has_depth=recipe.depth or recipe.format == "tum",
+    )
+    return Plan(recipe, scene, path, timing, mover_poses, mover_velocities, recording)
+
+
+def _movers(scene: Scene, times_s: Floats, world_from_cam0: Floats) -> tuple[Floats, Floats]:
+    """Poses (F, B, 4, 4) and velocities (F, B, 3); who would run into the camera is not there."""
+    poses = np.tile(np.eye(4), (len(times_s), len(scene.bodies), 1, 1))
+    velocities = np.zeros((*poses.shape[:2], 3))
+    camera = world_from_cam0[:, :2, 3]
+    for i, body in enumerate(scene.bodies):
+        poses[:, i], velocities[:, i] = poses_at(body, times_s, scene.course.ground)
+        apart = np.linalg.norm(poses[:, i, :2, 3] - camera, axis=1).min()
+        if apart < body.radius_m + _ELBOW_ROOM_M:
+            poses[:, i, 2, 3] = _OUT_OF_SIGHT_M
+            velocities[:, i] = 0.0
+    return poses, velocities
+
+
+def _present(scene: Scene, poses: Floats) -> tuple[MoverTruth, ...]:
+    return tuple(
+        MoverTruth(body.name, poses[:, i])
+        for i, body in enumerate(scene.bodies)
+        if poses[0, i, 2, 3] != _OUT_OF_SIGHT_M
+    )
+
+
+def _inertial(recipe: Recipe, path: PosePath, timing: Timing) -> tuple[Imu, BodyTruth]:
+    settings = recipe.imu
+    return measure(
+        path,
+        timing.stamps_ns[0],
+        FIRST_STAMP_NS,
+        rate_hz=settings.rate_hz,
+        noise=ImuNoise(
+            settings.gyro_noise, settings.gyro_walk, settings.accel_noise, settings.accel_walk
+        ),
+        seed=recipe.seed,
+    )

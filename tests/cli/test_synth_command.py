@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from vo.cli.app import app
+from vo.sources.registry import open_source
+
+SMALL = ("--seconds", "0.2", "--fps", "10", "--set", "scale=0.25")
+
+
+def vo_synth(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["synth", *map(str, arguments)])
+
+
+def test_makes_a_recording_and_says_what_it_is(tmp_path: Path) -> None:
+    out = tmp_path / "made"
+    flags = ("--world", "corridor", "--motion", "robot", "--camera", "pinhole", "--mono")
+    result = vo_synth(out, *SMALL, *flags, "--effects", "none,noise=2", "--seed", "3")
+    assert result.exit_code == 0, result.output
+    assert "2 mono frames" in result.output
+    recipe = (out / "recipe.yaml").read_text()
+    for line in ("world: corridor", "blur: 0.0", "noise: 2.0", "seed: 3"):
+        assert line in recipe
+    source = open_source(out)
+    assert len(source) == 2 and not source.rig.is_stereo
+    assert source.rig.cam0.width == 160
+
+
+def test_a_preset_gives_way_to_flags(tmp_path: Path) -> None:
+    result = vo_synth(
+        tmp_path / "a.mcap", "--preset", "tum", *SMALL, "--format", "mcap", "--codec", "jpeg", "-q"
+    )
+    assert result.exit_code == 0, result.output
+    assert result.output == ""
+    assert (tmp_path / "a.mcap").read_bytes()[:5] == b"\x89MCAP"
+
+
+def test_refuses_to_overwrite_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "note.txt").write_text("mine")
+    result = vo_synth(tmp_path, *SMALL)
+    assert result.exit_code == 1
+    assert result.output.startswith("error: ") and "--force" in result.output
+    assert result.output.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--world", "moon"), "setting 'world'"),
+        (("--preset", "kiti"), "did you mean 'kitti'"),
+        (("--camera", "nowhere.yaml"), "nowhere.yaml does not exist"),
+        (("--effects", "blur"), "NAME=STRENGTH"),
+        (("--effects", "blurry=1"), "did you mean 'effects.blur'"),
+        (("--seconds", "-3"), "setting 'seconds'"),
+        (("--format", "kitti"), "euroc"),
+        (("--format", "tum"), "--mono"),
+    ],
+)
+def test_what_cannot_be_is_one_error_line(
+    tmp_path: Path, flags: tuple[str, ...], said: str
+) -> None:
+    result = vo_synth(tmp_path / "out", *SMALL, *flags)
+    assert result.exit_code == 1
+    assert result.output.startswith("error: ") and said in result.output
+    assert result.output.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_list_shows_presets_cameras_and_settings() -> None:
+    result = vo_synth("--list")
+    assert result.exit_code == 0
+    for word in ("kitti", "aerial", "fisheye", "effects.rolling_shutter", "imu.gyro_noise"):
+        assert word in result.output
+
+
+def test_without_a_place_to_write_it_is_a_usage_error() -> None:
+    assert vo_synth().exit_code == 2
