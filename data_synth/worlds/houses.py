@@ -55,8 +55,8 @@ def _roof(build: Builder, palette: Palette, place: Place, plan: Facade, depth: f
         parapet = (plan.width, depth, 0.4)
         build.add(place.at(0, depth / 2 + 0.1, high + 0.2), parapet, palette.concrete, place.yaw)
     else:
-        rise, back = 0.55, float(build.rng.uniform(0.4, 0.65))
-        steps = int(build.rng.integers(3, 6))
+        rise, back = 0.7, float(build.rng.uniform(0.5, 0.8))
+        steps = int(build.rng.integers(2, 5))
         for k in range(steps):
             size = (plan.width - 0.1, depth - 2 * back * k, rise)
             at = place.at(0, depth / 2, high + 0.05 + rise * (k + 0.5))

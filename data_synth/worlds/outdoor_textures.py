@@ -10,9 +10,37 @@ from data_synth.worlds.textures import clipped, crack, noise, specks
 from vo.types import Floats32
 
 _WORDS = (
-    "BAKERY CAFE BOOKS PHARMACY FLOWERS HOTEL BANK MARKET TAILOR RADIO OPTIK PIZZA BAR SHOES BIKES "
-    "WINE TOYS TRAVEL BUTCHER FISH LOANS TEA MUSIC TOOLS HATS KEYS PAINT DENTIST POST GARAGE"
-).split()
+    "BAKERY",
+    "CAFE",
+    "BOOKS",
+    "PHARMACY",
+    "FLOWERS",
+    "HOTEL",
+    "BANK",
+    "MARKET",
+    "TAILOR",
+    "RADIO",
+    "OPTIK",
+    "PIZZA",
+    "BAR",
+    "SHOES",
+    "BIKES",
+    "WINE",
+    "TOYS",
+    "TRAVEL",
+    "BUTCHER",
+    "FISH",
+    "LOANS",
+    "TEA",
+    "MUSIC",
+    "TOOLS",
+    "HATS",
+    "KEYS",
+    "PAINT",
+    "DENTIST",
+    "POST",
+    "GARAGE",
+)
 
 
 def asphalt(rng: Rng, shape: tuple[int, int]) -> Floats32:

@@ -20,7 +20,7 @@ from vo.types import Floats
 
 _SEED = 30  # of this world, beside the seed of the recording
 _USUAL_CARS, _USUAL_PEOPLE = 5, 8
-_TURN_RADIUS_M = 17.0
+_TURN_RADIUS_M = 13.0
 _ONCOMING_M_S, _ONCOMING_RADIUS_M = 7.0, 7.0
 
 
@@ -53,11 +53,11 @@ def _daylight(build: Builder) -> Lighting:
     return Lighting(
         sun=sun,
         sun_power=0.85,
-        ambient=0.46,
+        ambient=0.5,
         sky=0.97,
         corner_m=4.0,
-        points_per_m=2.2,
-        most_points=64,
+        points_per_m=2.4,
+        most_points=50,
     )
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.solids import Kind
+from data_synth.scene.solids import Kind, Solid
 from data_synth.worlds import street_plan as plan
 from data_synth.worlds.palette import Palette
 from data_synth.worlds.street_plan import Frontage
 
 _DEEP_M = 0.4  # thickness of what lies on the ground
-_PIECE_M = 26.0
+_PIECE_M = 20.0
 _ASPHALT_DENSITY, _PAVING_DENSITY = 100.0, 64.0
 _KERB_M = 0.16
 _MARK_M = 0.006
@@ -77,11 +77,10 @@ def lay_bay(build: Builder, palette: Palette, place: Place, span: tuple[float, f
 
 
 def _road(build: Builder, palette: Palette, place: Place, ends: tuple[float, float]) -> None:
-    """Asphalt along x, in pieces that were laid one after the other."""
-    for low, high in _pieces(ends):
-        centre = place.at((low + high) / 2, 0.0, -_DEEP_M / 2)
-        size = (high - low, 2 * plan.BAY_M, _DEEP_M)
-        build.add(centre, size, palette.asphalt, place.yaw, _ASPHALT_DENSITY, stain=0.5)
+    """Asphalt along x."""
+    width = (-plan.BAY_M, plan.BAY_M)
+    for span in _pieces(ends):
+        _strip(build, place, span, width, 0.0, palette.asphalt, _ASPHALT_DENSITY)
 
 
 def _strip(
@@ -91,11 +90,26 @@ def _strip(
     y: tuple[float, float],
     top: float,
     texture: int,
+    density: float = _PAVING_DENSITY,
 ) -> None:
-    """A slab between two x and two y of a place."""
-    centre = place.at(sum(x) / 2, sum(y) / 2, top - _DEEP_M / 2)
-    size = (x[1] - x[0], y[1] - y[0], _DEEP_M)
-    build.add(centre, size, texture, place.yaw, _PAVING_DENSITY, stain=0.4)
+    """A slab between two x and two y of a place that is turned by right angles.
+
+    Its texture is laid on from the world's origin, so that slabs beside each other show no seam.
+    """
+    corners = np.array([place.at(x[k], y[k], top) for k in (0, 1)])
+    centre, size = corners.mean(axis=0), np.abs(corners[1] - corners[0])
+    rows, columns = build.textures[texture].shape
+    offset = (density * centre[0] % columns, -density * centre[1] % rows)
+    build.solids.append(
+        Solid(
+            centre=(float(centre[0]), float(centre[1]), top - _DEEP_M / 2),
+            size=(float(size[0]), float(size[1]), _DEEP_M),
+            texture=texture,
+            density=density,
+            offset=(float(offset[0]), float(offset[1])),
+            stain=0.45,
+        )
+    )
 
 
 def _pieces(ends: tuple[float, float]) -> list[tuple[float, float]]:
@@ -157,8 +171,8 @@ def _wear(build: Builder, palette: Palette) -> None:
         yaw = float(np.arctan2(*(end - start)[::-1]))
         for along in np.arange(6.0, length - 3.0, 5.5):
             along = float(along + build.rng.uniform(-2.0, 2.0))
-            place = Place(*(float(c) for c in start + (end - start) * along / length), yaw)
-            _one_wear(build, palette, place)
+            x, y = (float(c) for c in start + (end - start) * along / length)
+            _one_wear(build, palette, Place(x, y, yaw))
 
 
 def _one_wear(build: Builder, palette: Palette, place: Place) -> None:

@@ -28,20 +28,20 @@ _SEED = 40  # of this world, beside the seed of the recording
 _USUAL_CARS, _USUAL_PEOPLE = 4, 4
 _CAR_M_S = 8.0
 _HALF_WIDTH_M, _HEAD_ROOM_M = 10.0, 60.0
-_NEAREST_M, _FARTHEST_M = 64.0, 96.0  # of the course from the middle
+_NEAREST_M, _FARTHEST_M = 66.0, 96.0  # of the course from the middle
 _LOW_M = 0.25  # highest thing in the free strip of the course
 
 _Maker = Callable[[Point], None]
 
 
 def make_scene(seed: int, movers: float) -> Scene:
-    """Ground of 400 x 400 m; the course goes round the middle at 64 m to 96 m from it."""
+    """Ground of 400 x 400 m; the course goes round the middle, 66 m to 96 m from it."""
     build = Builder(np.random.default_rng([seed, _SEED]))
     palette = paint_palette(build)
     colours = vehicles.paints(build, 4)
-    course_way = _ring(build, 9, _NEAREST_M, _FARTHEST_M)
-    road = _smooth(_ring(build, 7, 36.0, 47.0), 240)
-    walk = _smooth(_ring(build, 6, 12.0, 20.0), 80)
+    course_way = _ring(build, 10, _NEAREST_M, _FARTHEST_M)
+    road = _smooth(_ring(build, 7, 36.0, 44.0), 240)
+    walk = _smooth(_ring(build, 9, 53.0, 57.0), 280)
     lines = (
         Line(walk, 1.8, paved=False, closed=True),
         *(Line(_track(build, road), 2.6, paved=False, closed=False) for _ in range(4)),
@@ -64,11 +64,11 @@ def make_scene(seed: int, movers: float) -> Scene:
 
 def _daylight(build: Builder) -> Lighting:
     turn = float(build.rng.uniform(0, 2 * np.pi))
-    sun = (float(np.cos(turn)), float(np.sin(turn)), float(build.rng.uniform(0.7, 1.2)))
+    sun = (float(np.cos(turn)), float(np.sin(turn)), float(build.rng.uniform(1.0, 1.7)))
     return Lighting(
         sun=sun,
         sun_power=0.95,
-        ambient=0.42,
+        ambient=0.5,
         sky=0.9,
         corner_m=2.5,
         points_per_m=1.6,
@@ -78,7 +78,7 @@ def _daylight(build: Builder) -> Lighting:
 
 def _ring(build: Builder, corners: int, low_m: float, high_m: float) -> Floats:
     """Corners (K, 2) about the middle, counter-clockwise."""
-    turns = 2 * np.pi * (np.arange(corners) + build.rng.uniform(-0.2, 0.2, corners)) / corners
+    turns = 2 * np.pi * (np.arange(corners) + build.rng.uniform(-0.15, 0.15, corners)) / corners
     reach = build.rng.uniform(low_m, high_m, corners)
     return np.asarray(np.column_stack([np.cos(turns), np.sin(turns)]) * reach[:, None])
 
@@ -107,7 +107,7 @@ def _track(build: Builder, road: Floats) -> Floats:
 def _sites(build: Builder) -> Floats:
     """Where houses stand (N, 2): in the middle, and outside the course."""
     turns = build.rng.uniform(0, 2 * np.pi / 3) + 2 * np.pi * np.arange(3) / 3
-    inner = 26.0 * np.column_stack([np.cos(turns), np.sin(turns)])
+    inner = 17.0 * np.column_stack([np.cos(turns), np.sin(turns)])
     turns = build.rng.uniform(0, 2 * np.pi / 7) + 2 * np.pi * np.arange(7) / 7
     reach = build.rng.uniform(120.0, 135.0, 7)
     outer = reach[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
@@ -233,16 +233,7 @@ def _rock(build: Builder, palette: Palette, foot: Point, size: float) -> None:
 
 def _horizon(build: Builder, palette: Palette, ground: Ground) -> None:
     """Fields beyond the rolling ground, with woods and hills."""
-    half = land.TEXTURE_SIDE / 2  # goes on where the ground ends
-    plain = Solid(
-        centre=(0.0, 0.0, land.RIM_M - 1.05),
-        size=(2400.0, 2400.0, 2.0),
-        texture=ground.texture,
-        density=ground.density,
-        offset=(half, half),
-        stain=ground.stain,
-    )
-    build.solids.append(plain)
+    _plain(build, ground)
     for k in range(70):
         turn, reach = 2 * np.pi * k / 70, float(build.rng.uniform(205, 300))
         x, y = reach * np.cos(turn), reach * np.sin(turn)
@@ -255,6 +246,28 @@ def _horizon(build: Builder, palette: Palette, ground: Ground) -> None:
         wide, deep, high = (float(s) for s in build.rng.uniform((160, 90, 30), (420, 200, 130)))
         at = (float(reach * np.cos(turn)), float(reach * np.sin(turn)), land.RIM_M - 2.0)
         build.add(at, (deep, wide, high), wooded, float(turn), 2.5, Kind.ELLIPSOID, 0.6)
+
+
+def _plain(build: Builder, ground: Ground) -> None:
+    """Level ground around the rolling one, whose texture goes on without a seam."""
+    inner, outer, half = land.SIDE_M / 2 - 0.5, 1200.0, land.TEXTURE_SIDE / 2
+    middle, wide = (inner + outer) / 2, outer - inner
+    for x, y, size in (
+        (0.0, middle, (2 * outer, wide)),
+        (0.0, -middle, (2 * outer, wide)),
+        (middle, 0.0, (wide, 2 * inner)),
+        (-middle, 0.0, (wide, 2 * inner)),
+    ):
+        u, v = land.TEXELS_PER_M * x + half, -land.TEXELS_PER_M * y + half
+        slab = Solid(
+            centre=(x, y, land.RIM_M - 1.02),
+            size=(*size, 2.0),
+            texture=ground.texture,
+            density=ground.density,
+            offset=(u % land.TEXTURE_SIDE, v % land.TEXTURE_SIDE),
+            stain=ground.stain,
+        )
+        build.solids.append(slab)
 
 
 def _cars(
@@ -274,7 +287,7 @@ def _cars(
 
 
 def _people(build: Builder, walk: Floats, first: int, movers: float) -> list[Body]:
-    """People on the path between the farms, one behind the other."""
+    """People on the path around the road, one behind the other."""
     count = round(_USUAL_PEOPLE * movers)
     bodies = []
     for k in range(count):

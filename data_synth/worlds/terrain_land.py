@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from data_synth.scene.builder import Rng
-from data_synth.worlds import outdoor_textures
-from data_synth.worlds.textures import noise
+from data_synth.worlds.textures import clipped, noise
 from vo.types import Bytes, Floats, Floats32, Ints
 
 SIDE_M, CELL_M = 400.0, 1.25
@@ -90,7 +89,7 @@ def paint_land(rng: Rng, lines: tuple[Line, ...]) -> Floats32:
     _draw_lines(image, lines)
     _draw_litter(rng, image)
     # The middle of the picture is the middle of the world, where the texture has its corner.
-    return outdoor_textures.clipped(np.roll(image, (TEXTURE_SIDE // 2,) * 2, axis=(0, 1)))
+    return clipped(np.roll(image, (TEXTURE_SIDE // 2,) * 2, axis=(0, 1)))
 
 
 def _fading(distance: Floats, full_m: float, none_m: float) -> Floats:
@@ -129,10 +128,10 @@ def _tile(rng: Rng, kind: int) -> Floats32:
     """Meadow, ploughed soil, stubble or scrub, without anything that one would know again."""
     shape = (1024, 1024)
     shade, coarse, fine = (
-        (0.36, 0.045, 0.035),
-        (0.3, 0.035, 0.045),
+        (0.38, 0.05, 0.05),
+        (0.34, 0.035, 0.05),
         (0.52, 0.03, 0.035),
-        (0.27, 0.075, 0.04),
+        (0.3, 0.08, 0.045),
     )[kind]
     image = shade + coarse * noise(rng, shape, 0.9) + fine * noise(rng, shape, 0.25)
     return np.asarray(image, dtype=np.float32)
@@ -186,9 +185,9 @@ def _draw_litter(rng: Rng, image: Floats32) -> None:
         top, left = (int(k) for k in rng.integers(0, TEXTURE_SIDE - len(stamp), 2))
         image[top : top + len(stamp), left : left + len(stamp)] += rng.normal(0, 0.1) * stamp
     places = rng.integers(0, TEXTURE_SIDE - 2, (2, 40_000))
-    shades = rng.normal(0.02, 0.16, places.shape[1]).astype(np.float32)
+    shades = np.float32(0.02) + 0.16 * rng.standard_normal(places.shape[1], dtype=np.float32)
     for v, u in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        image[places[0] + v, places[1] + u] += shades * np.float32(1.0 - 0.3 * (v + u))
+        image[places[0] + v, places[1] + u] += np.multiply(shades, 1.0 - 0.3 * (v + u))
 
 
 def _tussock(rng: Rng, side: int) -> Floats32:

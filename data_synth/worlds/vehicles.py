@@ -119,7 +119,8 @@ class _Adder:
         texture: int,
         kind: Kind,
     ) -> None:
-        self.build.add(self.place.at(*at), size, texture, self.place.yaw, None, kind)
+        yaw = self.place.yaw
+        self.build.add(self.place.at(*at), size, texture, yaw, None, kind, body=self.body)
 
 
 def _axle(add: _Adder, palette: Palette, x: float, wide: float) -> None:
