@@ -22,7 +22,7 @@ from vo.types import Floats, Trajectory
 
 FIRST_STAMP_NS = 1_700_000_000_000_000_000
 
-_ELBOW_ROOM_M = 0.8
+_ELBOW_ROOM_M = 0.3
 _OUT_OF_SIGHT_M = -1e4
 
 
