@@ -14,7 +14,13 @@ _OUT_M = 0.04  # how far the painted front stands before the walls
 
 
 def house(
-    build: Builder, palette: Palette, place: Place, plan: Facade, front: int, depth: float
+    build: Builder,
+    palette: Palette,
+    place: Place,
+    plan: Facade,
+    front: int,
+    depth: float,
+    roof_steps: int | None = None,
 ) -> None:
     """A house whose front stands on `place`, looking along its -y.
 
@@ -25,6 +31,8 @@ def house(
         plan: the front.
         front: texture of the front.
         depth: metres.
+        roof_steps: courses of boxes of which a roof up to its ridge is made; None for a few low
+            ones, which is enough for those who look from below.
     """
     walls = {"brick": palette.bricks, "concrete": palette.concrete}
     coat = walls.get(plan.wall) or int(build.rng.choice(palette.coats))
@@ -33,7 +41,7 @@ def house(
     skin = (plan.width - 0.02, _SKIN_M, plan.height - 0.02)
     at = place.at(0, _SKIN_M / 2 - _OUT_M, plan.height / 2)
     build.add(at, skin, front, place.yaw, None)
-    _roof(build, palette, place, plan, depth)
+    _roof(build, palette, place, plan, depth, roof_steps)
     _ledges(build, palette, place, plan)
     _entrance(build, palette, place, plan)
     if plan.ground == "shop":
@@ -46,27 +54,48 @@ def house(
     build.add(at, pipe_size, palette.metal, place.yaw, 120.0, Kind.CYLINDER)
 
 
-def _roof(build: Builder, palette: Palette, place: Place, plan: Facade, depth: float) -> None:
+def _roof(
+    build: Builder,
+    palette: Palette,
+    place: Place,
+    plan: Facade,
+    depth: float,
+    steps: int | None,
+) -> None:
     """A cornice, and either a parapet or a steep tiled roof in courses."""
     high = plan.height
     cornice = (plan.width + 0.1, 0.5, 0.28)
     build.add(place.at(0, 0.02, high - 0.05), cornice, palette.kerb, place.yaw, 90.0)
-    if plan.wall == "concrete":
+    if steps is not None:
+        high += _courses(build, palette, place, plan, (depth, 0.3, 0.5 * depth / steps), steps)
+    elif plan.wall == "concrete":
         parapet = (plan.width, depth, 0.4)
         build.add(place.at(0, depth / 2 + 0.1, high + 0.2), parapet, palette.concrete, place.yaw)
     else:
-        rise, back = 0.7, float(build.rng.uniform(0.5, 0.8))
-        steps = int(build.rng.integers(2, 5))
-        for k in range(steps):
-            size = (plan.width - 0.1, depth - 2 * back * k, rise)
-            at = place.at(0, depth / 2, high + 0.05 + rise * (k + 0.5))
-            build.add(at, size, palette.tiles, place.yaw, 70.0, stain=0.4)
+        back, steps = float(build.rng.uniform(0.5, 0.8)), int(build.rng.integers(2, 5))
         _dormers(build, palette, place, plan, high)
-        high += rise * steps
+        high += _courses(build, palette, place, plan, (depth, 0.7, back), steps)
     for _ in range(int(build.rng.integers(1, 3))):
         x = float(build.rng.uniform(-0.4, 0.4)) * plan.width
-        at = place.at(x, depth * 0.45, high + 0.4)
-        build.add(at, (0.6, 0.5, 1.5), palette.bricks, place.yaw, 90.0)
+        at = place.at(x, depth * 0.45, high + 0.1)
+        build.add(at, (0.6, 0.5, 1.8), palette.bricks, place.yaw, 90.0)
+
+
+def _courses(
+    build: Builder,
+    palette: Palette,
+    place: Place,
+    plan: Facade,
+    slope: tuple[float, float, float],
+    steps: int,
+) -> float:
+    """Tiles in steps of a `slope` (depth at the eaves, rise, run); returns their height."""
+    depth, rise, run = slope
+    for k in range(steps):
+        size = (plan.width - 0.1, depth - 2 * run * k, rise)
+        at = place.at(0, depth / 2, plan.height + rise * (k + 0.5))
+        build.add(at, size, palette.tiles, place.yaw, 70.0, stain=0.4)
+    return rise * steps
 
 
 def _dormers(build: Builder, palette: Palette, place: Place, plan: Facade, foot: float) -> None:

@@ -52,7 +52,8 @@ def lay_pavement(build: Builder, palette: Palette, side: Frontage, level: int) -
     for span in _pieces((-long / 2, long / 2)):
         _strip(build, side.place, span, (-plan.PAVEMENT_M, 0.3), top, texture)
     kerb = (-plan.PAVEMENT_M - 0.02, -plan.PAVEMENT_M + _KERB_M)
-    _strip(build, side.place, (-long / 2, long / 2), kerb, top + 0.008, palette.kerb)
+    reach = side.length / 2 - 6.0  # the raised parts at both ends join the pavement
+    _strip(build, side.place, (-reach, reach), kerb, top + 0.008, palette.kerb)
     garden = (0.25, plan.HOUSE_DEPTH_M + 12.0)
     _strip(build, side.place, (-side.length / 2, side.length / 2), garden, 0.1, palette.grass)
 

@@ -131,7 +131,7 @@ def _farms(build: Builder, palette: Palette, heights: Heights, sites: Floats) ->
         plan = plan_facade(build.rng, float(build.rng.uniform(9, 13)), 2)
         front, first = paint_facade(build, plan, grain), len(build.solids)
         back = Place(*place.at(0, -4.0, 0)[:2], place.yaw)
-        house(build, palette, back, plan, front, 8.0)
+        house(build, palette, back, plan, front, 8.0, roof_steps=12)
         for x, wide in ((-9.0, 4.0), (9.5, 5.0)):
             at = place.at(x, 1.0, 1.4)
             build.add(at, (wide, 6.0, 2.8), palette.bark, place.yaw, 60.0, stain=0.4)
@@ -193,7 +193,7 @@ def _plants_and_rocks(build: Builder, palette: Palette, heights: Heights, free: 
         _rock(build, palette, foot, float(rng.uniform(0.15, 0.4)))
 
     def bale(foot: Point) -> None:
-        size, texture = (1.4, 1.4, 1.3), palette.coats[0]
+        size, texture = (1.4, 1.4, 1.3), palette.bark
         at = (foot[0], foot[1], foot[2] + 0.6)
         build.add(at, size, texture, 0.0, 60.0, Kind.CYLINDER, 0.5)
 
@@ -250,6 +250,7 @@ def _horizon(build: Builder, palette: Palette, ground: Ground) -> None:
 
 def _plain(build: Builder, ground: Ground) -> None:
     """Level ground around the rolling one, whose texture goes on without a seam."""
+    # A little above the rim, whose shade would else show for as far as its light is coarse.
     inner, outer, half = land.SIDE_M / 2 - 0.5, 1200.0, land.TEXTURE_SIDE / 2
     middle, wide = (inner + outer) / 2, outer - inner
     for x, y, size in (
@@ -260,7 +261,7 @@ def _plain(build: Builder, ground: Ground) -> None:
     ):
         u, v = land.TEXELS_PER_M * x + half, -land.TEXELS_PER_M * y + half
         slab = Solid(
-            centre=(x, y, land.RIM_M - 1.02),
+            centre=(x, y, land.RIM_M - 0.98),
             size=(*size, 2.0),
             texture=ground.texture,
             density=ground.density,

@@ -68,14 +68,14 @@ def paint_land(rng: Rng, lines: tuple[Line, ...]) -> Floats32:
     kinds = rng.permutation(_FIELDS) % 4
     tiles = [_tile(rng, kind) for kind in range(4)]
     shades = rng.normal(0, 0.035, _FIELDS).astype(np.float32)
-    angles, lengths = rng.uniform(0, np.pi, _FIELDS), rng.uniform(0.5, 1.3, _FIELDS)
+    angles, lengths = rng.uniform(0, np.pi, _FIELDS), rng.uniform(0.6, 1.8, _FIELDS)
     waves = 2 * np.pi / TEXELS_PER_M / lengths * np.array([np.cos(angles), np.sin(angles)])
     depths = np.where(kinds == 1, 0.05, np.where(kinds == 2, 0.04, 0.01))
     broad = 0.055 * noise(rng, (_DRAFT, _DRAFT), 1.2)
     warp = 1.1 * noise(rng, (1024, 1024), 1.2)
-    u = np.arange(TEXTURE_SIDE)[None, :]
+    u = np.arange(TEXTURE_SIDE, dtype=np.float32)[None, :]
     for top in range(0, TEXTURE_SIDE, _BAND):
-        v = np.arange(top, top + _BAND)[:, None]
+        v = np.arange(top, top + _BAND, dtype=np.float32)[:, None]
         shift = np.tile(warp, (1, TEXTURE_SIDE // 1024))
         row = ((v / 8 + 0.4 * shift).astype(np.int64)) % _DRAFT
         column = ((u / 8 + 0.4 * np.roll(shift, 300, axis=1)).astype(np.int64)) % _DRAFT
@@ -86,7 +86,7 @@ def paint_land(rng: Rng, lines: tuple[Line, ...]) -> Floats32:
         band += depths[field] * furrows * (1.0 + 3.0 * (furrows < -0.8))
         band[border[row, column]] -= 0.07
         image[top : top + _BAND] = band
-    _draw_lines(image, lines)
+    _draw_lines(rng, image, lines)
     _draw_litter(rng, image)
     # The middle of the picture is the middle of the world, where the texture has its corner.
     return clipped(np.roll(image, (TEXTURE_SIDE // 2,) * 2, axis=(0, 1)))
@@ -128,12 +128,12 @@ def _tile(rng: Rng, kind: int) -> Floats32:
     """Meadow, ploughed soil, stubble or scrub, without anything that one would know again."""
     shape = (1024, 1024)
     shade, coarse, fine = (
-        (0.38, 0.05, 0.05),
-        (0.34, 0.035, 0.05),
-        (0.52, 0.03, 0.035),
-        (0.3, 0.08, 0.045),
+        (0.38, 0.05, 0.03),
+        (0.34, 0.035, 0.032),
+        (0.52, 0.03, 0.026),
+        (0.3, 0.075, 0.034),
     )[kind]
-    image = shade + coarse * noise(rng, shape, 0.9) + fine * noise(rng, shape, 0.25)
+    image = shade + coarse * noise(rng, shape, 1.15) + fine * noise(rng, shape, 0.4)
     return np.asarray(image, dtype=np.float32)
 
 
@@ -146,22 +146,30 @@ def _stretched(draft: Floats32, top: int) -> Floats32:
     return np.asarray(whole[scale:-scale], dtype=np.float32)
 
 
-def _draw_lines(image: Floats32, lines: tuple[Line, ...]) -> None:
+def _draw_lines(rng: Rng, image: Floats32, lines: tuple[Line, ...]) -> None:
+    gravel = 0.04 * noise(rng, (1024, 1024), 0.5) + 0.03 * noise(rng, (1024, 1024), 1.2)
+    gravel = np.tile(gravel, (TEXTURE_SIDE // 1024,) * 2)
     for line in lines:
         points, wide = [_texels(line.way)], round(line.width_m * TEXELS_PER_M)
-        ground = np.zeros(image.shape, np.uint8)
-        cv2.polylines(
-            ground, points, line.closed, 90, wide + round(1.6 * TEXELS_PER_M), cv2.LINE_AA
-        )
-        cv2.polylines(ground, points, line.closed, 255, wide, cv2.LINE_AA)
-        top, bottom = (int(k) for k in np.flatnonzero(ground.any(axis=1))[[0, -1]])
-        part, share = image[top : bottom + 1], ground[top : bottom + 1] / np.float32(255)
-        grain = 0.9 * (part - cv2.blur(part, (31, 31)))
-        part += share * ((0.34 if line.paved else 0.55) + grain - part)
+        drawn = np.zeros(image.shape, np.uint8)
+        cv2.polylines(drawn, points, line.closed, 90, wide + round(1.6 * TEXELS_PER_M), cv2.LINE_AA)
+        cv2.polylines(drawn, points, line.closed, 255, wide, cv2.LINE_AA)
+        top, bottom = (int(k) for k in np.flatnonzero(drawn.any(axis=1))[[0, -1]])
+        part, share = image[top : bottom + 1], drawn[top : bottom + 1] / np.float32(255)
+        ground_shade = (0.36 if line.paved else 0.56) + gravel[top : bottom + 1]
+        part += share * (ground_shade - part)
         if line.paved:
             _draw_marks(image, line)
         else:
-            cv2.polylines(image, points, line.closed, 0.42, wide // 5, cv2.LINE_AA)
+            _draw_ruts(image, line)
+
+
+def _draw_ruts(image: Floats32, line: Line) -> None:
+    """Grass between the ruts of a track; the texture of what is below shows."""
+    middle = np.zeros(image.shape, np.uint8)
+    wide = round(0.28 * line.width_m * TEXELS_PER_M)
+    cv2.polylines(middle, [_texels(line.way)], line.closed, 255, wide, cv2.LINE_AA)
+    image -= middle * np.float32(0.16 / 255)
 
 
 def _draw_marks(image: Floats32, line: Line) -> None:
@@ -185,7 +193,7 @@ def _draw_litter(rng: Rng, image: Floats32) -> None:
         top, left = (int(k) for k in rng.integers(0, TEXTURE_SIDE - len(stamp), 2))
         image[top : top + len(stamp), left : left + len(stamp)] += rng.normal(0, 0.1) * stamp
     places = rng.integers(0, TEXTURE_SIDE - 2, (2, 40_000))
-    shades = np.float32(0.02) + 0.16 * rng.standard_normal(places.shape[1], dtype=np.float32)
+    shades = np.float32(0.02) + 0.12 * rng.standard_normal(places.shape[1], dtype=np.float32)
     for v, u in ((0, 0), (0, 1), (1, 0), (1, 1)):
         image[places[0] + v, places[1] + u] += np.multiply(shades, 1.0 - 0.3 * (v + u))
 

@@ -19,7 +19,21 @@ CAR_LENGTH_M, CAR_WIDTH_M = 4.3, 1.76
 VAN_LENGTH_M, VAN_WIDTH_M = 5.2, 1.95
 RADIUS_M = 2.8  # of the upright cylinder that holds either
 
-_WHEEL_M = 0.64
+_WHEEL_M, _ARCH_M = 0.64, 0.37
+
+
+@dataclass(frozen=True)
+class _SideBox:
+    """The box that a side is painted on: its size, its foot above the road, where wheels are."""
+
+    length: float
+    height: float
+    foot: float
+    wheels: tuple[float, float]
+
+
+_CAR_SIDE = _SideBox(CAR_LENGTH_M - 0.3, 0.56, 0.27, (-1.3, 1.3))
+_VAN_SIDE = _SideBox(VAN_LENGTH_M - 1.1, 1.86, 0.29, (-1.05, 2.25))
 
 
 @dataclass(frozen=True)
@@ -27,6 +41,7 @@ class Paint:
     """Textures of one colour of car."""
 
     side: int
+    van_side: int
     roof: int
     front: int
     rear: int
@@ -41,7 +56,8 @@ def paints(build: Builder, count: int) -> tuple[Paint, ...]:
         shade = float(build.rng.uniform(low, high))
         colours.append(
             Paint(
-                side=build.paint(partial(_side, shade), (64, 256)),
+                side=build.paint(partial(_side, shade, _CAR_SIDE), (64, 512)),
+                van_side=build.paint(partial(_side, shade, _VAN_SIDE), (256, 512)),
                 roof=build.paint(partial(_lacquer, shade), (64, 64)),
                 front=build.paint(partial(_nose, shade, True), (64, 128)),
                 rear=build.paint(partial(_nose, shade, False), (64, 128)),
@@ -58,6 +74,7 @@ def car(
     add = _Adder(build, place, body)
     long, wide = CAR_LENGTH_M, CAR_WIDTH_M
     add.box((0, 0, 0.55), (long - 0.3, wide, 0.56), colour.side)
+    add.box((0, 0, 0.82), (long - 0.34, wide - 0.04, 0.05), colour.roof)
     add.box((long / 2 - 0.14, 0, 0.5), (0.28, wide - 0.1, 0.5), colour.front)
     add.box((0.14 - long / 2, 0, 0.56), (0.28, wide - 0.1, 0.6), colour.rear)
     add.round((1.15, 0, 0.78), (2.1, wide - 0.06, 0.42), colour.roof)  # bonnet
@@ -81,7 +98,8 @@ def van(
     """A delivery van that stands on z = 0 at `place`, looking along its x."""
     add = _Adder(build, place, body)
     long, wide = VAN_LENGTH_M, VAN_WIDTH_M
-    add.box((-0.55, 0, 1.22), (long - 1.1, wide, 1.86), colour.side)
+    add.box((-0.55, 0, 1.22), (long - 1.1, wide, 1.86), colour.van_side)
+    add.box((-0.55, 0, 2.14), (long - 1.14, wide - 0.04, 0.06), colour.roof)
     add.box((long / 2 - 0.6, 0, 0.72), (1.2, wide - 0.06, 0.86), colour.front)
     add.round((1.5, 0, 1.2), (1.9, wide - 0.1, 1.7), palette.glass)
     add.round((1.0, 0, 1.95), (1.4, wide - 0.16, 0.4), colour.roof)
@@ -146,7 +164,7 @@ def _lacquer(shade: float, rng: Rng, shape: tuple[int, int]) -> Floats32:
     return clipped(np.asarray(shade * fall + 0.015 * noise(rng, shape, 1.6), dtype=np.float32))
 
 
-def _side(shade: float, rng: Rng, shape: tuple[int, int]) -> Floats32:
+def _side(shade: float, box: _SideBox, rng: Rng, shape: tuple[int, int]) -> Floats32:
     """Doors with their gaps and handles, dark sills and wheel arches."""
     image = _lacquer(shade, rng, shape)
     height, width = shape
@@ -155,10 +173,13 @@ def _side(shade: float, rng: Rng, shape: tuple[int, int]) -> Floats32:
         image[: int(0.85 * height), int(u * width)] = gap
         handle = slice(int(u * width) - 16, int(u * width) - 5)
         image[height // 4 : height // 4 + 3, handle] = min(0.9, 0.5 + shade)
-    image[int(0.86 * height) :] = gap
+    image[int((1.0 - 0.08 / box.height) * height) :] = gap
     image[height // 2] += 0.12 * (1 - shade)
-    for u in (0.175, 0.825):
-        cv2.circle(image, (int(u * width), height - 4), int(0.095 * width), 0.05, -1, cv2.LINE_AA)
+    axes = (int(_ARCH_M / box.length * width), int(_ARCH_M / box.height * height))
+    for x in box.wheels:
+        u = (x / box.length + 0.5) * width
+        v = (1.0 - (_WHEEL_M / 2 - box.foot) / box.height) * height
+        cv2.ellipse(image, (int(u), int(v)), axes, 0, 0, 360, 0.05, -1, cv2.LINE_AA)
     return image
 
 
