@@ -94,7 +94,9 @@ def _recording() -> Recording:
 
 def _run(rig: Rig, frames: Iterable[Frame], config: Config = CONFIG) -> Run:
     odometry = Odometry(rig, config)
-    return Run(odometry, [odometry.step(frame) for frame in frames])
+    estimates = [odometry.step(frame) for frame in frames]
+    odometry.finish()
+    return Run(odometry, estimates)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +173,9 @@ def test_estimates_hold_together(stereo: Run) -> None:
     assert 2 <= len(keyframes) < COUNT
     for estimate in stereo.estimates:
         assert 0 < estimate.inliers <= estimate.matches
-        assert estimate.is_keyframe == bool(estimate.keyframes)
-        assert (estimate.landmarks is not None) == estimate.is_keyframe
+        told = [k.frame_index for k in estimate.keyframes]
+        assert told == sorted(told) and (estimate.frame_index in told) == estimate.is_keyframe
+        assert (estimate.landmarks is not None) == bool(told)
         view = estimate.view
         assert view.xy.shape == view.previous_xy.shape == (len(view.feature_state), 2)
         assert estimate.stage_ms["features"] > 0.0

@@ -69,7 +69,7 @@ def test_writes_all_files(synthetic_stereo: Path, tmp_path: Path) -> None:
         assert len(read_tum(folder / name)) == FRAMES
     assert len(lines(folder / "covariance.csv")) == 1 + summary.keyframes
     assert load_config(folder / "config.yaml") == FAST
-    assert {"read", "features", "smooth", "write", "record"} <= set(summary.stages)
+    assert {"read", "features", "start", "write", "record"} <= set(summary.stages)
 
 
 def test_smoothed_path_is_near_the_truth(synthetic_stereo: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ and are smoothed together with the keyframes before them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import cv2
@@ -18,7 +18,7 @@ from vo.features.orb import OrbDetector
 from vo.geometry.rectification import working_rig
 from vo.geometry.transforms import adjoint, inverse, transform_points
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.adjust import adjust, cull
+from vo.pipeline.adjust import Window, cull, make_window, take_in
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
 from vo.pipeline.grow import grow_mono, grow_stereo, look_back, looks_swapped
@@ -29,9 +29,16 @@ from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
 from vo.pipeline.view import Seen, make_view
 from vo.pipeline.working_frame import WorkingFrame, prepare
+from vo.smoothing.smoother import Smoother, SmootherHere
+from vo.smoothing.solution import WindowSolution
 from vo.tracking.motion import ConstantVelocity
 from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, State
 
+# Frames after which the smoother's answer is taken in, unless a keyframe comes before: always the
+# same, so that the path does not depend on how fast the smoother is. A stereo map can do without
+# it for a while; in mono the landmarks' depth hangs on the poses, and tracking on them before
+# they are smoothed cost a quarter of the accuracy, or the map.
+_ANSWER_AFTER_STEREO, _ANSWER_AFTER_MONO = 2, 0
 _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew
 
 
@@ -53,6 +60,11 @@ class Odometry:
         self._segment = 0
         self._lost_for = 0
         self._last: Seen | None = None
+        self._smoother: Smoother = SmootherHere(config.smoothing)
+        self._window: Window | None = None  # that the smoother works on
+        self._answer_after = _ANSWER_AFTER_STEREO if rig.is_stereo else _ANSWER_AFTER_MONO
+        self._frames_since_asked = 0
+        self._moved: set[int] = set()  # keyframes that were smoothed in this step
 
     @property
     def disparity_offset_px(self) -> float:
@@ -65,16 +77,29 @@ class Odometry:
         with clock.stage("features"):
             working = prepare(frame, self._rig, self._detector)
         reason, tracked = "", None
-        smoothed: list[Keyframe] = []
+        self._frames_since_asked += 1
+        if self._frames_since_asked > self._answer_after:
+            self._take_in(clock)
         if self._state is not State.STARTING:
             tracked = self._track(working, clock)
             if tracked is None:
-                reason = self._lose()
+                reason = self._lose(clock)
+        keyframe = None
         if self._state is State.STARTING:
-            reason, tracked, smoothed = self._start(working, clock)
+            reason, tracked, keyframe = self._start(working, clock)
         elif tracked is not None:
-            smoothed = self._extend(working, tracked, clock)
-        return self._estimate(working, tracked, smoothed, reason, clock)
+            keyframe = self._extend(working, tracked, clock)
+        return self._estimate(working, tracked, keyframe, reason, clock)
+
+    def finish(self) -> Mapping[str, float]:
+        """Wait for the smoother's last answer, after the last frame; gives `stage_ms` of it."""
+        clock = Stopwatch()
+        self._take_in(clock)
+        return clock.stage_ms
+
+    def close(self) -> None:
+        """Let go of threads and processes; no frame can follow."""
+        self._smoother.close()
 
     # --- placing a frame in the map ---------------------------------------------------------
 
@@ -110,7 +135,7 @@ class Odometry:
 
     # --- extending the map ------------------------------------------------------------------
 
-    def _extend(self, frame: WorkingFrame, tracked: Tracked, clock: Stopwatch) -> list[Keyframe]:
+    def _extend(self, frame: WorkingFrame, tracked: Tracked, clock: Stopwatch) -> Keyframe | None:
         """Take in a tracked frame; make it a keyframe if the map needs one."""
         self._state, self._lost_for = State.TRACKING, 0
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
@@ -118,11 +143,16 @@ class Odometry:
             newest = self._map.keyframes[-1]
             pose = self._cam0(tracked.world_from_cam)
             self.history.add(frame.index, frame.stamp_ns, self._segment, newest.id, pose)
-            return []
+            return None
         with clock.stage("map"):
             keyframe = add_tracked(self._map, frame, tracked, self._segment, self._config)
+        if self._rig.is_stereo:  # the smoother works while the map grows
+            self._smooth(keyframe, clock)
+        with clock.stage("map"):
             self._grow(keyframe, frame)
-        return self._smooth(keyframe, clock)
+        if not self._rig.is_stereo:  # mono's new landmarks need smoothing before they are used
+            self._smooth(keyframe, clock)
+        return keyframe
 
     def _grow(self, keyframe: Keyframe, frame: WorkingFrame) -> None:
         if frame.image1 is not None:
@@ -131,42 +161,67 @@ class Odometry:
             grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)
         look_back(self._map, keyframe, self._rig, self._config)
 
-    def _smooth(self, keyframe: Keyframe, clock: Stopwatch) -> list[Keyframe]:
-        """Adjust the window that ends with this keyframe, and hang the frame on it."""
+    # --- smoothing --------------------------------------------------------------------------
+
+    def _smooth(self, keyframe: Keyframe, clock: Stopwatch) -> None:
+        """Hang a new keyframe's frame on it, and have the window that ends with it adjusted."""
         self._store(keyframe)
         self._hang(keyframe)
-        with clock.stage("smooth"):
-            smoothed, left_over = adjust(self._map, self._rig, self._config)
-            offset = None if left_over is None else self._disparity_watch.update(left_over)
-            if offset is not None:
-                smoothed = self._correct_disparities(offset)
-            cull(self._map, self._config)
-        for other in smoothed:
-            self._store(other)
-        self._motion.correct(keyframe.world_from_cam)
-        return smoothed or [keyframe]
+        self._take_in(clock)
+        with clock.stage("window"):
+            self._ask()
 
-    def _correct_disparities(self, offset_px: float) -> list[Keyframe]:
+    def _ask(self, *, whole_map: bool = False) -> None:
+        window = make_window(self._map, self._rig, self._config, whole_map=whole_map)
+        if window is not None:
+            self._smoother.ask(window.problem)
+        self._window, self._frames_since_asked = window, 0
+
+    def _take_in(self, clock: Stopwatch) -> None:
+        """Wait for the smoother's answer, if there is to be one, and bring the map in line."""
+        if self._window is None:
+            return
+        newest, before = self._window.keyframes[-1], self._window.problem.world_from_cam[-1]
+        with clock.stage("smooth"):
+            solution = self._smoother.answer()
+        with clock.stage("window"):
+            self._settle(solution)
+            offset = self._disparity_watch.update(solution.offset) if solution.offset else None
+            if offset is not None and self._config.stereo.offset_correction:
+                self._correct_disparities(offset)
+            cull(self._map, self._config)
+        self._motion.carry(newest.world_from_cam @ inverse(before))
+
+    def _settle(self, solution: WindowSolution) -> None:
+        assert self._window is not None
+        moved = take_in(self._map, self._window, solution, self._rig, self._config)
+        self._window = None
+        for keyframe in moved:
+            self._store(keyframe)
+            self._moved.add(keyframe.id)
+
+    def _correct_disparities(self, offset_px: float) -> None:
         """Move all disparities, past and future, to a new offset, and the map with them."""
         change = offset_px - self._rig.disparity_offset_px
         self._rig = replace(self._rig, disparity_offset_px=offset_px)
         for keyframe in self._map.keyframes:
             keyframe.disparity -= change
-        return adjust(self._map, self._rig, self._config, whole_map=True)[0]
+        self._ask(whole_map=True)
+        self._settle(self._smoother.answer())
 
     # --- beginning and losing ---------------------------------------------------------------
 
     def _start(
         self, frame: WorkingFrame, clock: Stopwatch
-    ) -> tuple[str, Tracked | None, list[Keyframe]]:
+    ) -> tuple[str, Tracked | None, Keyframe | None]:
         with clock.stage("start"):
             started = self._start_stereo(frame) if self._rig.is_stereo else self._start_mono(frame)
         if isinstance(started, str):
-            return started, None, []
+            return started, None, None
         self._state, self._lost_for = State.TRACKING, 0
         self._motion.restart(started.stamp_ns, started.world_from_cam)
-        tracked = as_tracked(self._map, started)
-        return "", tracked, self._smooth(started, clock)
+        self._smooth(started, clock)
+        return "", as_tracked(self._map, started), started
 
     def _start_stereo(self, frame: WorkingFrame) -> Keyframe | str:
         if frame.image1 is None:
@@ -196,7 +251,8 @@ class Odometry:
         )
         self._store(first)
         self._hang(first)
-        adjust(self._map, self._rig, self._config)
+        self._ask()
+        self._settle(self._smoother.answer())
         for waiting in self._mono_start.waiting:
             self._place(waiting, first)
         self._mono_start.restart()
@@ -210,12 +266,13 @@ class Odometry:
             in_world = self._cam0(tracked.world_from_cam)
             self.history.add(frame.index, frame.stamp_ns, self._segment, first.id, in_world)
 
-    def _lose(self) -> str:
+    def _lose(self, clock: Stopwatch) -> str:
         """Note a frame that could not be placed; give the map up after too many of them."""
         self._state = State.LOST
         self._lost_for += 1
         patience = self._config.tracking.recover_frames
         if self._lost_for > patience:
+            self._take_in(clock)
             self._state = State.STARTING
             self._segment += 1
             self._mono_start.restart()
@@ -253,26 +310,32 @@ class Odometry:
         self,
         frame: WorkingFrame,
         tracked: Tracked | None,
-        smoothed: list[Keyframe],
+        keyframe: Keyframe | None,
         reason: str,
         clock: Stopwatch,
     ) -> Estimate:
         view = make_view(frame, tracked, self._last, self._rig)
+        pose = None
         if tracked is not None:
             self._last = Seen(frame, tracked.ids, tracked.observed.image_xy)
+            # A keyframe may have been carried along by the answer to the window before it.
+            pose = tracked.world_from_cam if keyframe is None else keyframe.world_from_cam
+        if keyframe is not None:
+            self._moved.add(keyframe.id)
+        moved, self._moved = sorted(self._moved), set()
         return Estimate(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             state=self._state,
             reason=reason,
             segment=self._segment,
-            world_from_cam0=None if tracked is None else self._cam0(tracked.world_from_cam),
-            is_keyframe=bool(smoothed),
+            world_from_cam0=None if pose is None else self._cam0(pose),
+            is_keyframe=keyframe is not None,
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
-            keyframes=tuple(self.history.keyframes[k.id] for k in smoothed),
+            keyframes=tuple(self.history.keyframes[k] for k in moved),
             view=view,
-            landmarks=self._landmarks() if smoothed else None,
+            landmarks=self._landmarks() if moved else None,
             stage_ms=clock.stage_ms,
         )
 

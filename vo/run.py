@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -78,17 +78,17 @@ def run(
     opened = open_source(source, format=format, calibration=calibration, mode=mode)
     facts = _facts(opened, source, config, start, end, stride)
     frames = opened.frames(start, end, stride)
-    odometry = Odometry(opened.rig, config)
-    folder = RunFolder(Path(output), dump_config(config))
-    recorder = recorder or _make_recorder(rrd)
-    job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
-    try:
-        job.begin()
-        job.go_through(frames)
-    except BaseException as error:
-        job.end_early(error)
-        raise
-    return job.end("finished")
+    with closing(Odometry(opened.rig, config)) as odometry:
+        folder = RunFolder(Path(output), dump_config(config))
+        recorder = recorder or _make_recorder(rrd)
+        job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
+        try:
+            job.begin()
+            job.go_through(frames)
+        except BaseException as error:
+            job.end_early(error)
+            raise
+        return job.end("finished")
 
 
 class _Run:
@@ -140,6 +140,7 @@ class _Run:
     def end(self, status: Status, error: str | None = None) -> Summary:
         """Finish files, recording and, last, the summary."""
         self._progress.finish()
+        self._account.note_time(self._odometry.finish())
         self._finish_files()
         self._finish_recording()
         return self._summarise(status, error)
@@ -150,6 +151,8 @@ class _Run:
         self._progress.finish()
         reason = None if status == "interrupted" else _one_line(error)
         try:
+            if status == "interrupted":
+                self._odometry.finish()
             self._save(self._finish_files)
             self._save(self._finish_recording)
             self._save(lambda: self._summarise(status, reason))

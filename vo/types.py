@@ -275,22 +275,17 @@ class WindowProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class WindowSolution:
-    """What became of a `WindowProblem`.
+class AdjustedWindow:
+    """Where the poses and points of a `WindowProblem` come to lie.
 
     Attributes:
         world_from_cam: (K, 4, 4) adjusted.
-        covariance: (K, 6, 6) relative to the fixed poses, tangent (rx ry rz tx ty tz) in the
-            camera's own frame; NaN where it could not be computed.
         points: (M, 3) adjusted.
         point_ok: (M,) False for points that were dropped as degenerate.
-        residual: (N,) length of the observation's residual in standard deviations.
         converged: False if nothing could be adjusted; all is then as it was given.
     """
 
     world_from_cam: Floats
-    covariance: Floats
     points: Floats
     point_ok: Bools
-    residual: Floats
     converged: bool

@@ -11,7 +11,8 @@ from vo.config import Config
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, se3_exp, se3_log, transform_points
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.adjust import adjust
+from vo.pipeline.adjust import make_window, take_in
+from vo.smoothing.smoother import smooth
 from vo.types import Floats, Ints, Keypoints
 
 WIDTH, HEIGHT = 64, 40  # of images that nothing looks at
@@ -107,12 +108,18 @@ def _config(max_landmarks: int) -> Config:
     return config.model_copy(update={"smoothing": smoothing})
 
 
+def _adjust(scene: Scene, config: Config) -> list[Keyframe]:
+    window = make_window(scene.map, RIG, config)
+    assert window is not None
+    return take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+
+
 @pytest.mark.parametrize("max_landmarks", [1000, 60])
 def test_poses_are_exact_without_noise(max_landmarks: int) -> None:
     scene = _scene()
     for k in range(1, KEYFRAMES):
         _move(scene, k, 0.3)
-    moved, _ = adjust(scene.map, RIG, _config(max_landmarks))
+    moved = _adjust(scene, _config(max_landmarks))
     assert moved == scene.map.keyframes[1:]
     assert max(scene.error(k) for k in range(KEYFRAMES)) < 1e-4
     assert scene.point_errors().max() < 1e-3
@@ -123,7 +130,7 @@ def test_a_keyframe_that_has_turned_away_gets_its_share_of_few_landmarks() -> No
     scene = _scene(noise_px=0.1)
     _move(scene, KEYFRAMES - 1)
     before = scene.error(KEYFRAMES - 1)
-    moved, _ = adjust(scene.map, RIG, _config(60))
+    moved = _adjust(scene, _config(60))
     assert before > 0.05
     assert scene.map.keyframes[-1] in moved
     assert scene.error(KEYFRAMES - 1) < 0.01
@@ -135,15 +142,14 @@ def test_landmarks_that_take_no_part_follow_the_poses() -> None:
     guess = np.random.default_rng(1).normal(1.0, 0.03, (len(scene.xyz), 1))
     scene.map.xyz = scene.xyz * guess
     assert np.median(scene.point_errors()) > 0.1
-    adjust(scene.map, RIG, _config(50))
+    _adjust(scene, _config(50))
     assert scene.point_errors().max() < 1e-3
 
 
-def test_the_first_keyframe_alone_stays() -> None:
+def test_the_first_keyframe_alone_is_no_window() -> None:
     scene = _scene()
     scene.map.keyframes = scene.map.keyframes[:1]
-    assert adjust(scene.map, RIG, _config(1000)) == ([], None)
-    np.testing.assert_array_equal(scene.map.keyframes[0].world_from_cam, np.eye(4))
+    assert make_window(scene.map, RIG, _config(1000)) is None
 
 
 def test_an_observation_that_disagrees_is_dropped_and_no_other() -> None:
@@ -152,8 +158,70 @@ def test_an_observation_that_disagrees_is_dropped_and_no_other() -> None:
     seen = [len(k.landmark) for k in scene.map.keyframes]
     wrong = int(second.landmark[17])
     second.xy[17] += (40.0, 25.0)
-    adjust(scene.map, RIG, _config(1000))
+    _adjust(scene, _config(1000))
     assert wrong not in second.landmark
     assert [len(k.landmark) for k in scene.map.keyframes] == [
         n - (i == 1) for i, n in enumerate(seen)
     ]
+
+
+# What has changed in the map since the window was handed in
+
+
+def test_a_keyframe_made_since_is_carried_along_with_the_newest_of_the_window() -> None:
+    scene, later = _scene(), se3_exp(np.array([0.0, 0.02, 0.0, 0.1, 0.0, 0.2]))
+    _move(scene, KEYFRAMES - 1)
+    config = _config(1000)
+    window = make_window(scene.map, RIG, config)
+    assert window is not None
+    newest = scene.map.keyframes[-1]
+    since = _add_keyframe(scene.map, KEYFRAMES, newest.world_from_cam @ later)
+    moved = take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    assert moved[-1] is since
+    away = inverse(scene.world_from_cam[-1] @ later) @ since.world_from_cam
+    assert np.linalg.norm(se3_log(away)) < 1e-4
+    assert since.covariance is None
+
+
+def test_landmarks_made_since_are_carried_along_with_the_keyframe_of_their_patch() -> None:
+    scene, config = _scene(), _config(1000)
+    _move(scene, KEYFRAMES - 1)
+    window = make_window(scene.map, RIG, config)
+    assert window is not None
+    newest = scene.map.keyframes[-1]
+    in_cam = np.array([[0.5, 0.2, 6.0], [-1.0, 0.4, 9.0]])
+    ids = _add_landmarks(scene.map, transform_points(newest.world_from_cam, in_cam), newest)
+    take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    found = scene.map.xyz[scene.map.rows(ids)]
+    np.testing.assert_allclose(found, transform_points(scene.world_from_cam[-1], in_cam), atol=1e-3)
+
+
+def test_landmarks_and_keyframes_dropped_since_do_not_matter() -> None:
+    scene, config = _scene(), _config(1000)
+    for k in range(1, KEYFRAMES):
+        _move(scene, k, 0.3)
+    window = make_window(scene.map, RIG, config)
+    assert window is not None
+    scene.map.keep_landmarks(np.arange(len(scene.map)) % 3 > 0)
+    newest = scene.map.keyframes[-1]
+    scene.map.take_reference(scene.map.keyframes[1], np.ones(len(scene.map), dtype=bool))
+    scene.map.take_reference(newest, np.ones(len(scene.map), dtype=bool))
+    _add_keyframe(scene.map, KEYFRAMES, newest.world_from_cam)  # in place of the oldest
+    take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    assert [k.id for k in scene.map.keyframes] == list(range(1, KEYFRAMES + 1))
+    for k, keyframe in enumerate(scene.map.keyframes[:-1], start=1):
+        error = se3_log(inverse(scene.world_from_cam[k]) @ keyframe.world_from_cam)
+        assert np.linalg.norm(error) < 1e-4
+    np.testing.assert_allclose(scene.map.xyz, scene.xyz[scene.map.id], atol=1e-3)
+
+
+def test_a_window_without_an_answer_changes_nothing() -> None:
+    scene, config = _scene(), _config(1000)
+    _move(scene, 2)
+    window = make_window(scene.map, RIG, config)
+    assert window is not None
+    before, xyz = scene.error(2), scene.map.xyz.copy()
+    nothing = smooth(window.problem, config.smoothing)._replace(converged=False)
+    assert take_in(scene.map, window, nothing, RIG, config) == []
+    assert scene.error(2) == before
+    np.testing.assert_array_equal(scene.map.xyz, xyz)

@@ -7,8 +7,8 @@ import pytest
 from windows import Window, drive
 
 from vo.config import SmoothingConfig
-from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
-from vo.smoothing.window import smooth
+from vo.smoothing.disparity_offset import DisparityOffset
+from vo.smoothing.smoother import smooth
 
 CONFIG = SmoothingConfig()
 
@@ -26,7 +26,7 @@ def _shifted(offset_px: float, seed: int, noise: float = 0.2) -> Window:
 
 
 def _estimate(window: Window) -> DisparityOffset:
-    found = disparity_offset(window.problem, smooth(window.problem, CONFIG), CONFIG)
+    found = smooth(window.problem, CONFIG).offset
     assert found is not None
     return found
 
@@ -65,7 +65,7 @@ def test_outliers_do_not_pass_for_an_offset() -> None:
 
 def test_a_camera_that_stands_still_does_not_determine_it() -> None:
     window = drive(4, 100, stereo=True, fixed=1, step_m=1e-6)
-    found = disparity_offset(window.problem, smooth(window.problem, CONFIG), CONFIG)
+    found = smooth(window.problem, CONFIG).offset
     assert found is None or found.sigma_px > 0.2
 
 

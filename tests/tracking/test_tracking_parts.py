@@ -97,9 +97,9 @@ def test_a_correction_moves_the_prediction_along() -> None:
     motion = ConstantVelocity()
     motion.restart(_ns(0.0), _pose(0.0))
     motion.update(_ns(0.1), _pose(0.1))
-    corrected = se3_exp(np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0])) @ _pose(0.1)
-    motion.correct(corrected)
-    expected = corrected @ se3_exp(TWIST * 0.1)
+    moved = se3_exp(np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0]))
+    motion.carry(moved)
+    expected = moved @ _pose(0.1) @ se3_exp(TWIST * 0.1)
     np.testing.assert_allclose(motion.predict(_ns(0.2)), expected, atol=1e-9)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,47 +11,98 @@ from vo.geometry.points import refine_points
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
-from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
-from vo.smoothing.window import residuals, smooth
+from vo.smoothing.residuals import residuals
+from vo.smoothing.solution import WindowSolution
 from vo.types import Bools, Floats, Ints, WindowProblem
 
 
-def adjust(
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A window that was handed to the smoother, and what its rows stand for.
+
+    Attributes:
+        problem: the window.
+        keyframes: of each of its poses, the newest last.
+        landmarks: (M,) ids of its points.
+    """
+
+    problem: WindowProblem
+    keyframes: tuple[Keyframe, ...]
+    landmarks: Ints
+
+    @property
+    def anchor(self) -> Keyframe:
+        """The newest of the fixed keyframes."""
+        return self.keyframes[int(np.flatnonzero(self.problem.fixed)[-1])]
+
+
+def make_window(
     world: Map, rig: WorkingRig, config: Config, *, whole_map: bool = False
-) -> tuple[list[Keyframe], DisparityOffset | None]:
-    """Smooth the window, write poses and points back, drop what disagrees.
+) -> Window | None:
+    """The map's newest keyframes and the landmarks that hold them best; None of one keyframe.
 
     With `whole_map` every keyframe of the map but the first may move, not only the window's.
-
-    Returns:
-        The keyframes whose pose was adjusted, and in stereo the window's view of the disparity
-        offset that is left.
     """
     keyframes = world.keyframes
     if len(keyframes) < 2:
-        keyframes[0].covariance = np.zeros((6, 6))
-        return [], None
+        return None
     free = len(keyframes) - 1 if whole_map else min(config.smoothing.window, len(keyframes) - 1)
     fixed = np.arange(len(keyframes)) < len(keyframes) - free
     everything = _everything(world, rig, fixed)
-    chosen = _chosen(everything, config)
-    window, rows = _restricted(everything, chosen)
-    solution = smooth(window, config.smoothing)
+    problem, rows = _restricted(everything, _chosen(everything, config))
+    return Window(problem, tuple(keyframes), world.id[rows])
+
+
+def take_in(
+    world: Map, window: Window, solution: WindowSolution, rig: WorkingRig, config: Config
+) -> list[Keyframe]:
+    """Write a window's poses and points into the map as it is now; drop what disagrees.
+
+    Keyframes that were made since are carried along with the window's newest, landmarks that took
+    no part with the keyframe of their patch; then these are fitted to the new poses.
+
+    Returns:
+        The keyframes whose pose has changed.
+    """
     if not solution.converged:
-        return [], None
-    offset = None
-    if rig.is_stereo and config.stereo.offset_correction:
-        offset = disparity_offset(window, solution, config.smoothing)
-    anchor = keyframes[int(np.flatnonzero(fixed)[-1])]
-    for k in np.flatnonzero(~fixed):
-        keyframes[k].world_from_cam = solution.world_from_cam[k]
-        keyframes[k].covariance = _chained(anchor, keyframes[k], solution.covariance[k])
-    world.xyz[rows] = solution.points
-    _refine_others(world, everything, ~chosen, solution.world_from_cam, config)
+        return []
+    before = np.stack([k.world_from_cam for k in world.keyframes])
+    moved = _move_keyframes(world, window, solution)
+    rows = world.rows(window.landmarks)
+    there = rows >= 0
+    took_part = np.zeros(len(world), dtype=bool)
+    took_part[rows[there]] = True
+    _carry_landmarks(world, before, ~took_part)
+    world.xyz[rows[there]] = solution.points[there]
+    everything = _everything(world, rig, np.zeros(len(world.keyframes), dtype=bool))
+    _refine(world, everything, ~took_part, config)
     degenerate = np.zeros(len(world), dtype=bool)
-    degenerate[rows] = ~solution.point_ok
-    _drop_outliers(world, everything, solution.world_from_cam, degenerate, config)
-    return [k for k, f in zip(keyframes, fixed, strict=True) if not f], offset
+    degenerate[rows[there]] = ~solution.point_ok[there]
+    _drop_outliers(world, everything, window.keyframes[-1], degenerate, config)
+    return moved
+
+
+def _move_keyframes(world: Map, window: Window, solution: WindowSolution) -> list[Keyframe]:
+    newest = window.keyframes[-1]
+    motion = solution.world_from_cam[-1] @ inverse(newest.world_from_cam)
+    moved = [k for k in world.keyframes if k.id > newest.id]
+    for keyframe in moved:
+        keyframe.world_from_cam = motion @ keyframe.world_from_cam
+    free = np.flatnonzero(~window.problem.fixed)
+    for k in free.tolist():
+        keyframe = window.keyframes[k]
+        keyframe.world_from_cam = solution.world_from_cam[k]
+        keyframe.covariance = _chained(window.anchor, keyframe, solution.covariance[k])
+    return [window.keyframes[k] for k in free] + moved
+
+
+def _carry_landmarks(world: Map, before: Floats, carried: Bools) -> None:
+    """Move landmarks with the keyframes of their patches, whose poses were others `before`."""
+    now = np.stack([k.world_from_cam for k in world.keyframes])
+    motion = now @ inverse(before)
+    by = motion[world.reference[carried] - world.keyframes[0].id]
+    turned = np.einsum("nij,nj->ni", by[:, :3, :3], world.xyz[carried])
+    world.xyz[carried] = turned + by[:, :3, 3]
 
 
 def cull(world: Map, config: Config) -> None:
@@ -125,42 +176,43 @@ def _chosen(problem: WindowProblem, config: Config) -> Bools:
     return chosen
 
 
-def _refine_others(
-    world: Map, everything: WindowProblem, others: Bools, world_from_cam: Floats, config: Config
-) -> None:
-    """Bring landmarks that took no part in the window into line with the adjusted poses.
+def _refine(world: Map, everything: WindowProblem, chosen: Bools, config: Config) -> None:
+    """Bring landmarks that took no part in a window into line with the adjusted poses.
 
     They were triangulated from poses that have moved since, all in the same wrong way.
     """
-    rest, rows = _restricted(everything, others)
+    part, rows = _restricted(everything, chosen)
     world.xyz[rows] = refine_points(
-        rest.points,
-        inverse(world_from_cam),
-        rest.point,
-        rest.keyframe,
-        rest.xy,
-        rest.disparity,
-        rest.sigma_px,
+        part.points,
+        inverse(part.world_from_cam),
+        part.point,
+        part.keyframe,
+        part.xy,
+        part.disparity,
+        part.sigma_px,
         config.smoothing.sigma_disparity_px,
-        rest.intrinsics,
-        rest.intrinsics[0] * rest.baseline_m,
+        part.intrinsics,
+        part.intrinsics[0] * part.baseline_m,
         huber=config.smoothing.huber,
     )
 
 
 def _drop_outliers(
-    world: Map,
-    everything: WindowProblem,
-    world_from_cam: Floats,
-    degenerate: Bools,
-    config: Config,
+    world: Map, everything: WindowProblem, newest: Keyframe, degenerate: Bools, config: Config
 ) -> None:
-    """Forget observations that disagree, and all those of degenerate landmarks."""
+    """Forget observations that disagree, and all those of degenerate landmarks.
+
+    Keyframes newer than `newest` have not been smoothed and are not judged yet.
+    """
     sigma_px = config.smoothing.sigma_disparity_px
-    residual, _ = residuals(everything, world_from_cam, world.xyz, sigma_px)
-    kept = (residual <= config.smoothing.gate) & ~degenerate[everything.point]
+    residual, _ = residuals(everything, everything.world_from_cam, world.xyz, sigma_px)
+    disagree = ~(residual <= config.smoothing.gate)
     for k, keyframe in enumerate(world.keyframes):
-        keyframe.keep_observations(kept[everything.keyframe == k])
+        mine = everything.keyframe == k
+        dropped = degenerate[everything.point[mine]]
+        if keyframe.id <= newest.id:
+            dropped |= disagree[mine]
+        keyframe.keep_observations(~dropped)
 
 
 def _chained(anchor: Keyframe, keyframe: Keyframe, relative: np.ndarray) -> np.ndarray | None:

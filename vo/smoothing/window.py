@@ -1,4 +1,4 @@
-"""Adjusts the poses of a window of keyframes and the landmarks they see (bundle adjustment).
+"""GTSAM adjusts the poses of a window of keyframes and the landmarks they see (bundle adjustment).
 
 What has left the window is kept as fixed poses with their observations, so that neither scale nor
 heading can wander at the window's edge (Mur-Artal 2015, sec. VI-D).
@@ -12,18 +12,17 @@ import gtsam
 import numpy as np
 
 from vo.config import SmoothingConfig
-from vo.types import Bools, Floats, Ints, WindowProblem, WindowSolution
+from vo.smoothing.anchors import anchors
+from vo.smoothing.residuals import residuals
+from vo.types import AdjustedWindow, Bools, Ints, WindowProblem
 
 _log = logging.getLogger(__name__)
 
 _ANCHOR_SIGMAS = np.full(6, 1e-6)
 _ATTEMPTS = 3
-# Standard deviation of a loosely held point, in units of its distance; GTSAM takes a point that
-# is known a few thousand times worse in depth than across for singular.
-_LOOSE = 1.0
 
 
-def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
+def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWindow:
     """Adjust a window.
 
     Landmarks that come out degenerate (behind a camera, without parallax) are dropped and the
@@ -39,10 +38,10 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
             first_line = str(error).strip().splitlines()[0] if str(error).strip() else "no message"
             _log.debug("window is degenerate (%s), dropping %d points", first_line, bad.sum())
             point_ok &= ~bad
-    return _unchanged(problem, point_ok)
+    return AdjustedWindow(problem.world_from_cam, problem.points, point_ok, False)
 
 
-def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> WindowSolution:
+def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> AdjustedWindow:
     used = np.flatnonzero(point_ok[problem.point])
     if len(used) == 0:
         raise RuntimeError("no point holds the poses")
@@ -59,30 +58,12 @@ def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> 
     points = problem.points.copy()
     for m in np.flatnonzero(point_ok).tolist():
         points[m] = result.atPoint3(_point(m))
-    residual, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
+    _, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
     if not np.isfinite(world_from_cam).all():
         raise RuntimeError("poses are not finite")
     behind = np.zeros(len(points), dtype=bool)
     behind[problem.point[depth <= 0]] = True
-    covariance = _covariances(graph, result, problem, np.flatnonzero(point_ok))
-    return WindowSolution(world_from_cam, covariance, points, point_ok & ~behind, residual, True)
-
-
-def residuals(
-    problem: WindowProblem, world_from_cam: Floats, points: Floats, sigma_disparity_px: float
-) -> tuple[Floats, Floats]:
-    """Residual lengths (N,) in standard deviations, and depths (N,), of all observations."""
-    fx, fy, cx, cy = problem.intrinsics
-    pose = world_from_cam[problem.keyframe]
-    offset = points[problem.point] - pose[:, :3, 3]
-    in_cam = np.einsum("nji,nj->ni", pose[:, :3, :3], offset)
-    depth = in_cam[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        du = (fx * in_cam[:, 0] / depth + cx - problem.xy[:, 0]) / problem.sigma_px
-        dv = (fy * in_cam[:, 1] / depth + cy - problem.xy[:, 1]) / problem.sigma_px
-        dd = (fx * problem.baseline_m / depth - problem.disparity) / sigma_disparity_px
-    square = du**2 + dv**2 + np.where(np.isnan(problem.disparity), 0.0, dd**2)
-    return np.where(depth > 0, np.sqrt(square), np.inf), depth
+    return AdjustedWindow(world_from_cam, points, point_ok & ~behind, True)
 
 
 def _build(
@@ -122,22 +103,13 @@ def _build(
 
 
 def _anchor(graph: gtsam.NonlinearFactorGraph, problem: WindowProblem) -> None:
-    """Hold the fixed poses; a window without any is held by its first pose, and mono's scale."""
+    held, scaled, sigmas = anchors(problem)
     hold = gtsam.noiseModel.Diagonal.Sigmas(_ANCHOR_SIGMAS)
-    fixed = np.flatnonzero(problem.fixed)
-    for k in fixed.tolist() if len(fixed) else [0]:
+    for k in np.flatnonzero(held).tolist():
         graph.add(gtsam.PriorFactorPose3(_pose(k), gtsam.Pose3(problem.world_from_cam[k]), hold))
-    if len(fixed) < 2 and problem.baseline_m == 0.0 and len(problem.world_from_cam) > 1:
-        anchor = int(fixed[0]) if len(fixed) else 0
-        others = problem.world_from_cam[:, :3, 3] - problem.world_from_cam[anchor, :3, 3]
-        farthest = int(np.argmax(np.linalg.norm(others, axis=1)))
-        if farthest == anchor:
-            return
-        length = float(np.linalg.norm(others[farthest]))
-        sigmas = np.r_[np.full(3, 1.0), np.full(3, 0.02 * length)]
-        scale = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        pose = gtsam.Pose3(problem.world_from_cam[farthest])
-        graph.add(gtsam.PriorFactorPose3(_pose(farthest), pose, scale))
+    if scaled is not None:
+        pose, noise = problem.world_from_cam[scaled], gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        graph.add(gtsam.PriorFactorPose3(_pose(scaled), gtsam.Pose3(pose), noise))
 
 
 class _NoiseModels:
@@ -178,48 +150,6 @@ def _points_first(
     return ordering
 
 
-def _covariances(
-    graph: gtsam.NonlinearFactorGraph, result: gtsam.Values, problem: WindowProblem, points: Ints
-) -> Floats:
-    """(K, 6, 6) of the free poses, 0 of the fixed ones, NaN of poses that nothing holds."""
-    keyframes = len(problem.world_from_cam)
-    covariance = np.full((keyframes, 6, 6), np.nan)
-    covariance[problem.fixed] = 0.0
-    marginals: gtsam.Marginals | None
-    try:
-        marginals = gtsam.Marginals(graph, result)
-    except (RuntimeError, IndexError) as error:
-        # A point without parallax makes the whole system singular. Held very loosely, it tells
-        # the poses nothing about its depth, as it should be.
-        _log.debug("covariance with all points held loosely: %s", error)
-        marginals = _loosely_held(graph, result, points)
-    if marginals is None:
-        return covariance
-    for k in np.flatnonzero(~problem.fixed).tolist():
-        try:
-            covariance[k] = marginals.marginalCovariance(_pose(k))
-        except (RuntimeError, IndexError) as error:  # the latter for a pose that sees nothing
-            _log.debug("no covariance of keyframe %d in the window: %s", k, error)
-    return covariance
-
-
-def _loosely_held(
-    graph: gtsam.NonlinearFactorGraph, result: gtsam.Values, points: Ints
-) -> gtsam.Marginals | None:
-    held = gtsam.NonlinearFactorGraph(graph)
-    centre = result.atPose3(_pose(0)).translation()
-    for m in points.tolist():
-        at = result.atPoint3(_point(m))
-        distance = max(float(np.linalg.norm(at - centre)), 1e-3)
-        loose = gtsam.noiseModel.Isotropic.Sigma(3, _LOOSE * distance)
-        held.add(gtsam.PriorFactorPoint3(_point(m), at, loose))
-    try:
-        return gtsam.Marginals(held, result)
-    except (RuntimeError, IndexError) as error:
-        _log.debug("no covariance: %s", error)
-        return None
-
-
 def _well_seen(problem: WindowProblem) -> Bools:
     """Points seen in two keyframes at least, in front of all of them."""
     _, depth = residuals(problem, problem.world_from_cam, problem.points, 1.0)
@@ -242,14 +172,6 @@ def _weak_points(problem: WindowProblem, point_ok: Bools) -> Bools:
         return point_ok.copy()
     limit = np.quantile(spread[point_ok], 0.2)
     return np.asarray(point_ok & (spread <= limit))
-
-
-def _unchanged(problem: WindowProblem, point_ok: Bools) -> WindowSolution:
-    covariance = np.full((len(problem.world_from_cam), 6, 6), np.nan)
-    residual, _ = residuals(problem, problem.world_from_cam, problem.points, 1.0)
-    return WindowSolution(
-        problem.world_from_cam, covariance, problem.points, point_ok, residual, False
-    )
 
 
 def _pose(k: int) -> int:

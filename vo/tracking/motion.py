@@ -29,9 +29,9 @@ class ConstantVelocity:
             self._twist_per_s = moved / elapsed_s
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
 
-    def correct(self, world_from_cam: Floats) -> None:
-        """The newest frame's pose was smoothed; the velocity in its own frame stays."""
-        self._world_from_cam = world_from_cam
+    def carry(self, motion: Floats) -> None:
+        """The newest frame was moved (4, 4) in the world; the velocity in its own frame stays."""
+        self._world_from_cam = motion @ self._world_from_cam
 
     def predict(self, stamp_ns: int) -> Floats:
         """world_from_cam at a later time."""
