@@ -17,30 +17,26 @@ class Atlas(NamedTuple):
 
     Attributes:
         texels: (T,) uint8, all levels of all textures row by row.
-        offsets: (N, LEVELS) where each level begins.
-        heights: (N, LEVELS).
-        widths: (N, LEVELS).
+        levels: (N, LEVELS, 3) where each level begins, its height and its width.
     """
 
     texels: Bytes
-    offsets: Ints
-    heights: Ints
-    widths: Ints
+    levels: Ints
 
 
 def pack(textures: Sequence[Floats32]) -> Atlas:
     """Pack textures with LEVELS mip-maps each, every one the 2x2 mean of the one before."""
     parts: list[Bytes] = []
-    offsets, heights, widths = (np.zeros((len(textures), LEVELS), np.int64) for _ in range(3))
+    levels = np.zeros((len(textures), LEVELS, 3), np.int64)
     total = 0
     for i, texture in enumerate(textures):
         level_image = texture
         for level in range(LEVELS):
-            offsets[i, level], (heights[i, level], widths[i, level]) = total, level_image.shape
+            levels[i, level] = total, *level_image.shape
             parts.append(np.round(level_image * 255.0).astype(np.uint8).ravel())
             total += level_image.size
             level_image = _halved(level_image)
-    return Atlas(np.concatenate(parts), offsets, heights, widths)
+    return Atlas(np.concatenate(parts), levels)
 
 
 def _halved(image: Floats32) -> Floats32:

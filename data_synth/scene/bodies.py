@@ -23,7 +23,7 @@ def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> 
         return world
     poses = np.asarray(world_from_bodies, dtype=np.float64)[movers.bodies]
     shapes = world.shapes.copy()
-    moved = shapes[world.still :]
+    moved = shapes[len(world.bounds) :]
     moved[:, :3] = np.einsum("kij,kj->ki", poses[:, :3, :3], movers.places[:, :3]) + poses[:, :3, 3]
     yaws = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) + movers.places[:, 3]
     moved[:, 6], moved[:, 7] = np.cos(yaws), np.sin(yaws)

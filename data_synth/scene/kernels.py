@@ -6,6 +6,7 @@ in those that it calls.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -19,9 +20,11 @@ from data_synth.scene.solids import Kind
 from data_synth.scene.world import STAIN_PER_TEXEL, World
 from vo.types import Floats, Floats32, Ints
 
-TILE = 16
+BAND_ROWS = 32
+_LIST_TILE, _CAST_TILE, _SMOOTH_TILE = 32, 8, 8
 _MAX_ANISOTROPY = 8
-_LEAST_MOTION = 0.2  # of half the way, in pixels
+_ONE_SAMPLE = 1.6**2  # up to this ratio of a footprint's sides, squared
+_GROUPS = 5
 _JUMP = 3.0
 _LEAST_JUMP = 0.01
 _FAR_M = 1000.0
@@ -38,10 +41,12 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _Vector = tuple[float, float, float]
 _Pair = tuple[float, float]
 _Turn = tuple[_Vector, _Vector, _Vector]  # rows of a rotation
+_Sweep = tuple[_Turn, _Vector]
+_Tile = tuple[int, int, int, int]  # rows from, to, columns from, to
 _Beam = tuple[_Vector, _Vector, _Vector, _Vector]  # least and greatest origins, then rays
+_List = tuple[Ints, Floats]  # solids, and ray lengths below which each is not met
 _Seen = tuple[Ints, Floats, float]  # solids, ray lengths below which each and the ground are not
 _ZERO = (0.0, 0.0, 0.0)
-_UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def _entry(function: _F) -> _F:
@@ -52,7 +57,8 @@ def _entry(function: _F) -> _F:
 def _compiled(function: _F) -> _F:
     """Compile what kernels call: it may not make arrays.
 
-    Counting references to the arrays of `World` at each call would take 70 % of the time.
+    Counting references to the arrays of `World` at each call would take 70 % of the time. So it may
+    not return arrays either: nobody would have counted them.
     """
     options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
     return cast(_F, numba.njit(**options)(function))
@@ -72,28 +78,47 @@ def cast_rows(
     surface: NDArray[np.int32],
 ) -> None:
     """One ray for each pixel of rows band[0]…band[1], in the middle of its exposure."""
-    solids, starts = _empty_list(world)
-    for top in range(band[0], band[1], TILE):
-        bottom = min(top + TILE, band[1])
-        for left in range(0, rays.shape[1], TILE):
-            right = min(left + TILE, rays.shape[1])
-            tile = (top, bottom, left, right)
-            count, earth = _list_seen(world, shutter, rays, tile, 0.0, solids, starts)
-            seen = (solids[:count], starts[:count], earth)
-            for row in range(top, bottom):
-                turn, start, time = _pose(shutter, rays.shape[0], row, 0.0)
-                for column in range(left, right):
-                    if np.isnan(rays[row, column, 0]):
-                        image[row, column], depth[row, column] = 0.0, np.inf
-                        surface[row, column] = _NOTHING
-                        continue
-                    ray, across, down = _ray(rays, row, column, turn)
-                    shade, t, face = _radiance(
-                        world, start, time, ray, across, down, seen, _MAX_ANISOTROPY
-                    )
-                    image[row, column] = shade
-                    depth[row, column] = t * rays[row, column, 2]
-                    surface[row, column] = face
+    far, near = _empty_list(world), _empty_list(world)
+    for top in range(band[0], band[1], _LIST_TILE):
+        for left in range(0, rays.shape[1], _LIST_TILE):
+            tile = _tile(rays, band, top, left, _LIST_TILE)
+            count = _list_seen(world, shutter, rays, tile, 0.0, far)
+            for upper in range(tile[0], tile[1], _CAST_TILE):
+                for first in range(tile[2], tile[3], _CAST_TILE):
+                    part = _tile(rays, band, upper, first, _CAST_TILE)
+                    fewer, earth = _thin_out(world, shutter, rays, part, 0.0, far, count, near)
+                    seen = (near[0][:fewer], near[1][:fewer], earth)
+                    _cast_tile(world, shutter, rays, part, seen, image, depth, surface)
+
+
+@_compiled
+def _cast_tile(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    tile: _Tile,
+    seen: _Seen,
+    image: Floats32,
+    depth: Floats32,
+    surface: NDArray[np.int32],
+) -> None:
+    for row in range(tile[0], tile[1]):
+        turn, start, time = _pose(shutter, rays.shape[0], row, 0.0)
+        for column in range(tile[2], tile[3]):
+            if np.isnan(rays[row, column, 0]):
+                image[row, column], depth[row, column] = 0.0, np.inf
+                surface[row, column] = _NOTHING
+                continue
+            ray, across, down = _ray(rays, row, column, turn)
+            t, number = _meet(world, start, time, ray, seen)
+            image[row, column] = _shade(world, start, time, ray, (across, down), t, number)
+            depth[row, column] = t
+            surface[row, column] = number
+
+
+@_compiled
+def _tile(rays: Floats, band: tuple[int, int], top: int, left: int, size: int) -> _Tile:
+    return top, min(top + size, band[1]), left, min(left + size, rays.shape[1])
 
 
 @_entry
@@ -109,23 +134,19 @@ def mark_rows(
     """Set to 1 all pixels over which an edge between surfaces passes while they are exposed."""
     rows, columns = surface.shape
     for row in range(band[0], band[1]):
-        sweep = _sweep(shutter, row)
+        sweep, below = _sweep(shutter, row), _sweep(shutter, row + 1)
         for column in range(columns):
-            if surface[row, column] == _NOTHING:
-                continue
-            edge = False
-            for side in range(4):
-                i = row + (1 if side == 0 else (-1 if side == 1 else 0))
-                j = column + (1 if side == 2 else (-1 if side == 3 else 0))
-                if i < 0 or j < 0 or i >= rows or j >= columns:
-                    continue
-                if _differ(world, depth, surface, row, column, i, j):
-                    edge = True
-                    motion = _motion(world, shutter, rays, sweep, depth, surface, row, column)
-                    _cross(crossed, i, j, motion)
-            if edge:
-                motion = _motion(world, shutter, rays, sweep, depth, surface, row, column)
-                _cross(crossed, row, column, motion)
+            if column + 1 < columns and _differ(world, depth, surface, row, column, 0, 1):
+                for j in range(column, column + 2):
+                    motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, j)
+                    _cross(crossed, row, column, motion)
+                    _cross(crossed, row, column + 1, motion)
+            if row + 1 < rows and _differ(world, depth, surface, row, column, 1, 0):
+                for i in range(row, row + 2):
+                    there = sweep if i == row else below
+                    motion = _motion_of(world, shutter, rays, there, depth, surface, i, column)
+                    _cross(crossed, row, column, motion)
+                    _cross(crossed, row + 1, column, motion)
 
 
 @_entry
@@ -147,38 +168,100 @@ def smooth_rows(
     Where one surface fills both, it is the mean of the sharp image along its motion; elsewhere of
     `counts` rays with offsets `grains` in area and time.
     """
-    solids, starts = _empty_list(world)
-    for top in range(band[0], band[1], TILE):
-        bottom = min(top + TILE, band[1])
-        for left in range(0, rays.shape[1], TILE):
-            right = min(left + TILE, rays.shape[1])
-            count, earth = -1, np.inf
-            for row in range(top, bottom):
-                sweep = _sweep(shutter, row)
-                for column in range(left, right):
-                    if surface[row, column] == _NOTHING:
-                        image[row, column] = 0.0
-                        continue
-                    motion = _motion(world, shutter, rays, sweep, depth, surface, row, column)
-                    if crossed[row, column] == 0 and _fits(sharp, row, column, motion):
-                        image[row, column] = _mean_along(sharp, row, column, motion)
+    groups, numbers = np.empty((_GROUPS, 5)), np.empty(_GROUPS, np.int64)
+    far, near = _empty_list(world), _empty_list(world)
+    for top in range(band[0], band[1], _LIST_TILE):
+        for left in range(0, rays.shape[1], _LIST_TILE):
+            tile = _tile(rays, band, top, left, _LIST_TILE)
+            count = -1
+            for upper in range(tile[0], tile[1], _SMOOTH_TILE):
+                for first in range(tile[2], tile[3], _SMOOTH_TILE):
+                    part = _tile(rays, band, upper, first, _SMOOTH_TILE)
+                    if not _mean_of_sharp(
+                        world, shutter, rays, part, sharp, depth, surface, crossed, image
+                    ):
                         continue
                     if count < 0:
-                        tile = (top, bottom, left, right)
-                        count, earth = _list_seen(world, shutter, rays, tile, 0.5, solids, starts)
-                    length = abs(motion[0]) + abs(motion[1])
-                    level = 0
-                    while level + 1 < len(counts) and counts[level] < 4.0 + 1.2 * length:
-                        level += 1
-                    image[row, column] = _mean_radiance(
+                        count = _list_seen(world, shutter, rays, tile, 0.5, far)
+                    fewer, earth = _thin_out(world, shutter, rays, part, 0.5, far, count, near)
+                    seen = (near[0][:fewer], near[1][:fewer], earth)
+                    _mean_of_rays(
                         world,
                         shutter,
                         rays,
-                        row,
-                        column,
-                        (solids[:count], starts[:count], earth),
-                        grains[level, : counts[level]],
+                        part,
+                        seen,
+                        (counts, grains),
+                        (groups, numbers),
+                        (depth, surface),
+                        image,
                     )
+
+
+@_compiled
+def _mean_of_sharp(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    tile: _Tile,
+    sharp: Floats32,
+    depth: Floats32,
+    surface: NDArray[np.int32],
+    crossed: NDArray[np.uint8],
+    image: Floats32,
+) -> bool:
+    """Fill in the pixels of a tile that one surface fills; whether there are others.
+
+    They are marked with a NaN.
+    """
+    more = False
+    for row in range(tile[0], tile[1]):
+        sweep = _sweep(shutter, row)
+        for column in range(tile[2], tile[3]):
+            motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
+            if surface[row, column] == _NOTHING:
+                image[row, column] = 0.0
+            elif crossed[row, column] == 0 and _fits(sharp, row, column, motion):
+                image[row, column] = _mean_along(sharp, row, column, motion)
+            else:
+                image[row, column], more = np.nan, True
+    return more
+
+
+@_compiled
+def _mean_of_rays(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    tile: _Tile,
+    seen: _Seen,
+    sampling: tuple[Ints, Floats],
+    scratch: tuple[Floats, Ints],
+    first: tuple[Floats32, NDArray[np.int32]],
+    image: Floats32,
+) -> None:
+    """Fill in the pixels of a tile that are marked with a NaN."""
+    counts, grains = sampling
+    for row in range(tile[0], tile[1]):
+        sweep = _sweep(shutter, row)
+        for column in range(tile[2], tile[3]):
+            if not np.isnan(image[row, column]):
+                continue
+            motion = _motion_of(world, shutter, rays, sweep, first[0], first[1], row, column)
+            least = 3.0 + 1.2 * (abs(motion[0]) + abs(motion[1]))
+            level = 0
+            while level + 1 < len(counts) and counts[level] < least:
+                level += 1
+            image[row, column] = _mean_radiance(
+                world,
+                shutter,
+                rays,
+                (row, column),
+                seen,
+                grains[level, : counts[level]],
+                scratch,
+                sweep,
+            )
 
 
 @_compiled
@@ -186,32 +269,82 @@ def _mean_radiance(
     world: World,
     shutter: Shutter,
     rays: Floats,
-    row: int,
-    column: int,
+    pixel: tuple[int, int],
     seen: _Seen,
     grains: Floats,
+    scratch: tuple[Floats, Ints],
+    sweep: _Sweep,
 ) -> float:
-    """Mean shade of rays spread over the area and the exposure of one pixel."""
-    size = 1.0 / np.sqrt(len(grains))
-    turn, start, time = _pose(shutter, rays.shape[0], row, 0.0)
-    ray, across, down = _ray(rays, row, column, _UNTURNED)
-    total = 0.0
-    for k in range(len(grains)):
-        shifted = _moved(_moved(ray, across, grains[k, 0]), down, grains[k, 1])
+    """Mean shade over the area and the exposure of one pixel.
+
+    Many rays find the share of each surface, then each is shaded once: where its rays are on
+    average, and over as much of the pixel and of its motion as they take up.
+    """
+    (row, column), (groups, numbers) = pixel, scratch
+    rows, many = rays.shape[0], len(grains)
+    turn, start, time = _pose(shutter, rows, row, 0.0)
+    ray, across, down = _steps(rays, row, column)
+    count = 0
+    for k in range(many):
         if shutter.width > 0.0:
-            turn, start, time = _pose(shutter, rays.shape[0], row, grains[k, 2])
-        # The rays are close already, so that one sample of the texture is enough.
-        total += _radiance(
-            world,
-            start,
-            time,
-            _turned(turn, shifted),
-            _turned(turn, _moved(_ZERO, across, size)),
-            _turned(turn, _moved(_ZERO, down, size)),
-            seen,
-            1,
-        )[0]
-    return total / len(grains)
+            turn, start, time = _pose(shutter, rows, row, grains[k, 2])
+        to = _turned(turn, _within(ray, across, down, grains[k, 0], grains[k, 1]))
+        t, number = _meet(world, start, time, to, seen)
+        group = 0
+        while group < count and numbers[group] != number:
+            group += 1
+        if group == count:
+            if group == len(numbers):  # so many surfaces that it does not matter which
+                group -= 1
+            else:
+                count += 1
+                numbers[group] = number
+                for m in range(5):
+                    groups[group, m] = 0.0
+        groups[group, 0] += 1.0
+        groups[group, 1] += grains[k, 0]
+        groups[group, 2] += grains[k, 1]
+        groups[group, 3] += grains[k, 2]
+        groups[group, 4] += 1.0 / t
+    total = 0.0
+    for group in range(count):
+        size = groups[group, 0]
+        u, v, share = groups[group, 1] / size, groups[group, 2] / size, groups[group, 3] / size
+        inverse = groups[group, 4] / size
+        if shutter.width > 0.0:
+            turn, start, time = _pose(shutter, rows, row, share)
+        to = _turned(turn, _within(ray, across, down, u, v))
+        motion = _motion(world, shutter, rays, sweep, inverse, numbers[group], row, column)
+        first, second = _footprint(across, down, motion, size / many)
+        sides = (_turned_flat(turn, first), _turned_flat(turn, second))
+        shade = _shade(world, start, time, to, sides, 1.0 / inverse, numbers[group])
+        total += size * shade
+    return total / many
+
+
+@_compiled
+def _within(ray: _Pair, across: _Pair, down: _Pair, u: float, v: float) -> _Vector:
+    """A ray of the camera's frame at an offset within its pixel."""
+    return (
+        ray[0] + u * across[0] + v * down[0],
+        ray[1] + u * across[1] + v * down[1],
+        1.0,
+    )
+
+
+@_compiled
+def _footprint(across: _Pair, down: _Pair, motion: _Pair, share: float) -> tuple[_Pair, _Pair]:
+    """Changes of the ray along and across a motion, over a share of a pixel and of its time."""
+    length = np.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
+    size = np.sqrt(share)
+    if length * share <= size:
+        return (size * across[0], size * across[1]), (size * down[0], size * down[1])
+    u, v = share * motion[0], share * motion[1]
+    p, q = -size * motion[1] / length, size * motion[0] / length
+    return (
+        (u * across[0] + v * down[0], u * across[1] + v * down[1]),
+        (p * across[0] + q * down[0], p * across[1] + q * down[1]),
+    )
 
 
 @_compiled
@@ -221,25 +354,25 @@ def _differ(
     surface: NDArray[np.int32],
     row: int,
     column: int,
-    i: int,
-    j: int,
+    di: int,
+    dj: int,
 ) -> bool:
-    """Whether there is an edge between a pixel and its neighbour (i, j)."""
-    here, there = surface[row, column], surface[i, j]
-    if here != there:
+    """Whether there is an edge between a pixel and the next one below or to the right."""
+    i, j = row + di, column + dj
+    here = surface[row, column]
+    if here != surface[i, j]:
         return True
     if here != _ground_number(world):
         return False
     # Along one slope, inverse depth changes evenly; where a hill hides another, it jumps.
-    rows, columns = surface.shape
-    ib, jb, ia, ja = 2 * row - i, 2 * column - j, 2 * i - row, 2 * j - column
-    if min(ib, jb, ia, ja) < 0 or max(ib, ia) >= rows or max(jb, ja) >= columns:
+    ib, jb, ia, ja = row - di, column - dj, i + di, j + dj
+    if min(ib, jb) < 0 or ia >= surface.shape[0] or ja >= surface.shape[1]:
         return False
     if surface[ib, jb] != here or surface[ia, ja] != here:
         return False
     w, v = 1.0 / depth[row, column], 1.0 / depth[i, j]
-    step = abs(w - v)
     around = max(abs(1.0 / depth[ib, jb] - w), abs(1.0 / depth[ia, ja] - v))
+    step = abs(w - v)
     return bool(step > _JUMP * around and step > _LEAST_JUMP * max(w, v))
 
 
@@ -265,34 +398,48 @@ def _fits(sharp: Floats32, row: int, column: int, motion: _Pair) -> bool:
     rows, columns = sharp.shape
     across, down = 0.5 * abs(motion[0]), 0.5 * abs(motion[1])
     return bool(
-        (across < _LEAST_MOTION or across <= min(column, columns - 1 - column))
-        and (down < _LEAST_MOTION or down <= min(row, rows - 1 - row))
+        max(across, down) <= 0.5
+        or (
+            across + 1.5 <= min(column, columns - 1 - column)
+            and down + 1.5 <= min(row, rows - 1 - row)
+        )
     )
 
 
 @_compiled
 def _mean_along(sharp: Floats32, row: int, column: int, motion: _Pair) -> float:
-    """Mean of the sharp image along a line about a pixel."""
-    length = np.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
-    if length < 2.0 * _LEAST_MOTION:
-        return float(sharp[row, column])
-    count = min(int(length) + 2, 128)
-    rows, columns = sharp.shape
-    total = 0.0
-    for k in range(count):
-        share = (k + 0.5) / count - 0.5
-        u, v = column + share * motion[0], row + share * motion[1]
-        j = min(max(int(u), 0), columns - 2)
-        i = min(max(int(v), 0), rows - 2)
-        fu, fv = u - j, v - i
-        total += (1.0 - fv) * ((1.0 - fu) * sharp[i, j] + fu * sharp[i, j + 1]) + fv * (
-            (1.0 - fu) * sharp[i + 1, j] + fu * sharp[i + 1, j + 1]
-        )
-    return total / count
+    """Mean of the sharp image along a line about a pixel.
+
+    One sample for each pixel on the longer side, with the share of it that the line covers.
+    """
+    across, down = motion
+    steep = abs(down) > abs(across)
+    length = abs(down) if steep else abs(across)
+    total = float(sharp[row, column])
+    if length <= 1.0:
+        return total
+    slope = (across if steep else down) / (down if steep else across)
+    reach = 0.5 * length
+    last = int(reach + 0.5)
+    for k in range(1, last + 1):
+        share = min(reach + 0.5 - k, 1.0)
+        side = k * slope
+        low = math.floor(side)
+        f = side - low
+        if steep:
+            a, b = column + low, column - low
+            after = (1.0 - f) * sharp[row + k, a] + f * sharp[row + k, a + 1]
+            before = (1.0 - f) * sharp[row - k, b] + f * sharp[row - k, b - 1]
+        else:
+            a, b = row + low, row - low
+            after = (1.0 - f) * sharp[a, column + k] + f * sharp[a + 1, column + k]
+            before = (1.0 - f) * sharp[b, column - k] + f * sharp[b - 1, column - k]
+        total += share * (after + before)
+    return total / max(length, 1.0)
 
 
 @_compiled
-def _sweep(shutter: Shutter, row: int) -> tuple[_Turn, _Vector]:
+def _sweep(shutter: Shutter, row: int) -> _Sweep:
     """How points in the camera's frame move from when a row opens to when it closes.
 
     A point of depth 1/w on a ray r moves by D r + w e; D (as rows) and e are returned.
@@ -313,31 +460,47 @@ def _sweep(shutter: Shutter, row: int) -> tuple[_Turn, _Vector]:
 
 
 @_compiled
-def _motion(
+def _motion_of(
     world: World,
     shutter: Shutter,
     rays: Floats,
-    sweep: tuple[_Turn, _Vector],
+    sweep: _Sweep,
     depth: Floats32,
     surface: NDArray[np.int32],
     row: int,
     column: int,
 ) -> _Pair:
     """How many pixels across and down what a pixel sees moves during the exposure."""
+    number = surface[row, column]
+    if shutter.width == 0.0 or number == _NOTHING:
+        return 0.0, 0.0
+    inverse = 1.0 / depth[row, column]
+    return _motion(world, shutter, rays, sweep, inverse, number, row, column)
+
+
+@_compiled
+def _motion(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    sweep: _Sweep,
+    inverse: float,
+    number: int,
+    row: int,
+    column: int,
+) -> _Pair:
+    """How many pixels across and down a surface of inverse depth moves during the exposure."""
     if shutter.width == 0.0:
         return 0.0, 0.0
-    x, y = rays[row, column, 0], rays[row, column, 1]
-    inverse = 1.0 / depth[row, column]
+    (x, y), across, down = _steps(rays, row, column)
     d, e = sweep
-    ray = (x, y, 1.0)
-    moved = _moved((_dot(d[0], ray), _dot(d[1], ray), _dot(d[2], ray)), e, inverse)
-    mover = surface[row, column] // 6 - (len(world.kinds) - len(world.movers.bodies))
+    moved = _moved(_turned(d, (x, y, 1.0)), e, inverse)
+    mover = number // 6 - len(world.bounds)
     if 0 <= mover < len(world.movers.bodies):
         speed = world.movers.velocities[mover]
         turn, _, _ = _pose(shutter, 1, row, 0.0)
         way = _turned_back(turn, (speed[0], speed[1], speed[2]))
         moved = _moved(moved, way, shutter.width * shutter.step_s * inverse)
-    _, across, down = _ray(rays, row, column, _UNTURNED)
     mx, my = moved[0] - x * moved[2], moved[1] - y * moved[2]
     area = across[0] * down[1] - across[1] * down[0]
     if area == 0.0:  # alone at the end of what the lens sees
@@ -377,67 +540,97 @@ def _pose(shutter: Shutter, rows: int, row: int, share: float) -> tuple[_Turn, _
 @_compiled
 def _ray(rays: Floats, row: int, column: int, turn: _Turn) -> tuple[_Vector, _Vector, _Vector]:
     """A pixel's ray in the world and how it changes by one pixel across and down."""
-    x, y, z = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
-    j = 1 if column + 1 < rays.shape[1] and not np.isnan(rays[row, column + 1, 0]) else -1
-    i = 1 if row + 1 < rays.shape[0] and not np.isnan(rays[row + 1, column, 0]) else -1
-    a, d = rays[row, column + j], rays[row + i, column]
-    across = (j * (a[0] - x), j * (a[1] - y), j * (a[2] - z))
-    down = (i * (d[0] - x), i * (d[1] - y), i * (d[2] - z))
+    ray, across, down = _steps(rays, row, column)
+    return (
+        _turned(turn, (ray[0], ray[1], 1.0)),
+        _turned_flat(turn, across),
+        _turned_flat(turn, down),
+    )
+
+
+@_compiled
+def _steps(rays: Floats, row: int, column: int) -> tuple[_Pair, _Pair, _Pair]:
+    """A pixel's ray (x, y, 1) and how it changes by one pixel across and down."""
+    x, y = rays[row, column, 0], rays[row, column, 1]
+    if column + 1 < rays.shape[1] and not np.isnan(rays[row, column + 1, 0]):
+        across = (rays[row, column + 1, 0] - x, rays[row, column + 1, 1] - y)
+    else:
+        across = (x - rays[row, column - 1, 0], y - rays[row, column - 1, 1])
+    if row + 1 < rays.shape[0] and not np.isnan(rays[row + 1, column, 0]):
+        down = (rays[row + 1, column, 0] - x, rays[row + 1, column, 1] - y)
+    else:
+        down = (x - rays[row - 1, column, 0], y - rays[row - 1, column, 1])
     if np.isnan(across[0]):
-        across = (0.0, 0.0, 0.0)
+        across = (0.0, 0.0)
     if np.isnan(down[0]):
-        down = (0.0, 0.0, 0.0)
-    return _turned(turn, (x, y, z)), _turned(turn, across), _turned(turn, down)
+        down = (0.0, 0.0)
+    return (x, y), across, down
 
 
 # --- What a tile may see ---------------------------------------------------------------------
 
 
 @_entry
-def _empty_list(world: World) -> tuple[Ints, Floats]:
+def _empty_list(world: World) -> _List:
     return np.empty(len(world.kinds), np.int64), np.empty(len(world.kinds))
 
 
 @_compiled
 def _list_seen(
-    world: World,
-    shutter: Shutter,
-    rays: Floats,
-    tile: tuple[int, int, int, int],
-    share: float,
-    solids: Ints,
-    starts: Floats,
-) -> tuple[int, float]:
+    world: World, shutter: Shutter, rays: Floats, tile: _Tile, share: float, result: _List
+) -> int:
     """List the solids that any ray of a tile may meet, by the shortest length at which it may.
 
-    The rays are those of the middle `share` of the exposure to either side. Also returned is the
-    length below which no ray meets the ground.
+    The rays are those of the middle `share` of the exposure to either side.
     """
     beam = _beam(shutter, rays, tile, share)
     if beam[2][0] > beam[3][0]:  # nothing at all is seen
-        return 0, np.inf
-    tree = world.tree
+        return 0
+    tree, (solids, starts) = world.tree, result
     node, count = 0, 0
     while node < len(tree.skip):
-        b = tree.bounds[node]
-        near = _earliest((b[0], b[1], b[2]), (b[3], b[4], b[5]), beam)
+        near = _earliest(tree.bounds, node, beam)
         if near == np.inf:
             node = tree.skip[node]
             continue
         if tree.solid[node] >= 0:
             count = _insert(solids, starts, count, tree.solid[node], near)
         node += 1
-    moving = len(world.movers.bodies)
-    if moving > 0:
-        _, _, first = _pose(shutter, rays.shape[0], tile[0], -share)
-        _, _, last = _pose(shutter, rays.shape[0], tile[1] - 1, share)
-        for mover in range(moving):
-            solid = len(world.kinds) - moving + mover
-            lower, upper = _moving_bounds(world, mover, solid, first, last)
-            near = _earliest(lower, upper, beam)
-            if near != np.inf:
-                count = _insert(solids, starts, count, solid, near)
-    return count, _ground_start(world, beam)
+    for mover in range(len(world.movers.bodies)):
+        solid = len(world.bounds) + mover
+        near = _earliest_moving(world, shutter, rays.shape[0], tile, share, solid, beam)
+        if near != np.inf:
+            count = _insert(solids, starts, count, solid, near)
+    return count
+
+
+@_compiled
+def _thin_out(
+    world: World,
+    shutter: Shutter,
+    rays: Floats,
+    tile: _Tile,
+    share: float,
+    listed: _List,
+    count: int,
+    result: _List,
+) -> tuple[int, float]:
+    """Of the solids listed for a larger tile, those that a smaller one may see.
+
+    Also returned is the length below which no ray meets the ground.
+    """
+    beam = _beam(shutter, rays, tile, share)
+    if beam[2][0] > beam[3][0]:
+        return 0, np.inf
+    solids, starts = result
+    fewer = 0
+    for k in range(count):
+        solid, near = listed[0][k], listed[1][k]
+        if solid < len(world.bounds):
+            near = _earliest(world.bounds, solid, beam)
+        if near != np.inf:
+            fewer = _insert(solids, starts, fewer, solid, near)
+    return fewer, _ground_start(world, beam)
 
 
 @_compiled
@@ -451,54 +644,57 @@ def _insert(solids: Ints, starts: Floats, count: int, solid: int, near: float) -
 
 
 @_compiled
-def _moving_bounds(
-    world: World, mover: int, solid: int, first: float, last: float
-) -> tuple[_Vector, _Vector]:
-    """Corners of an upright box around all places of a moving solid between two times."""
-    shape, speed = world.shapes[solid], world.movers.velocities[mover]
+def _earliest_moving(
+    world: World,
+    shutter: Shutter,
+    rows: int,
+    tile: _Tile,
+    share: float,
+    solid: int,
+    beam: _Beam,
+) -> float:
+    """As `_earliest`, of a moving solid wherever it is while a tile is exposed."""
+    _, _, first = _pose(shutter, rows, tile[0], -share)
+    _, _, last = _pose(shutter, rows, tile[1] - 1, share)
+    shape, speed = world.shapes[solid], world.movers.velocities[solid - len(world.bounds)]
     cosine, sine = abs(shape[6]), abs(shape[7])
-    x, y, z = cosine * shape[3] + sine * shape[4], sine * shape[3] + cosine * shape[4], shape[5]
-    lower, upper = (
-        (shape[0] - x, shape[1] - y, shape[2] - z),
-        (
-            shape[0] + x,
-            shape[1] + y,
-            shape[2] + z,
-        ),
-    )
+    reach = cosine * shape[3] + sine * shape[4], sine * shape[3] + cosine * shape[4], shape[5]
     way = (speed[0], speed[1], speed[2])
-    return (
-        _least(_moved(lower, way, first), _moved(lower, way, last)),
-        _greatest(_moved(upper, way, first), _moved(upper, way, last)),
+    # As seen by the solid the beam starts at all places that the solid comes from.
+    from_ = _least(_moved(beam[0], way, -first), _moved(beam[0], way, -last))
+    to = _greatest(_moved(beam[1], way, -first), _moved(beam[1], way, -last))
+    centre = (shape[0], shape[1], shape[2])
+    return _earliest_in(
+        _minus(centre, reach), _moved(centre, reach, 1.0), (from_, to, beam[2], beam[3])
     )
 
 
 @_compiled
-def _beam(shutter: Shutter, rays: Floats, tile: tuple[int, int, int, int], share: float) -> _Beam:
+def _beam(shutter: Shutter, rays: Floats, tile: _Tile, share: float) -> _Beam:
     """Least and greatest origins and rays of a tile in the world, a pixel wider all round."""
     low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
     from_, to = low, high
     moments = 1 if len(shutter.origins) == 1 else (6 if share > 0.0 else 2)
+    # The rays inside lie between those around; but not where the lens ends inside.
     whole, size = _has_hole(rays, tile), _ZERO
+    height, width = max(tile[1] - 1 - tile[0], 1), max(tile[3] - 1 - tile[2], 1)
+    few = max(height, width) < _CAST_TILE and not whole  # almost straight between corners
     for moment in range(moments):
         row = tile[0] if moment % 2 == 0 else tile[1] - 1
         turn, origin, _ = _pose(shutter, rays.shape[0], row, share * (moment // 2 - 1))
         from_, to = _least(from_, origin), _greatest(to, origin)
-        for i in range(tile[0], tile[1]):
-            # The rays inside lie between those around; but not where the lens ends inside.
-            rim = whole or i == tile[0] or i == tile[1] - 1
-            j = tile[2]
-            while j < tile[3]:
+        for i in range(tile[0], tile[1], height if few else 1):
+            rim = not few and (i == tile[0] or i == tile[1] - 1)
+            for j in range(tile[2], tile[3], 1 if rim or whole else width):
                 if not np.isnan(rays[i, j, 0]):
-                    ray = _turned(turn, (rays[i, j, 0], rays[i, j, 1], rays[i, j, 2]))
+                    ray = _turned(turn, (rays[i, j, 0], rays[i, j, 1], 1.0))
                     low, high = _least(low, ray), _greatest(high, ray)
-                j += 1 if rim else max(tile[3] - 1 - tile[2], 1)
         size = _greatest(size, _pixel_size(rays, tile, turn))
     return from_, to, _minus(low, size), _moved(high, size, 1.0)
 
 
 @_compiled
-def _has_hole(rays: Floats, tile: tuple[int, int, int, int]) -> bool:
+def _has_hole(rays: Floats, tile: _Tile) -> bool:
     """Whether a corner of a tile sees nothing."""
     top, bottom, left, right = tile
     return bool(
@@ -510,7 +706,7 @@ def _has_hole(rays: Floats, tile: tuple[int, int, int, int]) -> bool:
 
 
 @_compiled
-def _pixel_size(rays: Floats, tile: tuple[int, int, int, int], turn: _Turn) -> _Vector:
+def _pixel_size(rays: Floats, tile: _Tile, turn: _Turn) -> _Vector:
     """Greatest change of the rays at the corners of a tile by one pixel."""
     most = _ZERO
     for corner in range(4):
@@ -527,8 +723,17 @@ def _pixel_size(rays: Floats, tile: tuple[int, int, int, int], turn: _Turn) -> _
 
 
 @_compiled
-def _earliest(lower: _Vector, upper: _Vector, beam: _Beam) -> float:
-    """Lower bound of the length at which rays of a beam meet a box; or infinite."""
+def _earliest(bounds: Floats, k: int, beam: _Beam) -> float:
+    """Lower bound of the length at which rays of a beam meet the box bounds[k]; or infinite."""
+    return _earliest_in(
+        (bounds[k, 0], bounds[k, 1], bounds[k, 2]),
+        (bounds[k, 3], bounds[k, 4], bounds[k, 5]),
+        beam,
+    )
+
+
+@_compiled
+def _earliest_in(lower: _Vector, upper: _Vector, beam: _Beam) -> float:
     from_, to, low, high = beam
     near, far = 0.0, np.inf
     for k in range(3):
@@ -597,39 +802,59 @@ def _peak_within(world: World, x0: float, x1: float, y0: float, y1: float) -> fl
 
 
 @_compiled
-def _radiance(
-    world: World,
-    start: _Vector,
-    time: float,
-    ray: _Vector,
-    across: _Vector,
-    down: _Vector,
-    seen: _Seen,
-    samples: int,
-) -> tuple[float, float, int]:
-    """Shade, ray length and number of the face that a ray meets, among the solids seen."""
+def _meet(
+    world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen
+) -> tuple[float, int]:
+    """Ray length and number of the surface that a ray meets, among the solids seen."""
     t, solid, part = _nearest(world, start, time, ray, seen)
     if seen[2] < t:
         below = _ground_hit(world, start, ray, seen[2], t)
         if below < t:
-            hit = _moved(start, ray, below)
-            shade = _ground_shade(world, hit, ray, across, down, below, samples)
-            return shade, below, _ground_number(world)
+            return below, _ground_number(world)
     if solid < 0:
-        return _sky(world, ray), np.inf, _SKY
-    start = _beside(world, solid, start, time)
+        return np.inf, _SKY
+    if part >= _ROUND:
+        return t, 6 * solid
+    # A ray enters through the face that looks towards it.
+    return t, 6 * solid + 2 * part + (0 if _local(world, solid, ray)[part] > 0.0 else 1)
+
+
+@_compiled
+def _shade(
+    world: World,
+    start: _Vector,
+    time: float,
+    ray: _Vector,
+    sides: tuple[_Vector, _Vector],
+    t: float,
+    number: int,
+) -> float:
+    """Radiance where a ray meets a surface, over a footprint with these changes of the ray."""
+    if number == _SKY:
+        return _sky(world, ray)
+    if number == _ground_number(world):
+        return _ground_shade(world, _moved(start, ray, t), ray, sides, t)
+    solid, face = number // 6, number % 6
+    part = _part(world, solid, face)
     to = _local(world, solid, ray)
-    hit = _moved(_local_point(world, solid, start), to, t)
-    normal = _normal(world, solid, part, hit, to)
-    change = (
-        _slid(to, _local(world, solid, across), normal, t),
-        _slid(to, _local(world, solid, down), normal, t),
-    )
-    shade = _texture(world, solid, part, normal, hit, change[0], change[1], samples)
-    number = solid * 6
-    if part < _ROUND:
-        number += _face_of(part, normal)
-    return shade * _light(world, solid, part, normal, hit), t, number
+    hit = _moved(_local_point(world, solid, _beside(world, solid, start, time)), to, t)
+    normal = _normal(world, solid, part, face, hit)
+    facing = _facing(normal, to)
+    first = _slid(to, _local(world, solid, sides[0]), normal, t, facing)
+    second = _slid(to, _local(world, solid, sides[1]), normal, t, facing)
+    shade = _texture(world, solid, part, normal, hit, first, second)
+    return shade * _light(world, solid, part, normal, hit)
+
+
+@_compiled
+def _part(world: World, solid: int, face: int) -> int:
+    """The part of a solid that a face is on: an axis for flat ones, _ROUND or _SIDE."""
+    kind = world.kinds[solid]
+    if kind == _BOX:
+        return face // 2
+    if kind == _ELLIPSOID:
+        return _ROUND
+    return 2 if face >= 4 else _SIDE
 
 
 @_compiled
@@ -651,7 +876,7 @@ def _nearest(
 @_compiled
 def _beside(world: World, solid: int, start: _Vector, time: float) -> _Vector:
     """Where a point is relative to a solid's place at the frame's stamp."""
-    mover = solid - (len(world.kinds) - len(world.movers.bodies))
+    mover = solid - len(world.bounds)
     if mover < 0:
         return start
     speed = world.movers.velocities[mover]
@@ -705,11 +930,10 @@ def _round_span(o: _Vector, d: _Vector, x: float, y: float, z: float) -> _Pair:
 
 
 @_compiled
-def _normal(world: World, solid: int, part: int, hit: _Vector, ray: _Vector) -> _Vector:
-    """Outward unit normal where a ray enters, in the solid's own frame."""
+def _normal(world: World, solid: int, part: int, face: int, hit: _Vector) -> _Vector:
+    """Outward unit normal at a point of a face, in the solid's own frame."""
     if part < _ROUND:
-        sign = -1.0 if ray[part] > 0.0 else 1.0
-        return _along(part, sign)
+        return _along(part, 2.0 * (face % 2) - 1.0)
     shape = world.shapes[solid]
     x, y = hit[0] / (shape[3] * shape[3]), hit[1] / (shape[4] * shape[4])
     z = hit[2] / (shape[5] * shape[5]) if part == _ROUND else 0.0
@@ -718,15 +942,22 @@ def _normal(world: World, solid: int, part: int, hit: _Vector, ray: _Vector) -> 
 
 
 @_compiled
-def _slid(ray: _Vector, change: _Vector, normal: _Vector, t: float) -> _Vector:
-    """How the hit point moves on the surface when the ray changes (Igehy 1999, eq. 10 to 12)."""
-    facing = _dot(normal, ray)
-    share = _dot(normal, change) / min(facing, -1e-9)
+def _slid(ray: _Vector, change: _Vector, normal: _Vector, t: float, facing: float) -> _Vector:
+    """How the hit point moves on the surface when the ray changes (Igehy 1999, eq. 10 to 12).
+
+    `facing` is 1 / (normal · ray).
+    """
+    share = _dot(normal, change) * facing
     return (
         t * (change[0] - share * ray[0]),
         t * (change[1] - share * ray[1]),
         t * (change[2] - share * ray[2]),
     )
+
+
+@_compiled
+def _facing(normal: _Vector, ray: _Vector) -> float:
+    return 1.0 / min(_dot(normal, ray), -1e-9)
 
 
 @_compiled
@@ -741,7 +972,7 @@ def _sky(world: World, ray: _Vector) -> float:
     rise = slope / np.sqrt(1.0 + slope * slope)
     mist = (1.0 - rise) ** 4
     spread = _CLOUDS_PER_TURN / (ray[2] + 0.25 * flat)
-    stain = len(world.atlas.widths) - 1
+    stain = len(world.atlas.levels) - 1
     value = _bilinear(world, stain, 2, spread * ray[0], spread * ray[1]) / 255.0
     cloud = min(max(2.5 * (value - 0.5), 0.0), 1.0)
     clear = radiance + (0.97 - radiance) * cloud
@@ -849,12 +1080,13 @@ def _ground_normal(world: World, x: float, y: float) -> _Vector:
 
 @_compiled
 def _ground_shade(
-    world: World, hit: _Vector, ray: _Vector, across: _Vector, down: _Vector, t: float, samples: int
+    world: World, hit: _Vector, ray: _Vector, sides: tuple[_Vector, _Vector], t: float
 ) -> float:
     """Shade of the ground: its texture laid on from above, stains and baked light."""
     relief = world.relief
     normal = _ground_normal(world, hit[0], hit[1])
-    a, d = _slid(ray, across, normal, t), _slid(ray, down, normal, t)
+    facing = _facing(normal, ray)
+    a, d = _slid(ray, sides[0], normal, t, facing), _slid(ray, sides[1], normal, t, facing)
     k = relief.density
     value = _filtered(
         world,
@@ -863,7 +1095,6 @@ def _ground_shade(
         -k * hit[1],
         (k * a[0], -k * a[1]),
         (k * d[0], -k * d[1]),
-        samples,
     )
     if relief.stain > 0.0:
         k *= STAIN_PER_TEXEL
@@ -924,6 +1155,15 @@ def _greatest(a: _Vector, b: _Vector) -> _Vector:
 @_compiled
 def _turned(turn: _Turn, v: _Vector) -> _Vector:
     return _dot(turn[0], v), _dot(turn[1], v), _dot(turn[2], v)
+
+
+@_compiled
+def _turned_flat(turn: _Turn, v: _Pair) -> _Vector:
+    return (
+        turn[0][0] * v[0] + turn[0][1] * v[1],
+        turn[1][0] * v[0] + turn[1][1] * v[1],
+        turn[2][0] * v[0] + turn[2][1] * v[1],
+    )
 
 
 @_compiled
@@ -998,7 +1238,6 @@ def _texture(
     hit: _Vector,
     across: _Vector,
     down: _Vector,
-    samples: int,
 ) -> float:
     """Texture averaged over a pixel's footprint, given by its two sides on the surface."""
     if part == _SIDE:
@@ -1013,9 +1252,9 @@ def _texture(
         a, d = _on_face(axis, sign, across), _on_face(axis, sign, down)
     su, sv = world.scales[solid, axis, 0], world.scales[solid, axis, 1]
     texture = world.textures[solid]
-    u = su * right + world.offsets[solid, 0] + 0.5 * world.atlas.widths[texture, 0]
-    v = sv * low + world.offsets[solid, 1] + 0.5 * world.atlas.heights[texture, 0]
-    value = _filtered(world, texture, u, v, (su * a[0], sv * a[1]), (su * d[0], sv * d[1]), samples)
+    u = su * right + world.offsets[solid, 0] + 0.5 * world.atlas.levels[texture, 0, 2]
+    v = sv * low + world.offsets[solid, 1] + 0.5 * world.atlas.levels[texture, 0, 1]
+    value = _filtered(world, texture, u, v, (su * a[0], sv * a[1]), (su * d[0], sv * d[1]))
     if world.stains[solid, 0] > 0.0:
         scale = world.stains[solid, 1]
         size = scale * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
@@ -1052,62 +1291,77 @@ def _on_face(axis: int, sign: float, local: _Vector) -> _Pair:
 @_compiled
 def _stain(world: World, u: float, v: float, size: float) -> float:
     """The stain, 0…1, blurred to a footprint of `size` texels."""
-    texture = len(world.atlas.widths) - 1
-    level = min(max(np.log2(max(size, 1e-9)), 0.0), LEVELS - 1.001)
-    base = int(level)
-    value = (1.0 - level + base) * _bilinear(world, texture, base, u, v)
-    if level > base:
-        value += (level - base) * _bilinear(world, texture, base + 1, u, v)
-    return float(value / 255.0)
+    base, next_share = _level(size * size)
+    return _trilinear(world, len(world.atlas.levels) - 1, base, next_share, u, v) / 255.0
 
 
 @_compiled
-def _filtered(
-    world: World,
-    texture: int,
-    u: float,
-    v: float,
-    first: _Pair,
-    second: _Pair,
-    samples: int,
-) -> float:
-    """Trilinear samples along the longer side of a footprint given by its two sides in texels."""
-    long = np.sqrt(first[0] ** 2 + first[1] ** 2)
-    short = np.sqrt(second[0] ** 2 + second[1] ** 2)
+def _level(square: float) -> tuple[int, float]:
+    """Mip-map level for a footprint of so many texels squared, and the share of the next level."""
+    if square <= 1.0:
+        return 0, 0.0
+    mantissa, exponent = math.frexp(square)  # log2 with straight lines between powers of two
+    level, share = (exponent - 1) >> 1, mantissa - 0.5 + 0.5 * ((exponent - 1) & 1)
+    share = 2.0 * share - 0.5  # half of the time one level is enough
+    if share >= 1.0:
+        level, share = level + 1, 0.0
+    return (level, max(share, 0.0)) if level < LEVELS - 1 else (LEVELS - 1, 0.0)
+
+
+@_compiled
+def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, second: _Pair) -> float:
+    """Samples along the longer side of a footprint given by its two sides in texels, 0…1."""
+    long = first[0] * first[0] + first[1] * first[1]
+    short = second[0] * second[0] + second[1] * second[1]
     along = first
     if short > long:
         long, short, along = short, long, second
-    count = min(max(int(long / max(short, 1e-9) + 0.6), 1), samples)
-    short = max(short, long / count)  # rather a little blur than aliasing
-    level = min(max(np.log2(short), 0.0), LEVELS - 1.001)
-    base = int(level)
+    if long <= _ONE_SAMPLE * max(short, 1.0):
+        # Rather a little blur than aliasing.
+        base, next_share = _level(long)
+        return _trilinear(world, texture, base, next_share, u, v) / 255.0
+    count = min(int(np.sqrt(long / max(short, 1.0)) + 0.4), _MAX_ANISOTROPY)
+    step = 1.0 / count
+    base, next_share = _level(max(short, long * step * step))
+    step_u, step_v = step * along[0], step * along[1]
+    u, v = u - 0.5 * (count - 1) * step_u, v - 0.5 * (count - 1) * step_v
     total = 0.0
-    for i in range(count):
-        shift = (i + 0.5) / count - 0.5
-        su, sv = u + shift * along[0], v + shift * along[1]
-        total += (1.0 - level + base) * _bilinear(world, texture, base, su, sv)
-        if level > base:
-            total += (level - base) * _bilinear(world, texture, base + 1, su, sv)
-    return total / (255.0 * count)
+    for _ in range(count):
+        total += _trilinear(world, texture, base, next_share, u, v)
+        u, v = u + step_u, v + step_v
+    return total * step / 255.0
+
+
+@_compiled
+def _trilinear(
+    world: World, texture: int, level: int, next_share: float, u: float, v: float
+) -> float:
+    value = _bilinear(world, texture, level, u, v)
+    if next_share > 0.0:
+        value += next_share * (_bilinear(world, texture, level + 1, u, v) - value)
+    return value
 
 
 @_compiled
 def _bilinear(world: World, texture: int, level: int, u: float, v: float) -> float:
-    atlas = world.atlas
-    width, height = atlas.widths[texture, level], atlas.heights[texture, level]
-    start = atlas.offsets[texture, level]
+    levels = world.atlas.levels
+    start, height, width = (
+        levels[texture, level, 0],
+        levels[texture, level, 1],
+        levels[texture, level, 2],
+    )
     shrink = 1.0 / (1 << level)
     u, v = u * shrink - 0.5, v * shrink - 0.5
-    left, top = np.floor(u), np.floor(v)
+    left, top = math.floor(u), math.floor(v)
     fu, fv = u - left, v - top
-    j, i = int(left) & (width - 1), int(top) & (height - 1)
+    j, i = left & (width - 1), top & (height - 1)
     j1, i1 = (j + 1) & (width - 1), (i + 1) & (height - 1)
     upper, lower = start + i * width, start + i1 * width
-    texels = atlas.texels
-    return float(
-        (1.0 - fv) * ((1.0 - fu) * texels[upper + j] + fu * texels[upper + j1])
-        + fv * ((1.0 - fu) * texels[lower + j] + fu * texels[lower + j1])
-    )
+    texels = world.atlas.texels
+    a, b = float(texels[upper + j]), float(texels[lower + j])
+    a += fu * (texels[upper + j1] - a)
+    b += fu * (texels[lower + j1] - b)
+    return a + fv * (b - a)
 
 
 # --- Light on surfaces -----------------------------------------------------------------------
@@ -1116,7 +1370,7 @@ def _bilinear(world: World, texture: int, level: int, u: float, v: float) -> flo
 @_compiled
 def _light(world: World, solid: int, part: int, normal: _Vector, hit: _Vector) -> float:
     """Light at a point of a solid: baked, bilinear; or simple on what moves."""
-    mover = solid - (len(world.kinds) - len(world.movers.bodies))
+    mover = solid - len(world.bounds)
     if mover >= 0:
         return _simple_light(world, mover, _upright(world, solid, normal))
     shape = world.shapes[solid]
@@ -1136,14 +1390,13 @@ def _light(world: World, solid: int, part: int, normal: _Vector, hit: _Vector) -
 @_compiled
 def _baked(world: World, solid: int, face: int, right: float, up: float) -> float:
     """Light at a point of a face, -1…1 along its own axes."""
-    lights = world.lights
-    rows, columns = lights.sizes[solid, face, 0], lights.sizes[solid, face, 1]
+    grids, values = world.lights.grids, world.lights.values
+    rows, columns = grids[solid, face, 1], grids[solid, face, 2]
     right, up = (0.5 + 0.5 * right) * (columns - 1), (0.5 + 0.5 * up) * (rows - 1)
     j = min(max(int(right), 0), columns - 2)
     i = min(max(int(up), 0), rows - 2)
     fu, fv = right - j, up - i
-    at = lights.offsets[solid, face] + i * columns + j
-    values = lights.values
+    at = grids[solid, face, 0] + i * columns + j
     return float(
         (1.0 - fv) * ((1.0 - fu) * values[at] + fu * values[at + 1])
         + fv * ((1.0 - fu) * values[at + columns] + fu * values[at + columns + 1])
@@ -1181,7 +1434,7 @@ def light_faces(
     lights = world.lights
     for number in range(faces[0], faces[1]):
         solid, face = number // 6, number % 6
-        rows, columns = lights.sizes[solid, face, 0], lights.sizes[solid, face, 1]
+        begin, rows, columns = lights.grids[solid, face]
         for i in range(rows):
             for j in range(columns):
                 right, up = 2.0 * j / (columns - 1) - 1.0, 2.0 * i / (rows - 1) - 1.0
@@ -1191,7 +1444,7 @@ def light_faces(
                 shape = world.shapes[solid]
                 here = _moved(_upright(world, solid, here), (shape[0], shape[1], shape[2]), 1.0)
                 outward = _upright(world, solid, normal)
-                lights.values[lights.offsets[solid, face] + i * columns + j] = _all_light(
+                lights.values[begin + i * columns + j] = _all_light(
                     world, here, outward, tint, solid, lamps, lamp_points, to_sky
                 )
 
@@ -1317,9 +1570,9 @@ def _surface_point(
             p = (p[0] / flat, p[1] / flat, p[2])
     hit = (p[0] * shape[3], p[1] * shape[4], p[2] * shape[5])
     if kind == _ELLIPSOID:
-        normal = _normal(world, solid, _ROUND, hit, _ZERO)
+        normal = _normal(world, solid, _ROUND, 0, hit)
     elif kind != _BOX and axis < 2:
-        normal = _normal(world, solid, _SIDE, hit, _ZERO)
+        normal = _normal(world, solid, _SIDE, 0, hit)
     return hit, normal
 
 

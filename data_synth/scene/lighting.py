@@ -24,9 +24,9 @@ def lit(world: World, lighting: Lighting) -> World:
     counts = sizes.prod(axis=2).ravel()
     ends = np.cumsum(counts)
     values = np.zeros(ends[-1] if len(ends) else 0, np.float32)
-    starts = (ends - counts).reshape(-1, 6)
+    grids = np.dstack([(ends - counts).reshape(-1, 6), sizes])
     world = world._replace(
-        lights=Lights(values, starts, sizes),
+        lights=Lights(values, grids),
         sources=_sources(lighting),
         relief=_relief(world, lighting),
     )
@@ -75,7 +75,7 @@ def _relief(world: World, lighting: Lighting) -> Relief:
 
 def _sizes(world: World, lighting: Lighting) -> Ints:
     """Rows and columns (N, 6, 2) of the grid on each face."""
-    sides = 2.0 * world.shapes[: world.still, 3:6]
+    sides = 2.0 * world.shapes[: len(world.bounds), 3:6]
     counts = 2 + np.ceil(sides * lighting.points_per_m).astype(np.int64)
     counts = np.minimum(counts, max(2, lighting.most_points))
     rows, columns = counts[:, [2, 2, 1]], counts[:, [1, 0, 0]]

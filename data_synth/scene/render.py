@@ -21,8 +21,6 @@ from data_synth.scene.world import World
 from vo.geometry.cameras import normalise
 from vo.types import Camera, Floats, Floats32
 
-_BAND_ROWS = 3 * kernels.TILE
-
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
@@ -59,7 +57,8 @@ def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecuto
     sharp, image = np.empty(shape, np.float32), np.empty(shape, np.float32)
     depth, surface = np.empty(shape, np.float32), np.empty(shape, np.int32)
     crossed = np.zeros(shape, np.uint8)
-    bands = [(top, min(top + _BAND_ROWS, shape[0])) for top in range(0, shape[0], _BAND_ROWS)]
+    step = kernels.BAND_ROWS
+    bands = [(top, min(top + step, shape[0])) for top in range(0, shape[0], step)]
 
     def cast(band: tuple[int, int]) -> None:
         kernels.cast_rows(world, shutter, rays, band, sharp, depth, surface)

@@ -30,13 +30,12 @@ class Lights(NamedTuple):
 
     Attributes:
         values: (L,) float32, all faces row by row.
-        offsets: (N, 6) where each face begins; face 2 * axis + (1 if outward is positive).
-        sizes: (N, 6, 2) rows and columns, at least two each.
+        grids: (N, 6, 3) where each face begins, its rows and its columns, at least two each; the
+            faces are numbered 2 * axis + (1 if outward is positive).
     """
 
     values: Floats32
-    offsets: Ints
-    sizes: Ints
+    grids: Ints
 
 
 class Sources(NamedTuple):
@@ -85,7 +84,9 @@ class World(NamedTuple):
         offsets: (N, 2) texels.
         fitted: (N,) whether the texture is fitted to each face.
         stains: (N, 2) strength, and texels of the stain per metre.
-        tree: of the solids that do not move.
+        bounds: (S, 6) lower and upper corners of boxes around the S <= N solids that do not move,
+            which come first.
+        tree: of these solids.
         atlas: the textures; the last one is the stain.
         lights: the light on the faces of the solids that do not move.
         sources: where the light comes from.
@@ -100,17 +101,13 @@ class World(NamedTuple):
     offsets: Floats
     fitted: Bools
     stains: Floats
+    bounds: Floats
     tree: Tree
     atlas: Atlas
     lights: Lights
     sources: Sources
     relief: Relief
     movers: Movers
-
-    @property
-    def still(self) -> int:
-        """How many solids do not move; they come first."""
-        return len(self.kinds) - len(self.movers.bodies)
 
 
 def build_world(
@@ -130,6 +127,7 @@ def build_world(
     """
     everything = [*solids, *(solid for _, solid in movers)]
     shapes = np.array([_shape(s) for s in everything], dtype=np.float64).reshape(-1, 8)
+    bounds = _bounds(shapes[: len(solids)])
     atlas = pack([*textures, soft_noise(_STAIN_SIDE, _STAIN_SLOPE, _STAIN_SEED)])
     densities = np.array([s.density or 0.0 for s in everything])
     stain_scales = np.where(densities > 0, STAIN_PER_TEXEL * densities, _STAIN_TEXELS_PER_M)
@@ -141,7 +139,8 @@ def build_world(
         offsets=np.array([s.offset for s in everything], dtype=np.float64),
         fitted=densities == 0.0,
         stains=np.column_stack([[s.stain for s in everything], stain_scales]),
-        tree=grow(bounds_of(shapes[: len(solids)])),
+        bounds=bounds,
+        tree=grow(bounds),
         atlas=atlas,
         lights=_darkness(len(solids)),
         sources=Sources(0.8, np.zeros(3), 0.0, 0.0, np.zeros((0, 5))),
@@ -166,7 +165,7 @@ def clearance(world: World, points: Floats) -> Floats:
 
 
 def _clearance(world: World, points: Floats) -> Floats:
-    shapes = world.shapes[: world.still]
+    shapes = world.shapes[: len(world.bounds)]
     relative = points[:, None] - shapes[:, :3]
     cosine, sine = shapes[:, 6], shapes[:, 7]
     local = np.stack(
@@ -181,7 +180,7 @@ def _clearance(world: World, points: Floats) -> Floats:
     return np.asarray(np.linalg.norm(outside, axis=-1).min(axis=1, initial=np.inf))
 
 
-def bounds_of(shapes: Floats) -> Floats:
+def _bounds(shapes: Floats) -> Floats:
     """Lower and upper corners (N, 6) of upright boxes around solids."""
     halves, cosine, sine = shapes[:, 3:6], np.abs(shapes[:, 6]), np.abs(shapes[:, 7])
     reach = np.column_stack(
@@ -216,5 +215,5 @@ def _movers(movers: Sequence[tuple[int, Solid]]) -> Movers:
 
 
 def _darkness(solids: int) -> Lights:
-    offsets, sizes = np.zeros((solids, 6), np.int64), np.full((solids, 6, 2), 2, np.int64)
-    return Lights(np.zeros(4, np.float32), offsets, sizes)
+    grids = np.tile(np.array([0, 2, 2]), (solids, 6, 1))
+    return Lights(np.zeros(4, np.float32), grids)
