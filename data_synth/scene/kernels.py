@@ -290,8 +290,10 @@ def _mean_radiance(
             turn, start, time = _pose(shutter, rows, row, grains[k, 2])
         to = _turned(turn, _within(ray, across, down, grains[k, 0], grains[k, 1]))
         t, number = _meet(world, start, time, to, seen)
-        group = 0
-        while group < count and numbers[group] != number:
+        inverse, group = 1.0 / t, 0
+        while group < count and not (
+            numbers[group] == number and _is_near(inverse, groups[group, 4] / groups[group, 0])
+        ):
             group += 1
         if group == count:
             if group == len(numbers):  # so many surfaces that it does not matter which
@@ -305,7 +307,7 @@ def _mean_radiance(
         groups[group, 1] += grains[k, 0]
         groups[group, 2] += grains[k, 1]
         groups[group, 3] += grains[k, 2]
-        groups[group, 4] += 1.0 / t
+        groups[group, 4] += inverse
     total = 0.0
     for group in range(count):
         size = groups[group, 0]
@@ -317,9 +319,18 @@ def _mean_radiance(
         motion = _motion(world, shutter, rays, sweep, inverse, numbers[group], row, column)
         first, second = _footprint(across, down, motion, size / many)
         sides = (_turned_flat(turn, first), _turned_flat(turn, second))
-        shade = _shade(world, start, time, to, sides, 1.0 / inverse, numbers[group])
+        t = 1.0 / inverse
+        if numbers[group] == _ground_number(world):  # it bends too much for a mean length
+            t = min(_ground_hit(world, start, to, 0.9 * t, 1.1 * t), 1.1 * t)
+        shade = _shade(world, start, time, to, sides, t, numbers[group])
         total += size * shade
     return total / many
+
+
+@_compiled
+def _is_near(inverse: float, mean: float) -> bool:
+    """Whether a point is of the same piece of a surface: one hill may hide another."""
+    return abs(inverse - mean) <= 0.05 * mean
 
 
 @_compiled
@@ -335,8 +346,8 @@ def _within(ray: _Pair, across: _Pair, down: _Pair, u: float, v: float) -> _Vect
 @_compiled
 def _footprint(across: _Pair, down: _Pair, motion: _Pair, share: float) -> tuple[_Pair, _Pair]:
     """Changes of the ray along and across a motion, over a share of a pixel and of its time."""
-    length = np.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
-    size = np.sqrt(share)
+    length = math.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
+    size = math.sqrt(share)
     if length * share <= size:
         return (size * across[0], size * across[1]), (size * down[0], size * down[1])
     u, v = share * motion[0], share * motion[1]
@@ -1361,7 +1372,7 @@ def _bilinear(world: World, texture: int, level: int, u: float, v: float) -> flo
     a, b = float(texels[upper + j]), float(texels[lower + j])
     a += fu * (texels[upper + j1] - a)
     b += fu * (texels[lower + j1] - b)
-    return a + fv * (b - a)
+    return float(a + fv * (b - a))
 
 
 # --- Light on surfaces -----------------------------------------------------------------------
