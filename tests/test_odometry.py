@@ -22,7 +22,7 @@ from vo.odometry import Odometry
 from vo.types import Estimate, Floats, Frame, Rig, State
 
 FPS, FIRST, COUNT = 15.0, 15, 40  # a second after the start, when the walk is under way
-CONFIG = Config(features=FeaturesConfig(count=800))  # enough for small images
+CONFIG = Config(threads=1, features=FeaturesConfig(count=800))  # enough for small images
 Change = Callable[[Frame], Frame]
 
 
@@ -94,8 +94,9 @@ def _recording() -> Recording:
 
 def _run(rig: Rig, frames: Iterable[Frame], config: Config = CONFIG) -> Run:
     odometry = Odometry(rig, config)
-    estimates = [odometry.step(frame) for frame in frames]
+    estimates = list(odometry.steps(frames))
     odometry.finish()
+    odometry.close()
     return Run(odometry, estimates)
 
 
@@ -214,6 +215,25 @@ def test_true_poses_lie_within_a_few_sigmas(stereo: Run, recording: Recording) -
 def test_stereo_is_bit_identical_when_run_again(stereo: Run, recording: Recording) -> None:
     again = _run(recording.rig, recording.frames)
     np.testing.assert_array_equal(again.path, stereo.path)
+
+
+@pytest.mark.parametrize("kind", ["stereo", "mono"])
+@pytest.mark.parametrize("threads", [2, 4])
+def test_the_number_of_threads_makes_no_difference(
+    kind: str, threads: int, request: pytest.FixtureRequest, recording: Recording
+) -> None:
+    alone: Run = request.getfixturevalue(kind)
+    rig = recording.rig if kind == "stereo" else recording.mono_rig
+    frames = recording.frames if kind == "stereo" else recording.mono()
+    many = _run(rig, frames, CONFIG.model_copy(update={"threads": threads}))
+    np.testing.assert_array_equal(many.path, alone.path)
+    for one, other in zip(many.estimates, alone.estimates, strict=True):
+        assert one.state == other.state
+        np.testing.assert_array_equal(one.world_from_cam0, other.world_from_cam0)
+    covariances = [
+        [k.covariance for k in run.odometry.history.keyframes.values()] for run in (many, alone)
+    ]
+    np.testing.assert_array_equal(*covariances)
 
 
 # Disparity offset

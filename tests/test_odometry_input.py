@@ -15,7 +15,7 @@ from vo.odometry import Odometry
 from vo.sources.registry import open_source
 from vo.types import Estimate, Floats, Frame, Rig, State
 
-FAST = load_config("fast")
+FAST = load_config("fast", ["threads=1"])
 COUNT = 30
 
 

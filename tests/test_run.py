@@ -17,8 +17,10 @@ from vo.config import Config, load_config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import read_tum
 from vo.odometry import Odometry
+from vo.pipeline.later import Later
+from vo.pipeline.working_frame import WorkingFrame
 from vo.run import run
-from vo.types import Estimate, Frame, Rig, Trajectory
+from vo.types import Estimate, Rig, Trajectory
 
 FAST = load_config("fast")
 WHOLE = {"trajectory.tum", "causal.tum", "covariance.csv", "summary.json", "config.yaml"}
@@ -124,14 +126,14 @@ def test_ctrl_c_keeps_what_was_computed(synthetic_stereo: Path, tmp_path: Path) 
 def test_an_error_keeps_what_was_computed(
     synthetic_stereo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = Odometry.step
+    step = Odometry._step
 
-    def failing(self: Odometry, frame: Frame) -> Estimate:
-        if frame.index == 3:
+    def failing(self: Odometry, coming: Later[WorkingFrame]) -> Estimate:
+        if coming.result().index == 3:
             raise ZeroDivisionError("division\nby zero")
-        return step(self, frame)
+        return step(self, coming)
 
-    monkeypatch.setattr(Odometry, "step", failing)
+    monkeypatch.setattr(Odometry, "_step", failing)
     with pytest.raises(ZeroDivisionError):
         run(synthetic_stereo, tmp_path, config=FAST)
     assert len(read_tum(tmp_path / "trajectory.tum")) == 3

@@ -137,6 +137,9 @@ class Config(Section):
     """All settings of a run."""
 
     seed: int = Field(0, ge=0, description="seed of every random choice")
+    threads: int = Field(
+        0, ge=0, description="cores to work on, 0 for all; the result is the same with any number"
+    )
     features: FeaturesConfig = FeaturesConfig()
     stereo: StereoConfig = StereoConfig()
     start: StartConfig = StartConfig()

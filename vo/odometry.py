@@ -7,29 +7,30 @@ and are smoothed together with the keyframes before them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from vo.config import Config
-from vo.features.orb import OrbDetector
 from vo.geometry.rectification import working_rig
 from vo.geometry.transforms import adjoint, inverse, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import Window, cull, make_window, take_in
+from vo.pipeline.cores import available_cores
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
 from vo.pipeline.grow import grow_mono, grow_stereo, look_back, looks_swapped
 from vo.pipeline.history import History
 from vo.pipeline.keyframe import add_keyframe, add_tracked, wants_keyframe
+from vo.pipeline.later import Later
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
 from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
 from vo.pipeline.view import Seen, make_view
-from vo.pipeline.working_frame import WorkingFrame, prepare
-from vo.smoothing.smoother import Smoother, SmootherHere
+from vo.pipeline.working_frame import Preparation, WorkingFrame
+from vo.smoothing.smoother import make_smoother
 from vo.smoothing.solution import WindowSolution
 from vo.tracking.motion import ConstantVelocity
 from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, State
@@ -43,14 +44,19 @@ _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segmen
 
 
 class Odometry:
-    """Turns frames into poses, one `step` a frame."""
+    """Turns frames into poses, one `step` a frame; `close` it at the end.
+
+    How many threads there are, and how fast, makes no difference to any pose.
+    """
 
     def __init__(self, rig: Rig, config: Config) -> None:
         cv2.setRNGSeed(config.seed)
         self.history = History()
         self._config = config
         self._rig = working_rig(rig)
-        self._detector = OrbDetector(config.features)
+        threads = config.threads or available_cores()
+        self._smoother = make_smoother(config.smoothing, threads)
+        self._preparation = Preparation(config.features, threads=threads)
         capacity = config.smoothing.window + config.smoothing.fixed
         self._map = Map(capacity, self._rig.height, self._rig.width)
         self._motion = ConstantVelocity()
@@ -60,7 +66,6 @@ class Odometry:
         self._segment = 0
         self._lost_for = 0
         self._last: Seen | None = None
-        self._smoother: Smoother = SmootherHere(config.smoothing)
         self._window: Window | None = None  # that the smoother works on
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_stereo else _ANSWER_AFTER_MONO
         self._frames_since_asked = 0
@@ -73,9 +78,17 @@ class Odometry:
 
     def step(self, frame: Frame) -> Estimate:
         """Take in the next frame."""
+        return self._step(self._preparation.later(frame, self._rig))
+
+    def steps(self, frames: Iterable[Frame]) -> Iterator[Estimate]:
+        """`step` after `step`, each frame read and made ready while the one before is tracked."""
+        for coming in self._preparation.ahead(frames, self._rig):
+            yield self._step(coming)
+
+    def _step(self, coming: Later[WorkingFrame]) -> Estimate:
         clock = Stopwatch()
         with clock.stage("features"):
-            working = prepare(frame, self._rig, self._detector)
+            working = coming.result()
         reason, tracked = "", None
         self._frames_since_asked += 1
         if self._frames_since_asked > self._answer_after:
@@ -100,6 +113,7 @@ class Odometry:
     def close(self) -> None:
         """Let go of threads and processes; no frame can follow."""
         self._smoother.close()
+        self._preparation.close()
 
     # --- placing a frame in the map ---------------------------------------------------------
 
@@ -144,6 +158,8 @@ class Odometry:
             pose = self._cam0(tracked.world_from_cam)
             self.history.add(frame.index, frame.stamp_ns, self._segment, newest.id, pose)
             return None
+        if frame.right is not None:
+            frame.right.begin()
         with clock.stage("map"):
             keyframe = add_tracked(self._map, frame, tracked, self._segment, self._config)
         if self._rig.is_stereo:  # the smoother works while the map grows
@@ -156,7 +172,7 @@ class Odometry:
 
     def _grow(self, keyframe: Keyframe, frame: WorkingFrame) -> None:
         if frame.image1 is not None:
-            grow_stereo(self._map, keyframe, frame, self._rig, self._detector, self._config)
+            grow_stereo(self._map, keyframe, frame, self._rig, self._config)
         else:
             grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)
         look_back(self._map, keyframe, self._rig, self._config)
@@ -231,11 +247,11 @@ class Odometry:
         anchor = self._motion.last
         keyframe = add_keyframe(self._map, frame, anchor, self._segment, everything)
         keyframe.covariance = np.zeros((6, 6))  # what comes later is measured against it
-        count = grow_stereo(self._map, keyframe, frame, self._rig, self._detector, self._config)
+        count = grow_stereo(self._map, keyframe, frame, self._rig, self._config)
         if count >= self._config.start.min_points:
             return keyframe
         self._map.clear()
-        if looks_swapped(frame, self._rig, self._detector, self._config):
+        if looks_swapped(frame, self._rig, self._config):
             return "disparities are negative: left and right images seem to be swapped"
         needed = self._config.start.min_points
         return f"{count} landmarks from left and right, {needed} needed"

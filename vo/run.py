@@ -128,8 +128,8 @@ class _Run:
         """
         clock = Stopwatch()
         with _interrupt_between_frames() as check:
-            for frame in _timed(frames, clock):
-                self._take_in(frame, clock)
+            for estimate in self._odometry.steps(_timed(frames, clock)):
+                self._take_in(estimate, clock)
                 self._account.note_time(clock.stage_ms)
                 clock.stage_ms.clear()
                 self._refresh_if_due()
@@ -173,15 +173,14 @@ class _Run:
     def _finish_recording(self) -> None:
         self._recorder.finish(_trajectory(self._causal), self._odometry.history.trajectory())
 
-    def _take_in(self, frame: Frame, clock: Stopwatch) -> None:
-        estimate = self._odometry.step(frame)
+    def _take_in(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._account.note(estimate)
         clock.stage_ms.update(estimate.stage_ms)
         with clock.stage("write"):
             self._write(estimate)
         with clock.stage("record"):
             self._recorder.record(estimate)
-        done = (frame.index - self._facts.start) // self._facts.stride + 1
+        done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1
         self._progress.step(done, estimate)
 
     def _write(self, estimate: Estimate) -> None:

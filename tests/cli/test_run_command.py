@@ -185,7 +185,7 @@ def test_a_bug_keeps_its_traceback(
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("vo.odometry.Odometry.step", broken)
+    monkeypatch.setattr("vo.odometry.Odometry._step", broken)
     assert isinstance(vo_run(images, out).exception, ZeroDivisionError)
 
 

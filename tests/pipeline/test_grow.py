@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from vo.config import Config
-from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig, working_rig
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.grow import far_from, grow_mono, grow_stereo, look_back, stereo_disparity
 from vo.pipeline.start import add_keyframe
-from vo.pipeline.working_frame import WorkingFrame, prepare
+from vo.pipeline.working_frame import Preparation, WorkingFrame
 from vo.types import Bytes, Camera, Floats, Frame, Rig
 
 WIDTH, HEIGHT, FOCAL = 480, 320, 380.0
@@ -64,7 +63,7 @@ class Scene:
     def __init__(self, texture: Bytes, rig: Rig) -> None:
         self.texture = texture
         self.rig: WorkingRig = working_rig(rig)
-        self.detector = OrbDetector(CONFIG.features)
+        self.preparation = Preparation(CONFIG.features, threads=1)
         self.map = Map(4, HEIGHT, WIDTH)
 
     def frame(self, world_from_cam: Floats, *, shift_right_px: float = 0.0) -> WorkingFrame:
@@ -77,7 +76,8 @@ class Scene:
             )
         number = len(self.map.keyframes)
         image0 = _view(self.texture, world_from_cam)
-        return prepare(Frame(number, number, image0, image1), self.rig, self.detector)
+        frame = Frame(number, number, image0, image1)
+        return self.preparation.later(frame, self.rig).result()
 
     def keyframe(self, frame: WorkingFrame, world_from_cam: Floats) -> Keyframe:
         free = np.ones(len(frame.keypoints), dtype=bool)
@@ -116,7 +116,7 @@ def test_stereo_landmarks_lie_on_the_wall(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = scene.frame(SIDEWAYS)
     keyframe = scene.keyframe(frame, SIDEWAYS)
-    count = grow_stereo(scene.map, keyframe, frame, scene.rig, scene.detector, CONFIG)
+    count = grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
     assert count == len(scene.map) == len(keyframe.landmark) > 250
     errors = scene.depth_errors()
     assert np.median(np.abs(errors)) < 0.003
@@ -129,7 +129,7 @@ def test_disparities_are_those_of_the_wall(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = scene.frame(np.eye(4))
     rows = np.arange(0, len(frame.keypoints), 2)
-    found = stereo_disparity(frame, rows, scene.rig, scene.detector, CONFIG)
+    found = stereo_disparity(frame, rows, scene.rig, CONFIG)
     rays = scene.rig.back_project(frame.ideal_xy[rows], np.ones(len(rows)))
     expected = FOCAL * BASELINE_M / _on_wall(rays, np.eye(4))[:, 2]
     assert np.isfinite(found).mean() > 0.4
@@ -143,7 +143,7 @@ def test_a_known_disparity_offset_is_taken_off(texture: Bytes) -> None:
     scene.rig = replace(scene.rig, disparity_offset_px=0.6)
     frame = scene.frame(np.eye(4), shift_right_px=0.6)
     keyframe = scene.keyframe(frame, np.eye(4))
-    grow_stereo(scene.map, keyframe, frame, scene.rig, scene.detector, CONFIG)
+    grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
     assert abs(np.median(scene.depth_errors())) < 0.002
 
 
@@ -151,7 +151,7 @@ def test_without_a_right_image_nothing_grows(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = replace(scene.frame(np.eye(4)), image1=None)
     keyframe = scene.keyframe(frame, np.eye(4))
-    assert grow_stereo(scene.map, keyframe, frame, scene.rig, scene.detector, CONFIG) == 0
+    assert grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) == 0
     assert len(scene.map) == 0 and keyframe.free.all()
 
 
@@ -161,7 +161,7 @@ def test_a_right_image_of_something_else_gives_next_to_nothing(texture: Bytes) -
     other = np.ascontiguousarray(frame.image0[::-1])
     frame = replace(frame, image1=other)
     keyframe = scene.keyframe(frame, np.eye(4))
-    assert grow_stereo(scene.map, keyframe, frame, scene.rig, scene.detector, CONFIG) < 15
+    assert grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) < 15
 
 
 def test_new_landmarks_are_found_in_the_keyframe_before(texture: Bytes) -> None:
@@ -169,7 +169,7 @@ def test_new_landmarks_are_found_in_the_keyframe_before(texture: Bytes) -> None:
     first = scene.keyframe(scene.frame(np.eye(4)), np.eye(4))
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
-    count = grow_stereo(scene.map, second, frame, scene.rig, scene.detector, CONFIG)
+    count = grow_stereo(scene.map, second, frame, scene.rig, CONFIG)
     look_back(scene.map, second, scene.rig, CONFIG)
     assert len(first.landmark) > 0.5 * count
     rows = scene.map.rows(first.landmark)

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from vo.config import Config, load_config
-from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig, working_rig
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp
 from vo.mapping.map import Map
 from vo.pipeline.grow import grow_stereo
 from vo.pipeline.keyframe import add_keyframe
 from vo.pipeline.place import Tracked, refine
-from vo.pipeline.working_frame import WorkingFrame, prepare
+from vo.pipeline.working_frame import Preparation, WorkingFrame
 from vo.sources.registry import open_source
 from vo.types import Floats
 
@@ -45,12 +44,12 @@ class Scene:
 def scene(synthetic_stereo: Path) -> Scene:
     source = open_source(synthetic_stereo)
     assert source.ground_truth is not None
-    rig, detector = working_rig(source.rig), OrbDetector(CONFIG.features)
-    first, later = (prepare(f, rig, detector) for f in source.frames(0, 4, 2))
+    rig, preparation = working_rig(source.rig), Preparation(CONFIG.features, threads=1)
+    first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
     world = Map(4, rig.height, rig.width)
     free = np.ones(len(first.keypoints), dtype=bool)
     keyframe = add_keyframe(world, first, np.eye(4), 0, free)
-    assert grow_stereo(world, keyframe, first, rig, detector, CONFIG) > 200
+    assert grow_stereo(world, keyframe, first, rig, CONFIG) > 200
     true = source.ground_truth.world_from_cam
     return Scene(world, rig, later, inverse(true[0]) @ true[2])
 

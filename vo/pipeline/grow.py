@@ -9,11 +9,11 @@ import numpy as np
 from vo.config import Config
 from vo.features.alignment import align_patches
 from vo.features.matching import agree_in_rotation, match_epipolar
-from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import in_front, triangulate
 from vo.mapping.map import Keyframe, Map
+from vo.pipeline.later import Later
 from vo.pipeline.observe import align_landmarks, among, measure_disparity, visible_landmarks
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Floats, Ints
@@ -42,7 +42,6 @@ def grow_stereo(
     keyframe: Keyframe,
     frame: WorkingFrame,
     rig: WorkingRig,
-    detector: OrbDetector,
     config: Config,
 ) -> int:
     """Landmarks from the free features of a keyframe that have a partner in the right image."""
@@ -50,7 +49,7 @@ def grow_stereo(
         return 0
     free = np.flatnonzero(keyframe.free)
     disparity = np.full(len(keyframe.keypoints), np.nan)
-    disparity[free] = stereo_disparity(frame, free, rig, detector, config)
+    disparity[free] = stereo_disparity(frame, free, rig, config)
     matched = np.flatnonzero(disparity >= config.stereo.min_disparity_px)
     rows = _strongest(keyframe, matched, config.mapping.new_per_keyframe)
     disparity = disparity[rows]
@@ -71,12 +70,10 @@ def grow_stereo(
     return len(rows)
 
 
-def stereo_disparity(
-    frame: WorkingFrame, rows: Ints, rig: WorkingRig, detector: OrbDetector, config: Config
-) -> Floats:
+def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: Config) -> Floats:
     """Sub-pixel disparities (n,) of some of a frame's features, NaN where there is none."""
-    assert frame.image1 is not None
-    right = detector.detect(frame.image1)
+    assert frame.image1 is not None and frame.right is not None
+    right = frame.right.result()
     left = frame.keypoints
     xy = left.xy[rows].astype(np.float64)
     width = frame.image0.shape[1]
@@ -105,15 +102,19 @@ def stereo_disparity(
     return _filled_from_neighbours(disparity, xy, frame, rig, config)
 
 
-def looks_swapped(
-    frame: WorkingFrame, rig: WorkingRig, detector: OrbDetector, config: Config
-) -> bool:
+def looks_swapped(frame: WorkingFrame, rig: WorkingRig, config: Config) -> bool:
     """Whether the right image would make a good left one: features lie on the wrong side."""
-    if frame.image1 is None:
+    if frame.image1 is None or frame.right is None:
         return False
-    keypoints = detector.detect(frame.image1)
-    mirrored = replace(frame, image0=frame.image1, image1=frame.image0, keypoints=keypoints)
-    disparity = stereo_disparity(mirrored, np.arange(len(keypoints)), rig, detector, config)
+    keypoints, left = frame.right.result(), frame.keypoints
+    mirrored = replace(
+        frame,
+        image0=frame.image1,
+        image1=frame.image0,
+        keypoints=keypoints,
+        right=Later(lambda: left, None),
+    )
+    disparity = stereo_disparity(mirrored, np.arange(len(keypoints)), rig, config)
     return int((disparity >= config.stereo.min_disparity_px).sum()) >= config.start.min_points
 
 

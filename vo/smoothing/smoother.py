@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Protocol
 
 from vo.config import SmoothingConfig
+from vo.smoothing.process import SmootherProcess
 from vo.smoothing.solution import WindowSolution, complete
 from vo.types import WindowProblem
+
+_log = logging.getLogger(__name__)
 
 
 class Smoother(Protocol):
@@ -52,3 +56,13 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     from vo.smoothing.window import adjust_window  # GTSAM takes long to import
 
     return complete(problem, adjust_window(problem, config), config)
+
+
+def make_smoother(config: SmoothingConfig, threads: int) -> Smoother:
+    """A process of its own if there are cores for it."""
+    if threads > 1:
+        try:
+            return SmootherProcess(config)
+        except OSError as error:
+            _log.warning("smoothing in the same process, no other can be started: %s", error)
+    return SmootherHere(config)

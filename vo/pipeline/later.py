@@ -1,0 +1,35 @@
+"""Work that can be begun ahead of time; what comes of it is the same either way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Later(Generic[T]):
+    """A result that is worked out when it is asked for, or in a thread before that.
+
+    Args:
+        work: gives the result.
+        executor: where to begin ahead of time; None begins nothing.
+    """
+
+    def __init__(self, work: Callable[[], T], executor: Executor | None) -> None:
+        self._work = work
+        self._executor = executor
+        self._future: Future[T] | None = None
+
+    def begin(self) -> None:
+        """Begin now, if there is a thread for it and that was not done before."""
+        if self._executor is not None and self._future is None:
+            self._future = self._executor.submit(self._work)
+
+    def result(self) -> T:
+        """Wait for the result, or work it out here; at the second time it is there."""
+        if self._future is None:
+            self._future = Future()
+            self._future.set_result(self._work())
+        return self._future.result()
