@@ -44,7 +44,8 @@ class FastGrid:
             found.append(_corners(self._low, image, int(x), int(y), int(right), int(bottom)))
         xy = np.concatenate([f[0] for f in found])
         scores = np.concatenate([f[1] for f in found])
-        rows = _pick(_cell_of(xy, b, size, shape[1]), scores, shape[0] * shape[1], count)
+        cells = _cell_of(xy, b, size, shape[1])
+        rows = _best_of_cells(scores.astype(np.int64), cells, shape[0] * shape[1], count)
         return np.ascontiguousarray(xy[rows]), scores[rows]
 
 
@@ -66,24 +67,34 @@ def _cell_of(xy: NDArray[np.int32], border: int, size: int, columns: int) -> NDA
     return cell.astype(np.int64)
 
 
-def _pick(
-    cells: NDArray[np.int64], scores: Floats32, cell_count: int, count: int
-) -> NDArray[np.int64]:
-    if len(cells) <= count:
-        return np.arange(len(cells))
-    strongest_first = np.argsort(-scores, kind="stable")
-    rank = np.empty(len(cells), dtype=np.int64)
-    rank[strongest_first] = _rank_in_cell(cells[strongest_first], cell_count)
-    # Rank decides, then score; both are stable, so equal corners keep their scan order.
-    order = np.lexsort((-scores, rank))[:count]
-    return np.sort(order)
+@numba.njit(cache=True, nogil=True)
+def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-def]
+    """Rows of the best of every cell, then of the second best, …, `count` at most, in order.
+
+    Rank in the cell decides, then score; equal corners keep their order.
+    """
+    n = len(scores)
+    if n <= count:
+        return np.arange(n)
+    strongest_first = _sorted_stably(255 - scores, 256, np.arange(n))
+    seen = np.zeros(cells, dtype=np.int64)
+    rank = np.empty(n, dtype=np.int64)
+    for i in strongest_first:
+        rank[i] = seen[cell_of[i]]
+        seen[cell_of[i]] += 1
+    order = _sorted_stably(rank, seen.max(), strongest_first)
+    return np.sort(order[:count])
 
 
 @numba.njit(cache=True, nogil=True)
-def _rank_in_cell(cells, cell_count):  # type: ignore[no-untyped-def]
-    seen = np.zeros(cell_count, dtype=np.int64)
-    rank = np.empty(len(cells), dtype=np.int64)
-    for i in range(len(cells)):
-        rank[i] = seen[cells[i]]
-        seen[cells[i]] += 1
-    return rank
+def _sorted_stably(keys, limit, rows):  # type: ignore[no-untyped-def]
+    """Rows in order of their keys, which are below `limit`."""
+    starts = np.zeros(limit + 1, dtype=np.int64)
+    for i in rows:
+        starts[keys[i] + 1] += 1
+    starts = np.cumsum(starts)
+    result = np.empty(len(rows), dtype=np.int64)
+    for i in rows:
+        result[starts[keys[i]]] = i
+        starts[keys[i]] += 1
+    return result
