@@ -129,9 +129,14 @@ def mark_rows(
     band: tuple[int, int],
     depth: Floats32,
     surface: NDArray[np.int32],
+    counts: Ints,
     crossed: NDArray[np.uint8],
 ) -> None:
-    """Set to 1 all pixels over which an edge between surfaces passes while they are exposed."""
+    """Set to 1 all pixels over which an edge between surfaces passes while they are exposed.
+
+    That is in crossed[0], and in crossed[k] as well if the edge moves so far that its pixels need
+    the k-th count of rays.
+    """
     rows, columns = surface.shape
     for row in range(band[0], band[1]):
         sweep, below = _sweep(shutter, row), _sweep(shutter, row + 1)
@@ -139,14 +144,14 @@ def mark_rows(
             if column + 1 < columns and _differ(world, depth, surface, row, column, 0, 1):
                 for j in range(column, column + 2):
                     motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, j)
-                    _cross(crossed, row, column, motion)
-                    _cross(crossed, row, column + 1, motion)
+                    _cross(counts, crossed, row, column, motion)
+                    _cross(counts, crossed, row, column + 1, motion)
             if row + 1 < rows and _differ(world, depth, surface, row, column, 1, 0):
                 for i in range(row, row + 2):
                     there = sweep if i == row else below
                     motion = _motion_of(world, shutter, rays, there, depth, surface, i, column)
-                    _cross(crossed, row, column, motion)
-                    _cross(crossed, row + 1, column, motion)
+                    _cross(counts, crossed, row, column, motion)
+                    _cross(counts, crossed, row + 1, column, motion)
 
 
 @_entry
@@ -193,7 +198,9 @@ def smooth_rows(
                         seen,
                         (counts, grains),
                         (groups, numbers),
-                        (depth, surface),
+                        depth,
+                        surface,
+                        crossed,
                         image,
                     )
 
@@ -221,7 +228,7 @@ def _mean_of_sharp(
             motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
             if surface[row, column] == _NOTHING:
                 image[row, column] = 0.0
-            elif crossed[row, column] == 0 and _fits(sharp, row, column, motion):
+            elif crossed[0, row, column] == 0 and _fits(sharp, row, column, motion):
                 image[row, column] = _mean_along(sharp, row, column, motion)
             else:
                 image[row, column], more = np.nan, True
@@ -237,7 +244,9 @@ def _mean_of_rays(
     seen: _Seen,
     sampling: tuple[Ints, Floats],
     scratch: tuple[Floats, Ints],
-    first: tuple[Floats32, NDArray[np.int32]],
+    depth: Floats32,
+    surface: NDArray[np.int32],
+    crossed: NDArray[np.uint8],
     image: Floats32,
 ) -> None:
     """Fill in the pixels of a tile that are marked with a NaN."""
@@ -247,11 +256,12 @@ def _mean_of_rays(
         for column in range(tile[2], tile[3]):
             if not np.isnan(image[row, column]):
                 continue
-            motion = _motion_of(world, shutter, rays, sweep, first[0], first[1], row, column)
-            least = 3.0 + 1.2 * (abs(motion[0]) + abs(motion[1]))
-            level = 0
-            while level + 1 < len(counts) and counts[level] < least:
-                level += 1
+            level = len(counts) - 1
+            while level > 0 and crossed[level, row, column] == 0:
+                level -= 1
+            if crossed[0, row, column] == 0:  # something comes in over the rim of the image
+                motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
+                level = _needed(counts, motion)
             image[row, column] = _mean_radiance(
                 world,
                 shutter,
@@ -388,10 +398,11 @@ def _differ(
 
 
 @_compiled
-def _cross(crossed: NDArray[np.uint8], row: int, column: int, motion: _Pair) -> None:
+def _cross(counts: Ints, crossed: NDArray[np.uint8], row: int, column: int, motion: _Pair) -> None:
     """Set the pixels over which a point of a pixel moves."""
-    rows, columns = crossed.shape
-    crossed[row, column] = 1
+    _, rows, columns = crossed.shape
+    level = _needed(counts, motion)
+    crossed[0, row, column] = crossed[level, row, column] = 1
     steps = min(int(max(abs(motion[0]), abs(motion[1]))) + 1, 256)
     for k in range(-steps, steps + 1):
         share = 0.5 * k / steps
@@ -400,7 +411,16 @@ def _cross(crossed: NDArray[np.uint8], row: int, column: int, motion: _Pair) -> 
             int(np.floor(column + share * motion[0] + 0.5)),
         )
         if 0 <= i < rows and 0 <= j < columns:
-            crossed[i, j] = 1
+            crossed[0, i, j] = crossed[level, i, j] = 1
+
+
+@_compiled
+def _needed(counts: Ints, motion: _Pair) -> int:
+    """Which count of rays finds the mean over such a motion."""
+    level, least = 0, 4.0 + 1.2 * (abs(motion[0]) + abs(motion[1]))
+    while level + 1 < len(counts) and counts[level] < least:
+        level += 1
+    return level
 
 
 @_compiled
@@ -1021,8 +1041,8 @@ def _ground_hit(world: World, start: _Vector, ray: _Vector, begin: float, end: f
     level, top = 1 if len(relief.starts) > 1 else 0, len(relief.starts) - 1
     while True:
         bj, bi = j >> level, i >> level
-        tx = (((bj + (dx > 0.0)) << level) - ox) * ix
-        ty = (((bi + (dy > 0.0)) << level) - oy) * iy
+        tx = (((bj + (dx > 0.0)) << level) - ox) * ix if dx != 0.0 else np.inf
+        ty = (((bi + (dy > 0.0)) << level) - oy) * iy if dy != 0.0 else np.inf
         out = max(min(tx, ty, far), t)
         peak = relief.peaks[relief.starts[level] + bi * relief.widths[level] + bj]
         if start[2] + min(t * ray[2], out * ray[2]) <= peak:

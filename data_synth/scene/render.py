@@ -56,7 +56,8 @@ def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecuto
     shape = rays.shape[:2]
     sharp, image = np.empty(shape, np.float32), np.empty(shape, np.float32)
     depth, surface = np.empty(shape, np.float32), np.empty(shape, np.int32)
-    crossed = np.zeros(shape, np.uint8)
+    counts, offsets = grains()
+    crossed = np.zeros((len(counts), *shape), np.uint8)
     step = kernels.BAND_ROWS
     bands = [(top, min(top + step, shape[0])) for top in range(0, shape[0], step)]
 
@@ -64,11 +65,11 @@ def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecuto
         kernels.cast_rows(world, shutter, rays, band, sharp, depth, surface)
 
     def mark(band: tuple[int, int]) -> None:
-        kernels.mark_rows(world, shutter, rays, band, depth, surface, crossed)
+        kernels.mark_rows(world, shutter, rays, band, depth, surface, counts, crossed)
 
     def smooth(band: tuple[int, int]) -> None:
         kernels.smooth_rows(
-            world, shutter, rays, band, sharp, depth, surface, crossed, *grains(), image
+            world, shutter, rays, band, sharp, depth, surface, crossed, counts, offsets, image
         )
 
     for work in (cast, mark, smooth):  # each needs all rows of the one before

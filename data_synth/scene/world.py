@@ -135,8 +135,10 @@ def build_world(
         kinds=np.array([s.kind for s in everything], dtype=np.int64),
         shapes=shapes,
         textures=np.array([s.texture for s in everything], dtype=np.int64),
-        scales=np.array([_scales(s, textures[s.texture].shape) for s in everything]),
-        offsets=np.array([s.offset for s in everything], dtype=np.float64),
+        scales=np.array([_scales(s, textures[s.texture].shape) for s in everything]).reshape(
+            -1, 3, 2
+        ),
+        offsets=np.array([s.offset for s in everything], dtype=np.float64).reshape(-1, 2),
         fitted=densities == 0.0,
         stains=np.column_stack([[s.stain for s in everything], stain_scales]),
         bounds=bounds,
