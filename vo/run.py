@@ -24,6 +24,7 @@ from vo.recording.recorder import NullRecorder, Recorder
 from vo.results.account import Account
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
+from vo.results.profile import Profile, make_profile
 from vo.results.summary import Placed, RunFacts, Status, Summary, summarise
 from vo.sources.registry import open_source
 from vo.sources.source import Source
@@ -48,6 +49,7 @@ def run(
     format: str | None = None,
     recorder: Recorder | None = None,
     progress: Progress | None = None,
+    profile_since: float | None = None,
 ) -> Summary:
     """Compute a camera's path from a recording and write it as it grows.
 
@@ -69,6 +71,7 @@ def run(
         format: of the recording; by default found out from the path.
         recorder: what to record with instead of `rrd`.
         progress: what watches the run.
+        profile_since: write a profile; it begins at this time of `time.perf_counter`.
 
     Raises:
         SourceError: the recording is missing, damaged, or holds no frame that can be read.
@@ -82,6 +85,7 @@ def run(
         folder = RunFolder(Path(output), dump_config(config))
         recorder = recorder or _make_recorder(rrd)
         job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
+        job.profile_since = profile_since
         try:
             job.begin()
             job.go_through(frames)
@@ -109,10 +113,12 @@ class _Run:
         self._folder = folder
         self._recorder = recorder
         self._progress = progress
+        self.profile_since: float | None = None
         self._account = Account()
         self._causal: list[tuple[int, Floats]] = []
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
+        self._start_up_ms = 0.0
 
     def begin(self) -> None:
         """Tell everyone; leave a summary that is true if the process is killed from here on."""
@@ -127,6 +133,8 @@ class _Run:
             SourceError: not one could be read.
         """
         clock = Stopwatch()
+        if self.profile_since is not None:
+            self._start_up_ms = (time.perf_counter() - self.profile_since) * 1e3
         with _interrupt_between_frames() as check:
             for estimate in self._odometry.steps(_timed(frames, clock)):
                 self._take_in(estimate, clock)
@@ -141,8 +149,12 @@ class _Run:
         """Finish files, recording and, last, the summary."""
         self._progress.finish()
         self._account.note_time(self._odometry.finish())
-        self._finish_files()
-        self._finish_recording()
+        clock = Stopwatch()
+        with clock.stage("write"):
+            self._finish_files()
+        with clock.stage("record"):
+            self._finish_recording()
+        self._account.note_time(clock.stage_ms)
         return self._summarise(status, error)
 
     def end_early(self, error: BaseException) -> None:
@@ -225,9 +237,17 @@ class _Run:
             wall_s=time.perf_counter() - self._begun,
             disparity_offset_px=self._odometry.disparity_offset_px,
             error=error,
+            profile=self._profile(),
         )
         self._folder.write_summary(summary.to_dict())
         return summary
+
+    def _profile(self) -> Profile | None:
+        """Up to now; what comes after, such as writing it, is not in it."""
+        if self.profile_since is None:
+            return None
+        wall_ms = (time.perf_counter() - self.profile_since) * 1e3
+        return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._account.total_ms()})
 
 
 def _facts(

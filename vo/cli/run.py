@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -67,6 +68,18 @@ def run_command(
             show_default="found out from its files",
         ),
     ] = None,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Cores to work on; the result is the same with any number.",
+            show_default="all",
+        ),
+    ] = None,
+    profile: Annotated[
+        bool,
+        typer.Option("--profile", help="Say where the time went, here and in summary.json."),
+    ] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")
     ] = False,
@@ -94,6 +107,7 @@ def run_command(
     Exit status: 0 done, also if nothing could be tracked (a warning says
     so), 1 error, 2 wrong use, 130 stopped by Ctrl-C.
     """
+    begun = _process_begun()
     try:
         from rich.console import Console
 
@@ -101,12 +115,15 @@ def run_command(
         from vo.config import load_config
         from vo.run import run
 
+        settings = list(overrides or ())
+        if threads is not None:
+            settings.append(f"threads={threads}")
         console = Console(stderr=True, highlight=False)
         with warnings_on(console):
             summary = run(
                 source,
                 output,
-                config=load_config(config or "default", overrides or ()),
+                config=load_config(config or "default", settings),
                 mode=mode.value,
                 start=start,
                 end=end,
@@ -115,6 +132,7 @@ def run_command(
                 calibration=calibration,
                 format=format,
                 progress=make_progress(console, quiet=quiet),
+                profile_since=begun if profile else None,
             )
     except KeyboardInterrupt:
         typer.echo(f"interrupted; what was computed until now is in {output}", err=True)
@@ -123,3 +141,10 @@ def run_command(
         from vo.cli.run_table import print_summary
 
         print_summary(summary, output, rrd)
+
+
+def _process_begun() -> float:
+    """When this process was started, on the clock of `time.perf_counter`."""
+    from vo.results.environment import process_age_s
+
+    return time.perf_counter() - (process_age_s() or 0.0)

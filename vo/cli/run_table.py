@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
+from vo.results.profile import Profile
 from vo.results.summary import Summary
 
 
@@ -39,7 +40,16 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
         ("speed", f"{speed}, {summary.peak_rss_mb:.0f} MB at most"),
         ("output", str(output)),
     ]
+    if summary.profile is not None:
+        facts.append(("profile", _profile(summary.profile)))
     return facts if rrd is None else [*facts, ("recording", str(rrd))]
+
+
+def _profile(profile: Profile) -> str:
+    """The largest stages first."""
+    stages = sorted(profile.stages_ms.items(), key=lambda item: -item[1])
+    parts = [f"{stage} {1e-3 * spent:.2f}" for stage, spent in stages]
+    return f"{1e-3 * profile.wall_ms:.2f} s: " + ", ".join(parts)
 
 
 def _frames(summary: Summary) -> str:

@@ -144,7 +144,9 @@ def _align(  # type: ignore[no-untyped-def]
         mean_t /= area
         mean_gx /= area
         mean_gy /= area
-        hxx, hxy, hyy, var_t = 1e-6, 0.0, 1e-6, 1e-6
+        # Sums of single precision: they fill the vector registers twice as well.
+        hxx, hxy, hyy = np.float32(1e-6), np.float32(0), np.float32(1e-6)
+        var_t, bx, by = np.float32(1e-6), np.float32(0), np.float32(0)
         for k in range(area):
             template[k] -= mean_t
             gx[k] -= mean_gx
@@ -153,6 +155,8 @@ def _align(  # type: ignore[no-untyped-def]
             hxy += gx[k] * gy[k]
             hyy += gy[k] * gy[k]
             var_t += template[k] * template[k]
+            bx += gx[k] * template[k]
+            by += gy[k] * template[k]
         determinant = hxx * hyy - hxy * hxy
         if determinant < 1e-3 * (hxx + hyy) * (hxx + hyy) or var_t < 4.0 * area:
             continue  # an edge or a blank wall: the position along it is not determined
@@ -184,15 +188,14 @@ def _align(  # type: ignore[no-untyped-def]
                     mean_c += value
                     k += 1
             mean_c /= area
-            var_c, cross, bx, by, cx, cy = 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0
+            var_c, cross = np.float32(1e-6), np.float32(0)
+            cx, cy = np.float32(0), np.float32(0)
             for k in range(area):
                 c = current[k] - mean_c
                 var_c += c * c
                 cross += c * template[k]
                 cx += gx[k] * c
                 cy += gy[k] * c
-                bx += gx[k] * template[k]
-                by += gy[k] * template[k]
             gain = np.sqrt(var_t / var_c)
             ex, ey = cx * gain - bx, cy * gain - by
             step_x = (hyy * ex - hxy * ey) / determinant

@@ -69,6 +69,10 @@ class Account:
             for stage, spent in self._stage_ms.items()
         }
 
+    def total_ms(self) -> dict[str, float]:
+        """All the time of each stage."""
+        return {stage: float(sum(spent)) for stage, spent in self._stage_ms.items()}
+
     def _count_landmarks(self, ids: np.ndarray) -> None:
         """Ids only go up, so those above the highest so far are new."""
         self.landmarks += int(np.count_nonzero(ids > self._highest_landmark))

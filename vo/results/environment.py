@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import resource
 import sys
+import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -30,6 +32,16 @@ def peak_rss_mb() -> float:
             return int(found[1]) / 2**10
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def process_age_s() -> float | None:
+    """Seconds since this process was started, to a hundredth; None where /proc does not tell."""
+    stat = Path("/proc/self/stat")
+    if not stat.is_file():
+        return None
+    fields = stat.read_text("utf-8").rpartition(")")[2].split()  # the name may hold anything
+    started_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - started_s
 
 
 def versions() -> dict[str, str]:

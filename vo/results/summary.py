@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
+from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
 from vo.types import Floats, Ints, Skipped, State, Trajectory
 
@@ -83,6 +84,7 @@ class Summary:
     versions: Mapping[str, str]
     median_inliers: float | None
     disparity_offset_px: float
+    profile: Profile | None = None
 
     @property
     def length_unit(self) -> str:
@@ -103,6 +105,7 @@ class Summary:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
+        profile = fields.pop("profile")
         return {
             "schema_version": SCHEMA_VERSION,
             **fields,
@@ -111,6 +114,7 @@ class Summary:
             "without_pose": [r._asdict() for r in self.without_pose],
             "segments": [s._asdict() for s in self.segments],
             "stages": {name: _rounded(times) for name, times in stages.items()},
+            **({} if profile is None else {"profile": profile._asdict()}),
             "versions": dict(self.versions),
             "length_unit": self.length_unit,
             "frames_per_s": round(self.frames_per_s, 3),
@@ -129,6 +133,7 @@ def summarise(
     wall_s: float,
     disparity_offset_px: float = 0.0,
     error: str | None = None,
+    profile: Profile | None = None,
 ) -> Summary:
     """Put a run into numbers, as far as it has come."""
     ranges, count = unplaced_ranges(account, placed.frame, skipped)
@@ -154,6 +159,7 @@ def summarise(
         versions=versions(),
         median_inliers=account.median_inliers,
         disparity_offset_px=round(disparity_offset_px, 4),
+        profile=profile,
     )
 
 
