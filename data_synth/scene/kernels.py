@@ -28,7 +28,7 @@ _GROUPS = 5
 _JUMP = 3.0
 _LEAST_JUMP = 0.01
 _FAR_M = 1000.0
-_LIFT_M = 1e-4  # else rounding lets a surface shade itself
+_LIFT_M = 0.012  # light is measured just above marks and rugs that lie on a surface
 _DARKEST = 0.35  # ambient light in the deepest corner
 
 _BOX, _ELLIPSOID = int(Kind.BOX), int(Kind.ELLIPSOID)
@@ -82,12 +82,14 @@ def cast_rows(
     for top in range(band[0], band[1], _LIST_TILE):
         for left in range(0, rays.shape[1], _LIST_TILE):
             tile = _tile(rays, band, top, left, _LIST_TILE)
-            count = _list_seen(world, shutter, rays, tile, 0.0, far)
+            count, earth = _list_seen(world, shutter, rays, tile, 0.0, far)
             for upper in range(tile[0], tile[1], _CAST_TILE):
                 for first in range(tile[2], tile[3], _CAST_TILE):
                     part = _tile(rays, band, upper, first, _CAST_TILE)
-                    fewer, earth = _thin_out(world, shutter, rays, part, 0.0, far, count, near)
-                    seen = (near[0][:fewer], near[1][:fewer], earth)
+                    fewer, below = _thin_out(
+                        world, shutter, rays, part, 0.0, far, count, earth, near
+                    )
+                    seen = (near[0][:fewer], near[1][:fewer], below)
                     _cast_tile(world, shutter, rays, part, seen, image, depth, surface)
 
 
@@ -141,17 +143,20 @@ def mark_rows(
     for row in range(band[0], band[1]):
         sweep, below = _sweep(shutter, row), _sweep(shutter, row + 1)
         for column in range(columns):
-            if column + 1 < columns and _differ(world, depth, surface, row, column, 0, 1):
-                for j in range(column, column + 2):
-                    motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, j)
-                    _cross(counts, crossed, row, column, motion)
-                    _cross(counts, crossed, row, column + 1, motion)
-            if row + 1 < rows and _differ(world, depth, surface, row, column, 1, 0):
-                for i in range(row, row + 2):
-                    there = sweep if i == row else below
-                    motion = _motion_of(world, shutter, rays, there, depth, surface, i, column)
-                    _cross(counts, crossed, row, column, motion)
-                    _cross(counts, crossed, row + 1, column, motion)
+            for side in range(2):
+                i, j = row + side, column + 1 - side
+                if i >= rows or j >= columns:
+                    continue
+                if not _differ(world, depth, surface, row, column, i, j):
+                    continue
+                # An edge belongs to the nearer surface and moves with it.
+                if depth[row, column] <= depth[i, j]:
+                    motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
+                else:
+                    there = below if side == 1 else sweep
+                    motion = _motion_of(world, shutter, rays, there, depth, surface, i, j)
+                _cross(counts, crossed, row, column, motion)
+                _cross(counts, crossed, i, j, motion)
 
 
 @_entry
@@ -178,7 +183,7 @@ def smooth_rows(
     for top in range(band[0], band[1], _LIST_TILE):
         for left in range(0, rays.shape[1], _LIST_TILE):
             tile = _tile(rays, band, top, left, _LIST_TILE)
-            count = -1
+            count, earth = -1, np.inf
             for upper in range(tile[0], tile[1], _SMOOTH_TILE):
                 for first in range(tile[2], tile[3], _SMOOTH_TILE):
                     part = _tile(rays, band, upper, first, _SMOOTH_TILE)
@@ -187,9 +192,11 @@ def smooth_rows(
                     ):
                         continue
                     if count < 0:
-                        count = _list_seen(world, shutter, rays, tile, 0.5, far)
-                    fewer, earth = _thin_out(world, shutter, rays, part, 0.5, far, count, near)
-                    seen = (near[0][:fewer], near[1][:fewer], earth)
+                        count, earth = _list_seen(world, shutter, rays, tile, 0.5, far)
+                    fewer, below = _thin_out(
+                        world, shutter, rays, part, 0.5, far, count, earth, near
+                    )
+                    seen = (near[0][:fewer], near[1][:fewer], below)
                     _mean_of_rays(
                         world,
                         shutter,
@@ -375,18 +382,17 @@ def _differ(
     surface: NDArray[np.int32],
     row: int,
     column: int,
-    di: int,
-    dj: int,
+    i: int,
+    j: int,
 ) -> bool:
     """Whether there is an edge between a pixel and the next one below or to the right."""
-    i, j = row + di, column + dj
     here = surface[row, column]
     if here != surface[i, j]:
         return True
     if here != _ground_number(world):
         return False
     # Along one slope, inverse depth changes evenly; where a hill hides another, it jumps.
-    ib, jb, ia, ja = row - di, column - dj, i + di, j + dj
+    ib, jb, ia, ja = 2 * row - i, 2 * column - j, 2 * i - row, 2 * j - column
     if min(ib, jb) < 0 or ia >= surface.shape[0] or ja >= surface.shape[1]:
         return False
     if surface[ib, jb] != here or surface[ia, ja] != here:
@@ -417,7 +423,7 @@ def _cross(counts: Ints, crossed: NDArray[np.uint8], row: int, column: int, moti
 @_compiled
 def _needed(counts: Ints, motion: _Pair) -> int:
     """Which count of rays finds the mean over such a motion."""
-    level, least = 0, 4.0 + 1.2 * (abs(motion[0]) + abs(motion[1]))
+    level, least = 0, 4.0 + 1.2 * math.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
     while level + 1 < len(counts) and counts[level] < least:
         level += 1
     return level
@@ -609,14 +615,15 @@ def _empty_list(world: World) -> _List:
 @_compiled
 def _list_seen(
     world: World, shutter: Shutter, rays: Floats, tile: _Tile, share: float, result: _List
-) -> int:
+) -> tuple[int, float]:
     """List the solids that any ray of a tile may meet, by the shortest length at which it may.
 
-    The rays are those of the middle `share` of the exposure to either side.
+    The rays are those of the middle `share` of the exposure to either side. Also returned is the
+    length below which none of them meets the ground.
     """
     beam = _beam(shutter, rays, tile, share)
     if beam[2][0] > beam[3][0]:  # nothing at all is seen
-        return 0
+        return 0, np.inf
     tree, (solids, starts) = world.tree, result
     node, count = 0, 0
     while node < len(tree.skip):
@@ -632,7 +639,7 @@ def _list_seen(
         near = _earliest_moving(world, shutter, rays.shape[0], tile, share, solid, beam)
         if near != np.inf:
             count = _insert(solids, starts, count, solid, near)
-    return count
+    return count, _ground_start(world, beam, 0.0)
 
 
 @_compiled
@@ -644,11 +651,13 @@ def _thin_out(
     share: float,
     listed: _List,
     count: int,
+    earth: float,
     result: _List,
 ) -> tuple[int, float]:
     """Of the solids listed for a larger tile, those that a smaller one may see.
 
-    Also returned is the length below which no ray meets the ground.
+    Also returned is the length below which no ray meets the ground; `earth` is that of the larger
+    tile.
     """
     beam = _beam(shutter, rays, tile, share)
     if beam[2][0] > beam[3][0]:
@@ -661,7 +670,7 @@ def _thin_out(
             near = _earliest(world.bounds, solid, beam)
         if near != np.inf:
             fewer = _insert(solids, starts, fewer, solid, near)
-    return fewer, _ground_start(world, beam)
+    return fewer, _ground_start(world, beam, earth)
 
 
 @_compiled
@@ -783,27 +792,37 @@ def _earliest_in(lower: _Vector, upper: _Vector, beam: _Beam) -> float:
 
 
 @_compiled
-def _ground_start(world: World, beam: _Beam) -> float:
-    """Length below which no ray of a beam meets the ground."""
-    relief = world.relief
-    if relief.heights.shape[0] == 1:
+def _ground_start(world: World, beam: _Beam, begin: float) -> float:
+    """Length from `begin` on below which no ray of a beam meets the ground; infinite for none."""
+    if world.relief.heights.shape[0] == 1 or begin == np.inf:
         return np.inf
-    from_, to, low, high = beam
-    begin, end = 0.0, 0.5
+    if beam[2][2] >= 0.0 and beam[0][2] > world.relief.peaks[-1]:
+        return np.inf
+    step = 0.15 * begin + 0.5
     while begin < _FAR_M:
-        down = from_[2] + min(begin * low[2], end * low[2])
-        x0, x1 = (
-            from_[0] + min(begin * low[0], end * low[0]),
-            to[0] + max(begin * high[0], end * high[0]),
-        )
-        y0, y1 = (
-            from_[1] + min(begin * low[1], end * low[1]),
-            to[1] + max(begin * high[1], end * high[1]),
-        )
-        if down <= _peak_within(world, x0, x1, y0, y1):
-            return begin
-        begin, end = end, 1.15 * end
+        if _above_ground(world, beam, begin, begin + step):
+            begin, step = begin + step, 1.15 * step
+        elif step > 0.01 * begin + 0.2:
+            step *= 0.5
+        else:
+            break
     return begin
+
+
+@_compiled
+def _above_ground(world: World, beam: _Beam, begin: float, end: float) -> bool:
+    """Whether all rays of a beam are above the ground between two lengths."""
+    from_, to, low, high = beam
+    least = from_[2] + min(begin * low[2], end * low[2])
+    x0, x1 = (
+        from_[0] + min(begin * low[0], end * low[0]),
+        to[0] + max(begin * high[0], end * high[0]),
+    )
+    y0, y1 = (
+        from_[1] + min(begin * low[1], end * low[1]),
+        to[1] + max(begin * high[1], end * high[1]),
+    )
+    return bool(least > _peak_within(world, x0, x1, y0, y1))
 
 
 @_compiled
@@ -1290,7 +1309,9 @@ def _texture(
         scale = world.stains[solid, 1]
         size = scale * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
         shift = 57.3 * solid  # so that no two solids have the same stains
-        stain = _stain(world, scale * right + shift, scale * low + 0.7 * shift, size)
+        # Mirrored on round things, so that it has no seam either.
+        aside = abs(right) if part == _SIDE else right
+        stain = _stain(world, scale * aside + shift, scale * low + 0.7 * shift, size)
         value *= 1.0 + 2.0 * world.stains[solid, 0] * (stain - 0.5)
     return value
 
@@ -1299,12 +1320,12 @@ def _texture(
 def _unrolled(world: World, solid: int, hit: _Vector) -> tuple[float, float, float]:
     """Right and down on a cylinder's side, and whether the texture runs with the angle there.
 
-    A texture that is not fitted runs half around and back, so that it has no seam.
+    A texture too wide for the cylinder runs half around and back, so that it has no seam.
     """
     shape = world.shapes[solid]
     angle = np.arctan2(hit[1] / shape[4], hit[0] / shape[3])
     radius = 0.5 * (shape[3] + shape[4])
-    if world.fitted[solid] or angle >= 0.0:
+    if world.goes_round[solid] or angle >= 0.0:
         return radius * angle, -hit[2], 1.0
     return -radius * angle, -hit[2], -1.0
 

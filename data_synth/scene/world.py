@@ -82,7 +82,7 @@ class World(NamedTuple):
         textures: (N,) texture numbers.
         scales: (N, 3, 2) texels per metre to the right and down on the faces of each axis.
         offsets: (N, 2) texels.
-        fitted: (N,) whether the texture is fitted to each face.
+        goes_round: (N,) whether the texture runs round a cylinder, not half round and back.
         stains: (N, 2) strength, and texels of the stain per metre.
         bounds: (S, 6) lower and upper corners of boxes around the S <= N solids that do not move,
             which come first.
@@ -99,7 +99,7 @@ class World(NamedTuple):
     textures: Ints
     scales: Floats
     offsets: Floats
-    fitted: Bools
+    goes_round: Bools
     stains: Floats
     bounds: Floats
     tree: Tree
@@ -139,7 +139,10 @@ def build_world(
             -1, 3, 2
         ),
         offsets=np.array([s.offset for s in everything], dtype=np.float64).reshape(-1, 2),
-        fitted=densities == 0.0,
+        goes_round=np.array(
+            [s.density is None or _rounds(s, textures[s.texture].shape[1]) > 0 for s in everything],
+            dtype=np.bool_,
+        ),
         stains=np.column_stack([[s.stain for s in everything], stain_scales]),
         bounds=bounds,
         tree=grow(bounds),
@@ -200,13 +203,22 @@ def _shape(solid: Solid) -> list[float]:
     return [*solid.centre, *halves, float(np.cos(solid.yaw)), float(np.sin(solid.yaw))]
 
 
+def _rounds(solid: Solid, columns: int) -> int:
+    """How often a texture goes round a cylinder; 0 where the cylinder is too thin for it."""
+    if solid.kind != Kind.CYLINDER or solid.density is None:
+        return 0
+    return round(0.5 * np.pi * (solid.size[0] + solid.size[1]) * solid.density / columns)
+
+
 def _scales(solid: Solid, texture: tuple[int, ...]) -> list[tuple[float, float]]:
-    if solid.density is not None:
-        return [(solid.density, solid.density)] * 3
     (x, y, z), (rows, columns) = solid.size, texture
+    around = columns / (0.5 * np.pi * (x + y))
+    if solid.density is not None:
+        rounds = _rounds(solid, columns)
+        across = rounds * around if rounds else solid.density
+        return [(across, solid.density)] * 2 + [(solid.density, solid.density)]
     if solid.kind == Kind.CYLINDER:
-        side = (columns / (0.5 * np.pi * (x + y)), rows / z)
-        return [side, side, (columns / x, rows / y)]
+        return [(around, rows / z)] * 2 + [(columns / x, rows / y)]
     return [(columns / y, rows / z), (columns / x, rows / z), (columns / x, rows / y)]
 
 

@@ -67,12 +67,19 @@ def paints(build: Builder, count: int) -> tuple[Paint, ...]:
     return tuple(colours)
 
 
+def _shadow(add: _Adder, palette: Palette, long: float, wide: float) -> None:
+    """What drives has a dark patch beneath it, as its light is not baked; else it would float."""
+    if add.body is not None:
+        add.box((0, 0, 0.008), (long - 0.3, wide, 0.008), palette.dark)
+
+
 def car(
     build: Builder, palette: Palette, colour: Paint, place: Place, body: int | None = None
 ) -> None:
     """A car that stands on z = 0 at `place`, looking along its x."""
     add = _Adder(build, place, body)
     long, wide = CAR_LENGTH_M, CAR_WIDTH_M
+    _shadow(add, palette, long, wide)
     add.box((0, 0, 0.55), (long - 0.3, wide, 0.56), colour.side)
     add.box((0, 0, 0.82), (long - 0.34, wide - 0.04, 0.05), colour.roof)
     add.box((long / 2 - 0.14, 0, 0.5), (0.28, wide - 0.1, 0.5), colour.front)
@@ -98,6 +105,7 @@ def van(
     """A delivery van that stands on z = 0 at `place`, looking along its x."""
     add = _Adder(build, place, body)
     long, wide = VAN_LENGTH_M, VAN_WIDTH_M
+    _shadow(add, palette, long, wide)
     add.box((-0.55, 0, 1.22), (long - 1.1, wide, 1.86), colour.van_side)
     add.box((-0.55, 0, 2.14), (long - 1.14, wide - 0.04, 0.06), colour.roof)
     add.box((long / 2 - 0.6, 0, 0.72), (1.2, wide - 0.06, 0.86), colour.front)
