@@ -162,14 +162,14 @@ def test_movers_are_as_many_as_asked_for(name: str) -> None:
 def test_nothing_moves_unless_asked_for() -> None:
     scene = _dark("corridor", SEED, 0.0)
     assert scene.bodies == ()
-    assert scene.world.still == len(scene.world.kinds)
+    assert len(scene.world.bounds) == len(scene.world.kinds)
 
 
 @pytest.mark.parametrize("name", INDOORS)
 def test_bodies_stand_on_the_ground_within_their_radius(name: str) -> None:
     scene = _lit(name)
     world = scene.world
-    halves = world.shapes[world.still :, 3:6]
+    halves = world.shapes[len(world.bounds) :, 3:6]
     for i, body in enumerate(scene.bodies):
         mine = world.movers.bodies == i
         places, half = world.movers.places[mine], halves[mine]
