@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vo.config import KeyframeConfig
-from vo.geometry.transforms import se3_exp, transform_points
+from vo.geometry.transforms import inverse, se3_exp, transform_points
 from vo.tracking.keyframes import median_parallax, needs_keyframe
 from vo.tracking.motion import ConstantVelocity
 from vo.tracking.scale import scale_from_points
@@ -101,6 +101,17 @@ def test_a_correction_moves_the_prediction_along() -> None:
     motion.carry(moved)
     expected = moved @ _pose(0.1) @ se3_exp(TWIST * 0.1)
     np.testing.assert_allclose(motion.predict(_ns(0.2)), expected, atol=1e-9)
+
+
+def test_rounding_does_not_add_up_over_many_corrections() -> None:
+    motion = ConstantVelocity()
+    motion.restart(_ns(0.0), _pose(0.0))
+    for step in range(1, 200):
+        motion.update(_ns(0.1 * step), motion.predict(_ns(0.1 * step)))
+        target = se3_exp(np.array([0.3, 0.2, 0.01 * step, 0.1, 0.0, 0.1]))
+        motion.carry(target @ inverse(motion.last))
+    rotation = motion.last[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
 
 
 def test_two_poses_at_one_time_give_no_velocity() -> None:

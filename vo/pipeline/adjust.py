@@ -9,7 +9,7 @@ import numpy as np
 from vo.config import Config
 from vo.geometry.points import refine_points
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.transforms import adjoint, inverse
+from vo.geometry.transforms import adjoint, inverse, orthonormalised
 from vo.mapping.map import Keyframe, Map
 from vo.smoothing.residuals import residuals
 from vo.smoothing.solution import WindowSolution
@@ -84,10 +84,11 @@ def take_in(
 
 def _move_keyframes(world: Map, window: Window, solution: WindowSolution) -> list[Keyframe]:
     newest = window.keyframes[-1]
-    motion = solution.world_from_cam[-1] @ inverse(newest.world_from_cam)
+    motion = orthonormalised(solution.world_from_cam[-1] @ inverse(newest.world_from_cam))
     moved = [k for k in world.keyframes if k.id > newest.id]
     for keyframe in moved:
-        keyframe.world_from_cam = motion @ keyframe.world_from_cam
+        # Rounding must not add up: products with transposed rotations double it each time.
+        keyframe.world_from_cam = orthonormalised(motion @ keyframe.world_from_cam)
     free = np.flatnonzero(~window.problem.fixed)
     for k in free.tolist():
         keyframe = window.keyframes[k]

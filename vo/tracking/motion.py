@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.geometry.transforms import inverse, se3_exp, se3_log
+from vo.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
 from vo.types import Floats
 
 
@@ -31,7 +31,7 @@ class ConstantVelocity:
 
     def carry(self, motion: Floats) -> None:
         """The newest frame was moved (4, 4) in the world; the velocity in its own frame stays."""
-        self._world_from_cam = motion @ self._world_from_cam
+        self._world_from_cam = orthonormalised(motion @ self._world_from_cam)
 
     def predict(self, stamp_ns: int) -> Floats:
         """world_from_cam at a later time."""
