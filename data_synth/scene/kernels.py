@@ -35,7 +35,7 @@ _BOX, _ELLIPSOID = int(Kind.BOX), int(Kind.ELLIPSOID)
 _ROUND, _SIDE = 3, 4  # parts of solids: 0, 1, 2 are flat faces across an axis
 _SKY, _NOTHING = -1, -2  # numbers of surfaces
 _GROUND = 1 << 40  # stands for a solid
-_CLOUDS_PER_TURN = 90.0
+_CLOUDS_PER_TURN = 22.5
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Vector = tuple[float, float, float]
@@ -43,6 +43,7 @@ _Pair = tuple[float, float]
 _Turn = tuple[_Vector, _Vector, _Vector]  # rows of a rotation
 _Sweep = tuple[_Turn, _Vector]
 _Tile = tuple[int, int, int, int]  # rows from, to, columns from, to
+_Level = tuple[int, float, float]  # mip-map level, its scale, share of the next level
 _Beam = tuple[_Vector, _Vector, _Vector, _Vector]  # least and greatest origins, then rays
 _List = tuple[Ints, Floats]  # solids, and ray lengths below which each is not met
 _Seen = tuple[Ints, Floats, float]  # solids, ray lengths below which each and the ground are not
@@ -1116,16 +1117,37 @@ def _cell_hit(
 @_compiled
 def _ground_normal(world: World, x: float, y: float) -> _Vector:
     """Unit normal of the patch below a point."""
-    relief = world.relief
-    z = relief.heights
-    u, v = (x - relief.corner[0]) / relief.cell, (y - relief.corner[1]) / relief.cell
-    j = min(max(int(u), 0), z.shape[1] - 2)
-    i = min(max(int(v), 0), z.shape[0] - 2)
-    u, v = u - j, v - i
-    gx = ((1.0 - v) * (z[i, j + 1] - z[i, j]) + v * (z[i + 1, j + 1] - z[i + 1, j])) / relief.cell
-    gy = ((1.0 - u) * (z[i + 1, j] - z[i, j]) + u * (z[i + 1, j + 1] - z[i, j + 1])) / relief.cell
-    scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    z = world.relief.heights
+    i, j, v, u = _spot(world, x, y, 1, z)
+    scale = 1.0 / world.relief.cell
+    across, beyond = z[i, j + 1] - z[i, j], z[i + 1, j + 1] - z[i + 1, j]
+    up, after = z[i + 1, j] - z[i, j], z[i + 1, j + 1] - z[i, j + 1]
+    gx, gy = scale * (across + v * (beyond - across)), scale * (up + u * (after - up))
+    scale = 1.0 / math.sqrt(1.0 + gx * gx + gy * gy)
     return -scale * gx, -scale * gy, scale
+
+
+@_compiled
+def _spot(
+    world: World, x: float, y: float, finer: int, grid: Floats32
+) -> tuple[int, int, float, float]:
+    """Row, column and their fractions on a grid that is so much finer than the ground's."""
+    relief = world.relief
+    scale = finer / relief.cell
+    right, up = scale * (x - relief.corner[0]), scale * (y - relief.corner[1])
+    right = min(max(right, 0.0), grid.shape[1] - 1.0)
+    up = min(max(up, 0.0), grid.shape[0] - 1.0)
+    j, i = min(int(right), grid.shape[1] - 2), min(int(up), grid.shape[0] - 2)
+    return i, j, up - i, right - j
+
+
+@_compiled
+def _between(grid: Floats32, spot: tuple[int, int, float, float]) -> float:
+    """A grid's value there, bilinear."""
+    i, j, v, u = spot
+    near = grid[i, j] + u * (grid[i, j + 1] - grid[i, j])
+    far = grid[i + 1, j] + u * (grid[i + 1, j + 1] - grid[i + 1, j])
+    return float(near + v * (far - near))
 
 
 @_compiled
@@ -1155,19 +1177,8 @@ def _ground_shade(
 
 @_compiled
 def _ground_light(world: World, x: float, y: float) -> float:
-    """Baked light on the ground, bilinear."""
-    relief = world.relief
-    rows, columns = relief.light.shape
-    right = (x - relief.corner[0]) / relief.cell / (relief.heights.shape[1] - 1) * (columns - 1)
-    up = (y - relief.corner[1]) / relief.cell / (relief.heights.shape[0] - 1) * (rows - 1)
-    j = min(max(int(right), 0), columns - 2)
-    i = min(max(int(up), 0), rows - 2)
-    fu, fv = right - j, up - i
-    z = relief.light
-    return float(
-        (1.0 - fv) * ((1.0 - fu) * z[i, j] + fu * z[i, j + 1])
-        + fv * ((1.0 - fu) * z[i + 1, j] + fu * z[i + 1, j + 1])
-    )
+    light = world.relief.light
+    return _between(light, _spot(world, x, y, world.relief.finer, light))
 
 
 # --- Frames ----------------------------------------------------------------------------------
@@ -1343,21 +1354,21 @@ def _on_face(axis: int, sign: float, local: _Vector) -> _Pair:
 @_compiled
 def _stain(world: World, u: float, v: float, size: float) -> float:
     """The stain, 0…1, blurred to a footprint of `size` texels."""
-    base, next_share = _level(size * size)
-    return _trilinear(world, len(world.atlas.levels) - 1, base, next_share, u, v) / 255.0
+    level = _level(size * size)
+    return _trilinear(world, len(world.atlas.levels) - 1, level, u, v) / 255.0
 
 
 @_compiled
-def _level(square: float) -> tuple[int, float]:
-    """Mip-map level for a footprint of so many texels squared, and the share of the next level."""
-    if square <= 1.0:
-        return 0, 0.0
-    mantissa, exponent = math.frexp(square)  # log2 with straight lines between powers of two
-    level, share = (exponent - 1) >> 1, mantissa - 0.5 + 0.5 * ((exponent - 1) & 1)
-    share = 2.0 * share - 0.5  # half of the time one level is enough
-    if share >= 1.0:
-        level, share = level + 1, 0.0
-    return (level, max(share, 0.0)) if level < LEVELS - 1 else (LEVELS - 1, 0.0)
+def _level(square: float) -> _Level:
+    """Mip-map level for a footprint of so many texels squared."""
+    level, shrink = 0, 1.0
+    while square >= 4.0 and level < LEVELS - 1:
+        square, level, shrink = 0.25 * square, level + 1, 0.5 * shrink
+    # Straight lines instead of the logarithm; half of the time one level is enough.
+    share = square - 1.5 if square < 2.0 else 0.5 * square - 0.5
+    if level == LEVELS - 1:
+        share = 0.0
+    return level, shrink, min(max(share, 0.0), 1.0)
 
 
 @_compiled
@@ -1370,46 +1381,44 @@ def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, seco
         long, short, along = short, long, second
     if long <= _ONE_SAMPLE * max(short, 1.0):
         # Rather a little blur than aliasing.
-        base, next_share = _level(long)
-        return _trilinear(world, texture, base, next_share, u, v) / 255.0
-    count = min(int(np.sqrt(long / max(short, 1.0)) + 0.4), _MAX_ANISOTROPY)
+        return _trilinear(world, texture, _level(long), u, v) / 255.0
+    count = min(int(math.sqrt(long / max(short, 1.0)) + 0.4), _MAX_ANISOTROPY)
     step = 1.0 / count
-    base, next_share = _level(max(short, long * step * step))
+    level = _level(max(short, long * step * step))
     step_u, step_v = step * along[0], step * along[1]
     u, v = u - 0.5 * (count - 1) * step_u, v - 0.5 * (count - 1) * step_v
     total = 0.0
     for _ in range(count):
-        total += _trilinear(world, texture, base, next_share, u, v)
+        total += _trilinear(world, texture, level, u, v)
         u, v = u + step_u, v + step_v
     return total * step / 255.0
 
 
 @_compiled
-def _trilinear(
-    world: World, texture: int, level: int, next_share: float, u: float, v: float
-) -> float:
-    value = _bilinear(world, texture, level, u, v)
-    if next_share > 0.0:
-        value += next_share * (_bilinear(world, texture, level + 1, u, v) - value)
+def _trilinear(world: World, texture: int, where: _Level, u: float, v: float) -> float:
+    level, shrink, share = where
+    value = _bilinear(world, texture, level, shrink * u, shrink * v)
+    if share > 0.0:
+        shrink *= 0.5
+        value += share * (_bilinear(world, texture, level + 1, shrink * u, shrink * v) - value)
     return value
 
 
 @_compiled
 def _bilinear(world: World, texture: int, level: int, u: float, v: float) -> float:
-    levels = world.atlas.levels
+    """A texture at a point given in texels of a level, 0…255."""
+    levels, texels = world.atlas.levels, world.atlas.texels
     start, height, width = (
         levels[texture, level, 0],
         levels[texture, level, 1],
         levels[texture, level, 2],
     )
-    shrink = 1.0 / (1 << level)
-    u, v = u * shrink - 0.5, v * shrink - 0.5
+    u, v = u - 0.5, v - 0.5
     left, top = math.floor(u), math.floor(v)
     fu, fv = u - left, v - top
     j, i = left & (width - 1), top & (height - 1)
     j1, i1 = (j + 1) & (width - 1), (i + 1) & (height - 1)
     upper, lower = start + i * width, start + i1 * width
-    texels = world.atlas.texels
     a, b = float(texels[upper + j]), float(texels[lower + j])
     a += fu * (texels[upper + j1] - a)
     b += fu * (texels[lower + j1] - b)
@@ -1507,13 +1516,10 @@ def light_ground(
 ) -> None:
     """Bake the light on rows band[0]…band[1] - 1 of the ground; `relief.light` is written."""
     relief = world.relief
-    light = relief.light
-    rows, columns = light.shape
-    across = relief.cell * (relief.heights.shape[1] - 1) / (columns - 1)
-    down = relief.cell * (relief.heights.shape[0] - 1) / (rows - 1)
+    light, step = relief.light, relief.cell / relief.finer
     for i in range(band[0], band[1]):
-        for j in range(columns):
-            x, y = relief.corner[0] + across * j, relief.corner[1] + down * i
+        for j in range(light.shape[1]):
+            x, y = relief.corner[0] + step * j, relief.corner[1] + step * i
             normal = _smooth_normal(world, x, y)
             here = _moved((x, y, _height(world, x, y)), normal, _LIFT_M)
             light[i, j] = _all_light(world, here, normal, 1.1, _GROUND, lamps, lamp_points, to_sky)
@@ -1531,16 +1537,8 @@ def _smooth_normal(world: World, x: float, y: float) -> _Vector:
 
 @_compiled
 def _height(world: World, x: float, y: float) -> float:
-    relief = world.relief
-    z = relief.heights
-    u = min(max((x - relief.corner[0]) / relief.cell, 0.0), z.shape[1] - 1.0)
-    v = min(max((y - relief.corner[1]) / relief.cell, 0.0), z.shape[0] - 1.0)
-    j, i = min(int(u), z.shape[1] - 2), min(int(v), z.shape[0] - 2)
-    u, v = u - j, v - i
-    return float(
-        (1.0 - v) * ((1.0 - u) * z[i, j] + u * z[i, j + 1])
-        + v * ((1.0 - u) * z[i + 1, j] + u * z[i + 1, j + 1])
-    )
+    heights = world.relief.heights
+    return _between(heights, _spot(world, x, y, 1, heights))
 
 
 @_entry

@@ -70,7 +70,7 @@ def _relief(world: World, lighting: Lighting) -> Relief:
     cells = np.array(relief.heights.shape) - 1
     finer = max(1, round(relief.cell * lighting.points_per_m))
     finer = max(1, min(finer, _MOST_GROUND_POINTS // int(cells.max())))
-    return relief._replace(light=np.zeros(finer * cells + 1, np.float32))
+    return relief._replace(light=np.zeros(finer * cells + 1, np.float32), finer=finer)
 
 
 def _sizes(world: World, lighting: Lighting) -> Ints:

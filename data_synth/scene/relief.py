@@ -23,7 +23,8 @@ class Relief(NamedTuple):
         texture: number of its texture.
         density: texels per metre.
         stain: strength of its stain.
-        light: on a finer grid over the same area.
+        light: on a grid over the same area.
+        finer: how many times finer that grid is.
     """
 
     heights: Floats32
@@ -36,6 +37,7 @@ class Relief(NamedTuple):
     density: float
     stain: float
     light: Floats32
+    finer: int
 
     @property
     def is_there(self) -> bool:
@@ -45,11 +47,10 @@ class Relief(NamedTuple):
 
 def make_relief(ground: Ground | None) -> Relief:
     """The ground as arrays, still dark."""
-    dark = np.zeros((2, 2), np.float32)
     if ground is None:
         none = np.zeros((1, 1), np.float32)
         level = np.zeros(1, np.int64)
-        return Relief(none, np.zeros(2), 1.0, none[0], level, level + 1, 0, 1.0, 0.0, dark)
+        return Relief(none, np.zeros(2), 1.0, none[0], level, level + 1, 0, 1.0, 0.0, none, 1)
     heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
     levels = _peaks(heights)
     sizes = [level.size for level in levels]
@@ -63,7 +64,8 @@ def make_relief(ground: Ground | None) -> Relief:
         texture=ground.texture,
         density=float(ground.density),
         stain=float(ground.stain),
-        light=dark,
+        light=np.zeros_like(heights),
+        finer=1,
     )
 
 
