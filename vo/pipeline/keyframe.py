@@ -13,6 +13,7 @@ from vo.pipeline.working_frame import WorkingFrame
 from vo.tracking.keyframes import median_parallax, needs_keyframe
 from vo.types import Bools, Floats, Ints
 
+_TRACKABLE = 0.9  # share of the landmarks tried in a frame that is found in easy ones
 _PATCH_SCALE = 1.3  # patches of landmarks that have changed size by more are taken anew
 _PATCH_SCORE = 0.9  # and those that correlate less
 
@@ -25,7 +26,10 @@ def wants_keyframe(world: Map, frame: WorkingFrame, tracked: Tracked, config: Co
         world.xyz[rows], last.world_from_cam[:3, 3], tracked.world_from_cam[:3, 3]
     )
     elapsed_s = (frame.stamp_ns - last.stamp_ns) * 1e-9
-    return needs_keyframe(len(rows), len(last.landmark), parallax, elapsed_s, config.keyframes)
+    # Never more than can be expected to be tracked: else every frame of a rich scene is one.
+    most = _TRACKABLE * config.tracking.max_landmarks / config.keyframes.min_tracked_share
+    before = min(len(last.landmark), int(most))
+    return needs_keyframe(len(rows), before, parallax, elapsed_s, config.keyframes)
 
 
 def add_keyframe(
