@@ -17,8 +17,8 @@ _TRIES = 400
 def grains() -> tuple[Ints, Floats]:
     """Counts (C,) and offsets (C, 32, 3) across, down and in time, -0.5…0.5.
 
-    Along each of the three they are spread evenly, and each has its mirror image about the middle,
-    so that no edge is moved.
+    Along each of the three they are spread evenly, and each is followed by its mirror image about
+    the middle, so that no edge is moved. The first and last moments come first.
     """
     offsets = np.zeros((len(COUNTS), max(COUNTS), 3))
     for i, count in enumerate(COUNTS):
@@ -27,15 +27,21 @@ def grains() -> tuple[Ints, Floats]:
 
 
 def _spread(count: int) -> Floats:
-    """Of many random ones, the offsets whose nearest pair is farthest apart in each plane."""
+    """Of many random ones, the offsets whose nearest pair is farthest apart in each plane.
+
+    Of those, one that is outermost across and one that is so down are among the first half.
+    """
     rng = np.random.default_rng([count, 51])
-    half = (np.arange(count // 2) + 0.5) / count
+    half = (np.arange(count // 2)[::-1] + 0.5) / count
     best, result = -1.0, np.zeros((count, 3))
     for _ in range(_TRIES):
         signs = rng.choice([-1.0, 1.0], (2, len(half)))
         across, down = (rng.permutation(half) * s for s in signs)
+        first = max(2, count // 4)
+        if max(np.abs(across[first:]).max(), np.abs(down[first:]).max()) == half[0]:
+            continue
         offsets = np.column_stack([across, down, half])
-        offsets = np.vstack([offsets, -offsets])
+        offsets = np.stack([offsets, -offsets], axis=1).reshape(-1, 3)
         apart = min(_apart(offsets[:, pair]) for pair in ([0, 1], [0, 2], [1, 2]))
         if apart > best:
             best, result = apart, offsets

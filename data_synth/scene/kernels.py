@@ -184,16 +184,16 @@ def smooth_rows(
     for top in range(band[0], band[1], _LIST_TILE):
         for left in range(0, rays.shape[1], _LIST_TILE):
             tile = _tile(rays, band, top, left, _LIST_TILE)
-            count, earth = -1, np.inf
+            if not _mean_of_sharp(
+                world, shutter, rays, tile, sharp, depth, surface, crossed, image
+            ):
+                continue
+            count, earth = _list_seen(world, shutter, rays, tile, 0.5, far)
             for upper in range(tile[0], tile[1], _SMOOTH_TILE):
                 for first in range(tile[2], tile[3], _SMOOTH_TILE):
                     part = _tile(rays, band, upper, first, _SMOOTH_TILE)
-                    if not _mean_of_sharp(
-                        world, shutter, rays, part, sharp, depth, surface, crossed, image
-                    ):
+                    if not _is_open(crossed, part):
                         continue
-                    if count < 0:
-                        count, earth = _list_seen(world, shutter, rays, tile, 0.5, far)
                     fewer, below = _thin_out(
                         world, shutter, rays, part, 0.5, far, count, earth, near
                     )
@@ -206,11 +206,19 @@ def smooth_rows(
                         seen,
                         (counts, grains),
                         (groups, numbers),
-                        depth,
                         surface,
                         crossed,
                         image,
                     )
+
+
+@_compiled
+def _is_open(crossed: NDArray[np.uint8], tile: _Tile) -> bool:
+    for row in range(tile[0], tile[1]):
+        for column in range(tile[2], tile[3]):
+            if crossed[0, row, column] != 0:
+                return True
+    return False
 
 
 @_compiled
@@ -225,21 +233,19 @@ def _mean_of_sharp(
     crossed: NDArray[np.uint8],
     image: Floats32,
 ) -> bool:
-    """Fill in the pixels of a tile that one surface fills; whether there are others.
-
-    They are marked with a NaN.
-    """
+    """Fill in the pixels of a tile that one surface fills; whether there are others."""
     more = False
     for row in range(tile[0], tile[1]):
         sweep = _sweep(shutter, row)
         for column in range(tile[2], tile[3]):
-            motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
             if surface[row, column] == _NOTHING:
                 image[row, column] = 0.0
-            elif crossed[0, row, column] == 0 and _fits(sharp, row, column, motion):
+            elif crossed[0, row, column] == 0:
+                motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
+                motion = _within_image(sharp, row, column, motion)
                 image[row, column] = _mean_along(sharp, row, column, motion)
             else:
-                image[row, column], more = np.nan, True
+                more = True
     return more
 
 
@@ -252,24 +258,20 @@ def _mean_of_rays(
     seen: _Seen,
     sampling: tuple[Ints, Floats],
     scratch: tuple[Floats, Ints],
-    depth: Floats32,
     surface: NDArray[np.int32],
     crossed: NDArray[np.uint8],
     image: Floats32,
 ) -> None:
-    """Fill in the pixels of a tile that are marked with a NaN."""
+    """Fill in the pixels of a tile that an edge crosses."""
     counts, grains = sampling
     for row in range(tile[0], tile[1]):
         sweep = _sweep(shutter, row)
         for column in range(tile[2], tile[3]):
-            if not np.isnan(image[row, column]):
+            if crossed[0, row, column] == 0 or surface[row, column] == _NOTHING:
                 continue
             level = len(counts) - 1
             while level > 0 and crossed[level, row, column] == 0:
                 level -= 1
-            if crossed[0, row, column] == 0:  # something comes in over the rim of the image
-                motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
-                level = _needed(counts, motion)
             image[row, column] = _mean_radiance(
                 world,
                 shutter,
@@ -279,6 +281,7 @@ def _mean_of_rays(
                 grains[level, : counts[level]],
                 scratch,
                 sweep,
+                surface[row, column],
             )
 
 
@@ -292,18 +295,23 @@ def _mean_radiance(
     grains: Floats,
     scratch: tuple[Floats, Ints],
     sweep: _Sweep,
+    middle: int,
 ) -> float:
     """Mean shade over the area and the exposure of one pixel.
 
     Many rays find the share of each surface, then each is shaded once: where its rays are on
-    average, and over as much of the pixel and of its motion as they take up.
+    average, and over as much of the pixel and of its motion as they take up. `middle` is the
+    surface that the ray in the middle met: if the first half meet it too, so will the others.
     """
     (row, column), (groups, numbers) = pixel, scratch
     rows, many = rays.shape[0], len(grains)
     turn, start, time = _pose(shutter, rows, row, 0.0)
     ray, across, down = _steps(rays, row, column)
     count = 0
-    for k in range(many):
+    for k in range(len(grains)):
+        if k == max(4, len(grains) // 2) and count == 1 and numbers[0] == middle:
+            many = k
+            break
         if shutter.width > 0.0:
             turn, start, time = _pose(shutter, rows, row, grains[k, 2])
         to = _turned(turn, _within(ray, across, down, grains[k, 0], grains[k, 1]))
@@ -431,17 +439,15 @@ def _needed(counts: Ints, motion: _Pair) -> int:
 
 
 @_compiled
-def _fits(sharp: Floats32, row: int, column: int, motion: _Pair) -> bool:
-    """Whether the image holds all that passes a pixel."""
-    rows, columns = sharp.shape
-    across, down = 0.5 * abs(motion[0]), 0.5 * abs(motion[1])
-    return bool(
-        max(across, down) <= 0.5
-        or (
-            across + 1.5 <= min(column, columns - 1 - column)
-            and down + 1.5 <= min(row, rows - 1 - row)
-        )
-    )
+def _within_image(sharp: Floats32, row: int, column: int, motion: _Pair) -> _Pair:
+    """A motion, shortened at the rim of the image to what lies within it on both sides."""
+    across, down = abs(motion[0]), abs(motion[1])
+    right = 2.0 * min(column, sharp.shape[1] - 1 - column) - 3.0
+    below = 2.0 * min(row, sharp.shape[0] - 1 - row) - 3.0
+    if across <= right and down <= below:
+        return motion
+    share = max(min(right / max(across, 1e-9), below / max(down, 1e-9), 1.0), 0.0)
+    return share * motion[0], share * motion[1]
 
 
 @_compiled
