@@ -25,7 +25,8 @@ _LIST_TILE, _CAST_TILE, _SMOOTH_TILE = 32, 8, 8
 _MAX_ANISOTROPY = 8
 _ONE_SAMPLE = 1.6**2  # up to this ratio of a footprint's sides, squared
 _GROUPS = 5
-_JUMP = 3.0
+_LOST_MOTION = 2.0  # pixels that motion blur may lack at the rim of an image
+_JUMP = 3.0  # of inverse depth from pixel to pixel where one hill hides another
 _LEAST_JUMP = 0.01
 _FAR_M = 1000.0
 _LIFT_M = 0.012  # light is measured just above marks and rugs that lie on a surface
@@ -185,7 +186,7 @@ def smooth_rows(
         for left in range(0, rays.shape[1], _LIST_TILE):
             tile = _tile(rays, band, top, left, _LIST_TILE)
             if not _mean_of_sharp(
-                world, shutter, rays, tile, sharp, depth, surface, crossed, image
+                world, shutter, rays, tile, sharp, depth, surface, counts, crossed, image
             ):
                 continue
             count, earth = _list_seen(world, shutter, rays, tile, 0.5, far)
@@ -230,10 +231,14 @@ def _mean_of_sharp(
     sharp: Floats32,
     depth: Floats32,
     surface: NDArray[np.int32],
+    counts: Ints,
     crossed: NDArray[np.uint8],
     image: Floats32,
 ) -> bool:
-    """Fill in the pixels of a tile that one surface fills; whether there are others."""
+    """Fill in the pixels of a tile that one surface fills; whether there are others.
+
+    At the rim, those count as crossed whose motion goes far beyond the image.
+    """
     more = False
     for row in range(tile[0], tile[1]):
         sweep = _sweep(shutter, row)
@@ -242,8 +247,12 @@ def _mean_of_sharp(
                 image[row, column] = 0.0
             elif crossed[0, row, column] == 0:
                 motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
-                motion = _within_image(sharp, row, column, motion)
-                image[row, column] = _mean_along(sharp, row, column, motion)
+                within = _within_image(sharp, row, column, motion)
+                if abs(motion[0] - within[0]) + abs(motion[1] - within[1]) > _LOST_MOTION:
+                    crossed[0, row, column] = crossed[_needed(counts, motion), row, column] = 1
+                    more = True
+                else:
+                    image[row, column] = _mean_along(sharp, row, column, within)
             else:
                 more = True
     return more
