@@ -2,19 +2,44 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import pytest
 
+from vo.types import Trajectory
+
 
 @pytest.fixture(scope="session")
 def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Thirty stereo frames with ground truth in the EuRoC layout; not to be written to."""
-    from data_synth.recipe import load_recipe
-    from data_synth.sequence import make_sequence
+    """Thirty stereo frames of a walk that is under way, as EuRoC; not to be written to.
 
+    groundtruth.tum has the true poses of just these frames.
+    """
+    from data_synth.film import film
+    from data_synth.plan import make_plan
+    from data_synth.recipe import load_recipe
+    from data_synth.writers import euroc
+
+    settings = ["motion=handheld", "seconds=4", "speed=1.5", "scale=0.625", "effects.exposure=0"]
+    plan = make_plan(load_recipe("demo", settings))
+    taken = slice(20, 50)
+    recording = replace(
+        plan.recording,
+        stamps_ns=tuple(stamps[taken] for stamps in plan.recording.stamps_ns),
+        dropped=tuple(dropped[taken] for dropped in plan.recording.dropped),
+        cam0_truth=Trajectory(
+            plan.recording.cam0_truth.stamps_ns[taken],
+            plan.recording.cam0_truth.world_from_cam[taken],
+        ),
+    )
     folder = tmp_path_factory.mktemp("synthetic") / "walk"
-    make_sequence(folder, load_recipe("demo", ["seconds=2", "motion=handheld", "scale=0.625"]))
+    with ThreadPoolExecutor() as pool:
+        shots = islice(film(plan, pool), taken.start, taken.stop)
+        renumbered = (replace(shot, index=shot.index - taken.start) for shot in shots)
+        euroc.write(folder, recording, renumbered, "png")
     return folder
 
 
