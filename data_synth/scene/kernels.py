@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from data_synth.scene.atlas import LEVELS
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.solids import Kind
-from data_synth.scene.world import STAIN_PER_TEXEL, World
+from data_synth.scene.world import World
 from vo.types import Floats, Floats32, Ints
 
 BAND_ROWS = 32
@@ -1184,7 +1184,7 @@ def _ground_shade(
         (k * d[0], -k * d[1]),
     )
     if relief.stain > 0.0:
-        k *= STAIN_PER_TEXEL
+        k = relief.stain_scale
         size = k * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
         value *= 1.0 + 2.0 * relief.stain * (_stain(world, k * hit[0], -k * hit[1], size) - 0.5)
     return value * _ground_light(world, hit[0], hit[1])
@@ -1507,7 +1507,7 @@ def light_faces(
         lamp_points: (L, P, 3) points of each lamp, the first four of them its corners.
         to_sky: (K, 3) directions above a surface, its outward last, with their lengths.
     """
-    lights = world.lights
+    lights, close = world.lights, np.empty(len(world.kinds), np.int64)
     for number in range(faces[0], faces[1]):
         solid, face = number // 6, number % 6
         begin, rows, columns = lights.grids[solid, face]
@@ -1521,7 +1521,7 @@ def light_faces(
                 here = _moved(_upright(world, solid, here), (shape[0], shape[1], shape[2]), 1.0)
                 outward = _upright(world, solid, normal)
                 lights.values[begin + i * columns + j] = _all_light(
-                    world, here, outward, tint, solid, lamps, lamp_points, to_sky
+                    world, here, outward, tint, solid, lamps, lamp_points, to_sky, close
                 )
 
 
@@ -1532,12 +1532,15 @@ def light_ground(
     """Bake the light on rows band[0]…band[1] - 1 of the ground; `relief.light` is written."""
     relief = world.relief
     light, step = relief.light, relief.cell / relief.finer
+    close = np.empty(len(world.kinds), np.int64)
     for i in range(band[0], band[1]):
         for j in range(light.shape[1]):
             x, y = relief.corner[0] + step * j, relief.corner[1] + step * i
             normal = _smooth_normal(world, x, y)
             here = _moved((x, y, _height(world, x, y)), normal, _LIFT_M)
-            light[i, j] = _all_light(world, here, normal, 1.1, _GROUND, lamps, lamp_points, to_sky)
+            light[i, j] = _all_light(
+                world, here, normal, 1.1, _GROUND, lamps, lamp_points, to_sky, close
+            )
 
 
 @_compiled
@@ -1591,9 +1594,10 @@ def _all_light(
     lamps: Floats,
     lamp_points: Floats,
     to_sky: Floats,
+    close: Ints,
 ) -> float:
     """Light at a point from all around, from the sun and from lamps."""
-    open_share = _open_share(world, here, normal, guess, to_sky)
+    open_share = _open_share(world, here, normal, to_sky, close)
     total = world.sources.ambient * tint * (_DARKEST + (1.0 - _DARKEST) * open_share)
     sun = (world.sources.sun[0], world.sources.sun[1], world.sources.sun[2])
     facing = _dot(normal, sun)
@@ -1642,18 +1646,58 @@ def _surface_point(
 
 
 @_compiled
-def _open_share(world: World, here: _Vector, normal: _Vector, guess: int, to_sky: Floats) -> float:
-    """Share of the directions (K, 3) above a surface that meet nothing within their length."""
+def _open_share(world: World, here: _Vector, normal: _Vector, to_sky: Floats, close: Ints) -> float:
+    """Share of the directions (K, 3) above a surface that meet nothing within their length.
+
+    `close` is room for a list of solids.
+    """
+    count = _list_close(world, here, _reach(to_sky), close)
     first, second = _tangents(normal)
-    clear = 0
+    has_ground = world.relief.heights.shape[0] > 1
+    clear, guess = 0, 0
     for k in range(len(to_sky)):
         ray = _moved(_ZERO, first, to_sky[k, 0])
         ray = _moved(ray, second, to_sky[k, 1])
         ray = _moved(ray, normal, to_sky[k, 2])
-        blocker = _blocker(world, here, ray, guess)
-        clear += blocker < 0
-        guess = blocker if blocker >= 0 else guess
+        blocked = False
+        for other in range(count):
+            solid = close[(guess + other) % count]
+            if _blocks(world, solid, here, ray):
+                guess, blocked = (guess + other) % count, True
+                break
+        if not blocked and has_ground:
+            blocked = _ground_hit(world, here, ray, 0.0, 1.0) < 1.0
+        clear += not blocked
     return clear / len(to_sky)
+
+
+@_compiled
+def _reach(to_sky: Floats) -> float:
+    return math.sqrt(to_sky[0, 0] ** 2 + to_sky[0, 1] ** 2 + to_sky[0, 2] ** 2)
+
+
+@_compiled
+def _list_close(world: World, here: _Vector, reach: float, close: Ints) -> int:
+    """List the solids that may be within a distance of a point."""
+    tree = world.tree
+    b = tree.bounds
+    node, count = 0, 0
+    while node < len(tree.skip):
+        if (
+            b[node, 0] > here[0] + reach
+            or b[node, 1] > here[1] + reach
+            or b[node, 2] > here[2] + reach
+            or b[node, 3] < here[0] - reach
+            or b[node, 4] < here[1] - reach
+            or b[node, 5] < here[2] - reach
+        ):
+            node = tree.skip[node]
+            continue
+        if tree.solid[node] >= 0:
+            close[count] = tree.solid[node]
+            count += 1
+        node += 1
+    return count
 
 
 @_compiled

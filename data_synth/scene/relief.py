@@ -9,6 +9,8 @@ import numpy as np
 from data_synth.scene.solids import Ground
 from vo.types import Floats, Floats32, Ints
 
+STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures: the two never repeat together
+
 
 class Relief(NamedTuple):
     """Ground on a grid of R x C points, bilinear between.
@@ -23,6 +25,7 @@ class Relief(NamedTuple):
         texture: number of its texture.
         density: texels per metre.
         stain: strength of its stain.
+        stain_scale: texels of the stain per metre.
         light: on a grid over the same area.
         finer: how many times finer that grid is.
     """
@@ -36,6 +39,7 @@ class Relief(NamedTuple):
     texture: int
     density: float
     stain: float
+    stain_scale: float
     light: Floats32
     finer: int
 
@@ -50,7 +54,7 @@ def make_relief(ground: Ground | None) -> Relief:
     if ground is None:
         none = np.zeros((1, 1), np.float32)
         level = np.zeros(1, np.int64)
-        return Relief(none, np.zeros(2), 1.0, none[0], level, level + 1, 0, 1.0, 0.0, none, 1)
+        return Relief(none, np.zeros(2), 1.0, none[0], level, level + 1, 0, 1.0, 0.0, 0.0, none, 1)
     heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
     levels = _peaks(heights)
     sizes = [level.size for level in levels]
@@ -64,6 +68,7 @@ def make_relief(ground: Ground | None) -> Relief:
         texture=ground.texture,
         density=float(ground.density),
         stain=float(ground.stain),
+        stain_scale=float(ground.density) * STAIN_PER_TEXEL,
         light=np.zeros_like(heights),
         finer=1,
     )

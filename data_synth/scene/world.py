@@ -9,12 +9,11 @@ import numpy as np
 
 from data_synth.scene.atlas import Atlas, pack
 from data_synth.scene.noise import soft_noise
-from data_synth.scene.relief import Relief, heights_at, make_relief
+from data_synth.scene.relief import STAIN_PER_TEXEL, Relief, heights_at, make_relief
 from data_synth.scene.solids import Ground, Kind, Solid
 from data_synth.scene.tree import Tree, grow
 from vo.types import Bools, Floats, Floats32, Ints
 
-STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures, so that the two never repeat together
 _STAIN_TEXELS_PER_M = 12.0
 _STAIN_SIDE = 512
 _STAIN_SLOPE = 1.3
