@@ -30,6 +30,7 @@ _JUMP = 3.0  # of inverse depth from pixel to pixel where one hill hides another
 _LEAST_JUMP = 0.01
 _FAR_M = 1000.0
 _LIFT_M = 0.012  # light is measured just above marks and rugs that lie on a surface
+_FEW_CLOSE = 6  # solids that are asked one by one
 _DARKEST = 0.35  # ambient light in the deepest corner
 
 _BOX, _ELLIPSOID = int(Kind.BOX), int(Kind.ELLIPSOID)
@@ -1655,11 +1656,18 @@ def _open_share(world: World, here: _Vector, normal: _Vector, to_sky: Floats, cl
     first, second = _tangents(normal)
     has_ground = world.relief.heights.shape[0] > 1
     clear, guess = 0, 0
+    if count > _FEW_CLOSE:
+        guess = close[0]
     for k in range(len(to_sky)):
         ray = _moved(_ZERO, first, to_sky[k, 0])
         ray = _moved(ray, second, to_sky[k, 1])
         ray = _moved(ray, normal, to_sky[k, 2])
         blocked = False
+        if count > _FEW_CLOSE:
+            blocker = _blocker(world, here, ray, guess)
+            clear += blocker < 0
+            guess = blocker if blocker >= 0 else guess
+            continue
         for other in range(count):
             solid = close[(guess + other) % count]
             if _blocks(world, solid, here, ray):
