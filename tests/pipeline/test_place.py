@@ -83,7 +83,7 @@ def test_a_pose_from_which_no_landmark_is_in_view_is_refused(scene: Scene) -> No
 
 
 def test_a_pose_that_few_of_the_landmarks_in_view_confirm_is_refused(scene: Scene) -> None:
-    dark = scene.with_dark_rows(170)
+    dark = scene.with_dark_rows(190)
     assert dark.refine(dark.pose) is None
     tracking = CONFIG.tracking.model_copy(update={"min_share": 0.0})
     tracked = dark.refine(dark.pose, CONFIG.model_copy(update={"tracking": tracking}))
