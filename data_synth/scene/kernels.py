@@ -64,6 +64,8 @@ def _compiled(function: _F) -> _F:
     not return arrays either: nobody would have counted them.
     """
     options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+    # Python does not call them: without the bridges to it, compiling takes half the time.
+    options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return cast(_F, numba.njit(**options)(function))
 
 
