@@ -51,18 +51,22 @@ class _Exposed:
         return Shot(self.index, done, self.depth)
 
 
-def film(plan: Plan, pool: ThreadPoolExecutor) -> Iterator[Shot]:
-    """Render all frames in order; a frame is developed while the next one is rendered.
+def film(plan: Plan, pool: ThreadPoolExecutor, frames: range | None = None) -> Iterator[Shot]:
+    """Render frames in order; a frame is developed while the next one is rendered.
 
     Args:
         plan: what to film.
         pool: threads that share the rows of an image; their number changes no byte.
+        frames: which frames, by default all; the first is exposed as its light asks for.
     """
+    frames = range(len(plan.recording)) if frames is None else frames
+    if len(frames) == 0:
+        return
     eyes = _eyes(plan)
     effects, fps = plan.recipe.effects, plan.recipe.fps
-    auto = AutoExposure(effects, fps, _preview_mean(plan, eyes[0], pool))
+    auto = AutoExposure(effects, fps, _preview_mean(plan, eyes[0], frames[0], pool))
     developing: _Exposed | None = None
-    for index in range(len(plan.recording)):
+    for index in frames:
         exposed = _expose(plan, eyes, index, auto.next(), pool)
         if developing is not None:
             auto.observe(developing.mean())
@@ -84,12 +88,12 @@ def _eyes(plan: Plan) -> tuple[_Eye, ...]:
     )
 
 
-def _preview_mean(plan: Plan, eye: _Eye, pool: ThreadPoolExecutor) -> float:
-    """Mean light of the first view, at a fraction of the pixels."""
+def _preview_mean(plan: Plan, eye: _Eye, index: int, pool: ThreadPoolExecutor) -> float:
+    """Mean light of a view, at a fraction of the pixels."""
     step = _PREVIEW_STEP
-    world_from_body = plan.path.world_from_body(plan.timing.times_s[:1])[0]
+    world_from_body = plan.path.world_from_body(plan.timing.times_s[index : index + 1])[0]
     rays = np.ascontiguousarray(eye.rays[::step, ::step])
-    view = render(_world(plan, 0), rays, still(world_from_body @ eye.body_from_cam), pool)
+    view = render(_world(plan, index), rays, still(world_from_body @ eye.body_from_cam), pool)
     return float((view.image * eye.vignette[::step, ::step]).mean())
 
 

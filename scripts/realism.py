@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.cache import cached_sequence
+from data_synth.film import film
+from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe, recipe_names
-from vo.errors import VoError
 from vo.geometry.cameras import normalise
 from vo.sources.registry import open_source
-from vo.types import Camera, Frame
+from vo.types import Bytes, Camera
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "synth.md"
@@ -77,11 +79,10 @@ def main() -> None:
     """Measure, print, and write what is asked for."""
     parser = argparse.ArgumentParser(prog="scripts/realism", description=__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--cache", type=Path, default=ROOT / "out" / "synth")
     parser.add_argument("--only", default="", metavar="TEXT", help="only where the name has this")
     parser.add_argument("--write", action="store_true", help="write it into docs/synth.md")
     options = parser.parse_args()
-    rows = [row for row in _rows(options) if row is not None]
+    rows = list(_rows(options))
     lines = ["| " + " | ".join(cells) + " |" for cells in (HEAD, ["---"] + ["---:"] * 8)]
     text = "\n".join([*lines, *("| " + " | ".join(row.cells()) + " |" for row in rows)])
     print(text)
@@ -91,42 +92,45 @@ def main() -> None:
         PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
 
 
-def _rows(options: argparse.Namespace) -> Iterator[Row | None]:
+def _rows(options: argparse.Namespace) -> Iterator[Row]:
     for name in REAL:
         if options.only in name and (options.data / name).is_dir():
-            yield _measured(f"real: {name}", options.data / name, options.cache)
+            _say(name)
+            yield _real(name, options.data / name)
     for name in recipe_names():
         if options.only in name:
-            # Stills of a cached recording serve all readers, so its layout is one that opens.
-            recipe = load_recipe(name, ["format=euroc", f"seconds={_seconds(name)}"])
-            yield _measured(name, cached_sequence(recipe, options.cache, name), options.cache)
+            _say(name)
+            yield _synthetic(name)
 
 
-def _seconds(name: str) -> float:
-    return min(load_recipe(name).seconds, 20.0)
-
-
-def _measured(name: str, folder: Path, work: Path) -> Row | None:
-    print(name, file=sys.stderr, flush=True)
-    calibration = work / "tum.yaml"
-    if "tum_fr3" in name:
-        work.mkdir(parents=True, exist_ok=True)
+def _real(name: str, folder: Path) -> Row:
+    """The middle frames of a recording on disk."""
+    with tempfile.TemporaryDirectory() as work:
+        calibration = Path(work) / "tum.yaml"
         calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
-    try:
-        source = open_source(
-            folder, calibration=calibration if "tum_fr3" in name else None, mode="mono"
-        )
-        seen = list(source.frames())
-    except VoError as error:
-        print(f"  {error}", file=sys.stderr)
-        return None
-    middle = max(0, len(seen) // 2 - FRAMES // 2)
-    return _row(name, seen[middle : middle + FRAMES], source.rig.cam0)
+        given = calibration if name.startswith("tum") else None
+        source = open_source(folder, calibration=given, mode="mono")
+        middle = max(0, len(source) // 2 - FRAMES // 2)
+        images = [frame.image0 for frame in source.frames(middle, middle + FRAMES)]
+    return _row(f"real: {name}", images, source.rig.cam0)
 
 
-def _row(name: str, frames: list[Frame], camera: Camera) -> Row:
+def _synthetic(name: str) -> Row:
+    """The middle frames of a preset's recording, filmed with one camera."""
+    plan = make_plan(load_recipe(name, ["mono=true", "format=euroc"]))
+    middle = max(0, len(plan.recording) // 2 - FRAMES // 2)
+    with ThreadPoolExecutor() as pool:
+        shots = list(film(plan, pool, range(middle, middle + FRAMES)))
+    images = [shot.images[0] for shot in shots if shot.images[0] is not None]
+    return _row(f"`{name}`", images, plan.recording.rig.cam0)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _row(name: str, images: list[Bytes], camera: Camera) -> Row:
     orb = cv2.ORB_create(FEATURES)
-    images = [frame.image0 for frame in frames]
     found = [orb.detectAndCompute(image, None) for image in images]
     pairs = [_pair(camera, first, second) for first, second in zip(found, found[1:], strict=False)]
     lengths = _track_lengths(pairs, [len(points) for points, _ in found])

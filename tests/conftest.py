@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -37,7 +36,7 @@ def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     folder = tmp_path_factory.mktemp("synthetic") / "walk"
     with ThreadPoolExecutor() as pool:
-        shots = islice(film(plan, pool), taken.start, taken.stop)
+        shots = film(plan, pool, range(taken.start, taken.stop))
         renumbered = (replace(shot, index=shot.index - taken.start) for shot in shots)
         euroc.write(folder, recording, renumbered, "png")
     return folder

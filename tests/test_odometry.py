@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import islice
 
 import cv2
 import numpy as np
@@ -83,7 +82,7 @@ def _recording() -> Recording:
     plan = make_plan(recipe)
     frames = []
     with ThreadPoolExecutor() as pool:
-        for shot in islice(film(plan, pool), FIRST, FIRST + COUNT):
+        for shot in film(plan, pool, range(FIRST, FIRST + COUNT)):
             index = len(frames)
             left, right = shot.images
             assert left is not None
