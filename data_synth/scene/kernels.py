@@ -319,7 +319,7 @@ def _mean_radiance(
     rows, many = rays.shape[0], len(grains)
     turn, start, time = _pose(shutter, rows, row, 0.0)
     ray, across, down = _steps(rays, row, column)
-    count = 0
+    count, left_out = 0, 0
     for k in range(len(grains)):
         if k == max(4, len(grains) // 2) and count == 1 and numbers[0] == middle:
             many = k
@@ -333,19 +333,20 @@ def _mean_radiance(
             numbers[group] == number and _is_near(inverse, groups[group, 4] / groups[group, 0])
         ):
             group += 1
+        if group == len(numbers):  # so many surfaces that one ray less does not matter
+            left_out += 1
+            continue
         if group == count:
-            if group == len(numbers):  # so many surfaces that it does not matter which
-                group -= 1
-            else:
-                count += 1
-                numbers[group] = number
-                for m in range(5):
-                    groups[group, m] = 0.0
+            count += 1
+            numbers[group] = number
+            for m in range(5):
+                groups[group, m] = 0.0
         groups[group, 0] += 1.0
         groups[group, 1] += grains[k, 0]
         groups[group, 2] += grains[k, 1]
         groups[group, 3] += grains[k, 2]
         groups[group, 4] += inverse
+    many -= left_out
     total = 0.0
     for group in range(count):
         size = groups[group, 0]
@@ -1474,7 +1475,8 @@ def _baked(world: World, solid: int, face: int, right: float, up: float) -> floa
     right, up = (0.5 + 0.5 * right) * (columns - 1), (0.5 + 0.5 * up) * (rows - 1)
     j = min(max(int(right), 0), columns - 2)
     i = min(max(int(up), 0), rows - 2)
-    fu, fv = right - j, up - i
+    # A mean of hits may lie a little beside a face.
+    fu, fv = min(max(right - j, 0.0), 1.0), min(max(up - i, 0.0), 1.0)
     at = grids[solid, face, 0] + i * columns + j
     return float(
         (1.0 - fv) * ((1.0 - fu) * values[at] + fu * values[at + 1])

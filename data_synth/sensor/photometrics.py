@@ -122,7 +122,7 @@ def _expose(
                 line[column] *= vignette[row, column]
         if len(normals) > 0:
             for column in range(columns):
-                variance = read + shot * line[column]
+                variance = read + shot * max(line[column], zero)
                 line[column] += np.sqrt(variance) * normals[row, column]
         for column in range(columns):
             line[column] = min(max(line[column], zero), full)
