@@ -102,3 +102,21 @@ def test_what_the_lens_does_not_see_is_black_and_infinitely_far(pool: ThreadPool
     np.testing.assert_array_equal(view.depth[~outside], whole.depth[~outside])
     inside = np.hypot(u - 50, v - 39) < 35
     np.testing.assert_allclose(view.image[inside], whole.image[inside], atol=1e-6)
+
+
+def test_pixels_with_very_many_surfaces_stay_within_what_these_show(
+    pool: ThreadPoolExecutor,
+) -> None:
+    rng = np.random.default_rng(0)
+    pickets = [
+        Solid((x, y, z), (0.02, 0.008, 0.008), WHITE, yaw=float(rng.uniform(0, 3)))
+        for x, y, z in rng.uniform((14, -0.15, -0.15), (18, 0.15, 0.15), (3000, 3))
+    ]
+    world = bright_world([WALL, *pickets])
+    values = rng.uniform(0.2, 1.0, len(world.lights.values)).astype(np.float32)
+    world = world._replace(lights=world.lights._replace(values=values))
+    view = render(world, camera_rays(CAMERA), still(looking_along_x()), pool)
+    crowd = view.image[39:41, 59:61]
+    assert crowd.min() > 0.05  # pickets, and the black wall between them
+    assert crowd.max() < 1.0
+    assert view.image.min() >= 0.0
