@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from vo.types import Frame, Rig, Skipped, Trajectory
+from vo.types import Frame, Ints, Rig, Skipped, Trajectory
 
 
 class Source(Protocol):
@@ -29,6 +29,11 @@ class Source(Protocol):
 
     def __len__(self) -> int:
         """Number of frames before slicing."""
+        ...
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """(N,) the time of every frame before slicing, without reading an image."""
         ...
 
     def frames(self, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
