@@ -7,10 +7,19 @@ import numpy as np
 import pytest
 
 from vo.errors import SourceError
-from vo.sources.images import depth_bits_of, read_grey
+from vo.sources.images import ImageFile, depth_bits_of, read_grey
+from vo.types import Bytes
 
 RNG = np.random.default_rng(3)
 GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)
+
+
+def read(path: Path, depth_bits: int = 16) -> Bytes:
+    return read_grey(ImageFile(path), depth_bits)
+
+
+def bits_of(paths: list[Path]) -> int:
+    return depth_bits_of([ImageFile(path) for path in paths])
 
 
 def _written(path: Path, pixels: np.ndarray) -> Path:
@@ -20,18 +29,18 @@ def _written(path: Path, pixels: np.ndarray) -> Path:
 
 @pytest.mark.parametrize("suffix", [".png", ".bmp", ".pgm", ".tif"])
 def test_reads_grey_images_as_they_are(tmp_path: Path, suffix: str) -> None:
-    assert np.array_equal(read_grey(_written(tmp_path / f"a{suffix}", GREY)), GREY)
+    assert np.array_equal(read(_written(tmp_path / f"a{suffix}", GREY)), GREY)
 
 
 def test_reads_jpeg_nearly_as_it_is(tmp_path: Path) -> None:
     smooth = cv2.GaussianBlur(GREY, (0, 0), 3)
-    image = read_grey(_written(tmp_path / "a.jpg", smooth))
+    image = read(_written(tmp_path / "a.jpg", smooth))
     assert np.abs(image.astype(int) - smooth).max() <= 4
 
 
 def test_turns_colour_to_grey(tmp_path: Path) -> None:
     blue_green_red = np.tile(np.array([200, 100, 50], np.uint8), (40, 60, 1))
-    image = read_grey(_written(tmp_path / "a.png", blue_green_red))
+    image = read(_written(tmp_path / "a.png", blue_green_red))
     assert image.shape == (40, 60)
     assert abs(int(image[0, 0]) - (0.114 * 200 + 0.587 * 100 + 0.299 * 50)) <= 1
 
@@ -43,15 +52,15 @@ def test_scales_16_bit_images_by_the_bits_in_use(tmp_path: Path, brightest: int,
     pixels = np.zeros((40, 60), np.uint16)
     pixels[5, 6] = brightest
     path = _written(tmp_path / "a.png", pixels)
-    assert depth_bits_of([path]) == bits
-    image = read_grey(path, bits)
+    assert bits_of([path]) == bits
+    image = read(path, bits)
     assert image.dtype == np.uint8
     assert image[5, 6] == brightest * 256 // 2**bits
 
 
 def test_brighter_16_bit_pixels_than_expected_saturate(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.png", np.full((4, 4), 5000, np.uint16))
-    assert (read_grey(path, 12) == 255).all()
+    assert (read(path, 12) == 255).all()
 
 
 def test_depth_is_that_of_the_brightest_of_several_images(tmp_path: Path) -> None:
@@ -60,8 +69,8 @@ def test_depth_is_that_of_the_brightest_of_several_images(tmp_path: Path) -> Non
         for i in range(4)
     ]
     (tmp_path / "4.png").write_bytes(b"damaged")
-    assert depth_bits_of([*paths, tmp_path / "4.png"]) == 12
-    assert depth_bits_of([_written(tmp_path / "grey.png", GREY)]) == 8
+    assert bits_of([*paths, tmp_path / "4.png"]) == 12
+    assert bits_of([_written(tmp_path / "grey.png", GREY)]) == 8
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm"])
@@ -73,7 +82,7 @@ def test_refuses_cut_off_files_without_noise(
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     with pytest.raises(SourceError, match=str(path)):
-        read_grey(path)
+        read(path)
     assert capfd.readouterr() == ("", "")
 
 
@@ -85,7 +94,7 @@ def test_refuses_a_png_with_a_flipped_bit(
     data[len(data) // 2] ^= 1
     path.write_bytes(bytes(data))
     with pytest.raises(SourceError, match="cut off or damaged"):
-        read_grey(path)
+        read(path)
     assert capfd.readouterr() == ("", "")
 
 
@@ -94,16 +103,16 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None
     data = path.read_bytes()
     thumbnail = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"\xff\xd8  \xff\xd9"
     path.write_bytes(data[:2] + thumbnail + data[2:])
-    assert read_grey(path).shape == GREY.shape
+    assert read(path).shape == GREY.shape
     path.write_bytes((data[:2] + thumbnail + data[2:])[:-50])
     with pytest.raises(SourceError, match="cut off"):
-        read_grey(path)
+        read(path)
 
 
 def test_accepts_jpegs_padded_at_the_end(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.jpg", GREY)
     path.write_bytes(path.read_bytes() + bytes(100))
-    assert read_grey(path).shape == GREY.shape
+    assert read(path).shape == GREY.shape
 
 
 @pytest.mark.parametrize(
@@ -112,25 +121,25 @@ def test_accepts_jpegs_padded_at_the_end(tmp_path: Path) -> None:
 def test_says_what_is_wrong(tmp_path: Path, content: bytes, reason: str) -> None:
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(SourceError, match=reason):
-        read_grey(tmp_path / "a.png")
+        read(tmp_path / "a.png")
 
 
 def test_missing_files_and_folders(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="does not exist"):
-        read_grey(tmp_path / "a.png")
+        read(tmp_path / "a.png")
     with pytest.raises(SourceError, match="cannot be read"):
-        read_grey(tmp_path)
+        read(tmp_path)
 
 
 def test_refuses_pixels_of_floating_point(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.tif", GREY.astype(np.float32))
     with pytest.raises(SourceError, match="float32 pixels; 8 or 16 bits"):
-        read_grey(path)
+        read(path)
 
 
 def test_leaves_the_log_level_of_opencv_as_it_was(tmp_path: Path) -> None:
     before = cv2.utils.logging.getLogLevel()
     with pytest.raises(SourceError):
-        read_grey(_written(tmp_path / "a.png", GREY).with_suffix(".jpg"))
-    read_grey(tmp_path / "a.png")
+        read(_written(tmp_path / "a.png", GREY).with_suffix(".jpg"))
+    read(tmp_path / "a.png")
     assert cv2.utils.logging.getLogLevel() == before

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vo.errors import SourceError
+from vo.sources.images import ImageFile
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp, stamped_like, tolerance_ns
 
@@ -15,12 +16,15 @@ MS = 1_000_000
 
 
 def _shots(stamps_ms: list[float], side: str = "left") -> list[Shot]:
-    return [Shot(round(s * MS), Path(f"{side}/{i}.png"), "here") for i, s in enumerate(stamps_ms)]
+    return [
+        Shot(round(s * MS), ImageFile(Path(f"{side}/{i}.png")), "here")
+        for i, s in enumerate(stamps_ms)
+    ]
 
 
 def _pairs(left: list[float], right: list[float]) -> list[int | None]:
     found = pair_by_stamp(_shots(left), _shots(right, "right"))
-    return [None if path is None else int(path.stem) for path in found]
+    return [None if image is None else int(Path(image.name).stem) for image in found]
 
 
 def test_pairs_stamps_that_differ_a_little() -> None:
@@ -70,9 +74,11 @@ def test_pairs_are_one_to_one_in_order_and_close(left: list[int], right: list[in
 
 
 def test_right_images_take_the_stamps_of_their_names() -> None:
-    left = [Shot(i * 100, Path(f"left/{name}.png"), "here") for i, name in enumerate("abc")]
+    left = [
+        Shot(i * 100, ImageFile(Path(f"left/{name}.png")), "here") for i, name in enumerate("abc")
+    ]
     found = stamped_like(left, [Path("right/c.jpg"), Path("right/a.jpg"), Path("right/x.jpg")])
-    assert [(s.stamp_ns, s.path.name) for s in found] == [(0, "a.jpg"), (200, "c.jpg")]
+    assert [(s.stamp_ns, s.image.name) for s in found] == [(0, "right/a.jpg"), (200, "right/c.jpg")]
 
 
 def test_neither_names_nor_counts_agree() -> None:

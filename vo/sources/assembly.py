@@ -1,4 +1,8 @@
-"""From the lists that a format gathered to a source: size, calibration, mode, pairs, truth."""
+"""From the lists that a format gathered to a source: size, calibration, mode, pairs, truth.
+
+A format lists its images as `Shot`s, whatever they are stored in (`StoredImage` in
+`vo.sources.images`), says how to get the calibration and the truth, and hands this to `assemble`.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from pathlib import Path
 
 from vo.errors import CalibrationError, SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
-from vo.sources.images import depth_bits_of, read_grey
+from vo.sources.images import StoredImage, depth_bits_of
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.sequence import ImageSequence
@@ -20,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Gathered:
-    """What a format found in a folder.
+    """What a format found in a folder or file.
 
     Attributes:
         name: short name of the recording.
@@ -48,7 +52,7 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
     """
     size = _first_size(gathered.left)
     calibration = gathered.calibrate(size)
-    _check_size(calibration.rig.cam0, size, gathered.left[0].path.parent)
+    _check_size(calibration.rig.cam0, size, gathered.left)
     rig = _choose_rig(gathered, calibration.rig, mode)
     partners = _pair(gathered, rig, mode)
     return ImageSequence(
@@ -58,7 +62,7 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
         ground_truth=_truth(gathered, calibration),
         left=gathered.left,
         right=partners,
-        depth_bits=depth_bits_of([shot.path for shot in gathered.left]),
+        depth_bits=depth_bits_of([shot.image for shot in gathered.left]),
     )
 
 
@@ -90,7 +94,7 @@ def _first_size(shots: Sequence[Shot]) -> ImageSize:
     reason = ""
     for shot in shots:
         try:
-            height, width = read_grey(shot.path).shape
+            height, width = shot.image.read().shape
         except SourceError as error:
             reason = reason or str(error)
             continue
@@ -98,11 +102,11 @@ def _first_size(shots: Sequence[Shot]) -> ImageSize:
     raise SourceError(f"none of {len(shots)} images can be read; the first: {reason}")
 
 
-def _check_size(camera: Camera, size: ImageSize, where: Path) -> None:
+def _check_size(camera: Camera, size: ImageSize, shots: Sequence[Shot]) -> None:
     if (camera.width, camera.height) != size:
         raise CalibrationError(
-            f"images in {where} are {size[0]}x{size[1]}, but the calibration is for "
-            f"{camera.width}x{camera.height}; give the calibration of these very images"
+            f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration "
+            f"is for {camera.width}x{camera.height}; give the calibration of these very images"
         )
 
 
@@ -124,11 +128,11 @@ def _choose_rig(gathered: Gathered, rig: Rig, mode: Mode) -> Rig:
             )
         _log.warning("%s: right images not used, as cam1 is not calibrated", gathered.name)
         return Rig(rig.cam0)
-    _check_size(rig.cam1, _first_size(gathered.right), gathered.right[0].path.parent)
+    _check_size(rig.cam1, _first_size(gathered.right), gathered.right)
     return rig
 
 
-def _pair(gathered: Gathered, rig: Rig, mode: Mode) -> list[Path | None] | None:
+def _pair(gathered: Gathered, rig: Rig, mode: Mode) -> list[StoredImage | None] | None:
     if rig.cam1 is None or not gathered.right:
         return None
     partners = pair_by_stamp(gathered.left, gathered.right)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
 from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.images import ImageFile
 from vo.sources.listing import Shot, list_images, shots_from_times
 from vo.sources.naming import shots_from_names
 from vo.sources.pairing import stamped_like
@@ -32,7 +34,8 @@ def open_folder(path: Path, calibration: Path | None, mode: Mode) -> Source:
     """
     is_pair = (path / "left").is_dir()
     left_folder = path / "left" if is_pair else path
-    left, named = _left(path, left_folder)
+    times = times_in(path, left_folder)
+    left, named = with_stamps(list_images(left_folder), path, times)
     gathered = Gathered(
         name=path.resolve().name,
         format="folder",
@@ -46,10 +49,14 @@ def open_folder(path: Path, calibration: Path | None, mode: Mode) -> Source:
     return assemble(gathered, mode)
 
 
-def _left(path: Path, folder: Path) -> tuple[list[Shot], bool]:
-    """The left images, and whether their stamps are in their names."""
-    images = list_images(folder)
-    times = first_existing([place / name for place in (path, folder) for name in _TIMES_FILES])
+def with_stamps(
+    images: Sequence[Path], where: Path | str, times: Path | None
+) -> tuple[list[Shot], bool]:
+    """Images with stamps from a file, their names or none, and whether it was the names.
+
+    Raises:
+        SourceError: the stamps do not fit the images.
+    """
     if times is not None:
         return shots_from_times(times, images), False
     shots = shots_from_names(images)
@@ -57,12 +64,18 @@ def _left(path: Path, folder: Path) -> tuple[list[Shot], bool]:
         return shots, True
     _log.warning(
         "%s has no %s and no stamps in its file names: 10 frames per second are assumed",
-        path,
+        where,
         " or ".join(_TIMES_FILES),
     )
     return [
-        Shot(i * _ASSUMED_INTERVAL_NS, image, f"file {image}") for i, image in enumerate(images)
+        Shot(i * _ASSUMED_INTERVAL_NS, ImageFile(image), f"file {image}")
+        for i, image in enumerate(images)
     ], False
+
+
+def times_in(*places: Path) -> Path | None:
+    """The first file with times in these folders."""
+    return first_existing([place / name for place in places for name in _TIMES_FILES])
 
 
 def _right(folder: Path, left: list[Shot], named: bool) -> list[Shot] | None:

@@ -1,12 +1,20 @@
-"""Reads image files as grey 8-bit arrays and knows a damaged file when it sees one."""
+"""Images wherever they are stored, as grey arrays; a damaged one is known when it is seen.
+
+A `StoredImage` is an image that nobody has read yet: its name and a way to read it. Files are one
+kind (`ImageFile`); messages of a log, frames of a video or rows of a database are others, kept
+where their format is. Whoever adds a kind writes a small frozen class with a `name` and a `read`;
+`decode_image` turns the bytes of PNG, JPEG and the like into pixels. All else, reading ahead,
+checks of size, what is skipped, slices, comes with `vo.sources.sequence`.
+"""
 
 from __future__ import annotations
 
 import threading
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Protocol, cast
 
 import cv2
 import numpy as np
@@ -15,11 +23,61 @@ from numpy.typing import NDArray
 from vo.errors import SourceError
 from vo.types import Bytes
 
+Pixels = NDArray[np.unsignedinteger]
+"""(H, W) grey, uint8 or uint16."""
+
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
 _DEPTHS = (8, 10, 12, 14, 16)
+
+
+class StoredImage(Protocol):
+    """An image that can be read when it is needed, as often as that may be.
+
+    `read` is called from a thread of its camera: never twice at a time by one camera, and in the
+    order of the recording once frames are asked for (a few images spread over the recording are
+    looked at before). Left and right are read at the same time; what they share needs a lock. No
+    file should stay open between reads.
+    """
+
+    @property
+    def name(self) -> str:
+        """What messages call it; the path of a file."""
+        ...
+
+    def read(self) -> Pixels:
+        """The (H, W) image as stored, colour turned to grey, 8 or 16 bits.
+
+        Raises:
+            SourceError: it is missing, damaged, cut off or no image; the frame is then skipped.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """An image in a file of its own."""
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """The path."""
+        return str(self.path)
+
+    def read(self) -> Pixels:
+        """The image as `StoredImage.read` has it; also raises as that does."""
+        try:
+            data = self.path.read_bytes()
+        except FileNotFoundError as error:
+            raise SourceError(f"image {self.path} does not exist") from error
+        except OSError as error:
+            raise SourceError(
+                f"image {self.path} cannot be read: {error.strerror or error}"
+            ) from error
+        return decode_image(data, self.name)
 
 
 class _Quiet:
@@ -47,36 +105,36 @@ class _Quiet:
 _quiet_opencv = _Quiet()
 
 
-def read_grey(path: Path, depth_bits: int = 16) -> Bytes:
+def read_grey(stored: StoredImage, depth_bits: int = 16) -> Bytes:
     """Read an image as (H, W) uint8.
 
     Args:
-        path: the file.
-        depth_bits: for files of 16 bits per pixel, how many of them the camera uses; the upper 8
+        stored: where it is.
+        depth_bits: for images of 16 bits per pixel, how many of them the camera uses; the upper 8
             of these are kept.
 
     Raises:
-        SourceError: the file is missing, damaged, cut off or no image.
+        SourceError: it is missing, damaged, cut off or no image.
     """
-    image = _decode(path)
+    image = stored.read()
     if image.dtype == np.uint8:
         return np.asarray(image, dtype=np.uint8)
     return np.asarray(np.minimum(image >> (depth_bits - 8), 255), dtype=np.uint8)
 
 
-def depth_bits_of(paths: Sequence[Path]) -> int:
+def depth_bits_of(images: Sequence[StoredImage]) -> int:
     """How many bits a camera uses: 8, 10, 12, 14 or 16, whichever holds the brightest pixel.
 
     One figure for a whole recording, so that brightness stays comparable from image to image.
 
     Args:
-        paths: images of the recording; five of them, evenly spread, are looked at unless the
+        images: those of the recording; five of them, evenly spread, are looked at unless the
             first has 8 bits. Those that cannot be read are left out.
     """
     brightest = 0
-    for path in paths[:: max(1, len(paths) // 5)]:
+    for stored in images[:: max(1, len(images) // 5)]:
         try:
-            image = _decode(path)
+            image = stored.read()
         except SourceError:
             continue
         if image.dtype == np.uint8:
@@ -85,29 +143,31 @@ def depth_bits_of(paths: Sequence[Path]) -> int:
     return next(bits for bits in _DEPTHS if brightest < 2**bits)
 
 
-def _decode(path: Path) -> NDArray[np.unsignedinteger]:
-    """The (H, W) image as stored, colour turned to grey, 8 or 16 bits."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise SourceError(f"image {path} does not exist") from error
-    except OSError as error:
-        raise SourceError(f"image {path} cannot be read: {error.strerror or error}") from error
+def decode_image(data: bytes, name: str) -> Pixels:
+    """The (H, W) image that a file in memory holds, colour turned to grey, 8 or 16 bits.
+
+    Args:
+        data: PNG, JPEG or any other kind of file that OpenCV knows.
+        name: of the image, for messages.
+
+    Raises:
+        SourceError: it is empty, damaged, cut off or no image.
+    """
     if not data:
-        raise SourceError(f"image {path} is empty")
+        raise SourceError(f"image {name} is empty")
     # OpenCV fills what is missing of a cut-off JPEG with grey and says nothing to the caller.
     if not is_complete(data):
-        raise SourceError(f"image {path} is cut off or damaged ({len(data)} bytes)")
+        raise SourceError(f"image {name} is cut off or damaged ({len(data)} bytes)")
     try:
         with _quiet_opencv:
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
-        raise SourceError(f"image {path} cannot be decoded: {error.err}") from error
+        raise SourceError(f"image {name} cannot be decoded: {error.err}") from error
     if image is None:
-        raise SourceError(f"image {path} cannot be decoded; it is damaged or no image")
+        raise SourceError(f"image {name} cannot be decoded; it is damaged or no image")
     if image.dtype not in (np.uint8, np.uint16):
-        raise SourceError(f"image {path} has {image.dtype} pixels; 8 or 16 bits are understood")
-    return cast("NDArray[np.unsignedinteger]", image)
+        raise SourceError(f"image {name} has {image.dtype} pixels; 8 or 16 bits are understood")
+    return cast("Pixels", image)
 
 
 def is_complete(data: bytes) -> bool:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from vo.errors import SourceError
 from vo.formats.trajectory import stamp_ns_from_seconds
+from vo.sources.images import ImageFile, StoredImage
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -28,12 +29,12 @@ class Shot(NamedTuple):
 
     Attributes:
         stamp_ns: when it was taken, in nanoseconds.
-        path: its file.
+        image: where it is and how it is read.
         place: where the stamp was read, for messages.
     """
 
     stamp_ns: int
-    path: Path
+    image: StoredImage
     place: str
 
 
@@ -99,17 +100,18 @@ def shots_from_table(
     Raises:
         SourceError: a line cannot be read, time does not go on, or none of the files exists.
     """
-    shots = []
+    shots, files = [], []
     for place, text in read_lines(table):
         fields = [field.strip() for field in text.split(separator, 1)]
         if len(fields) != 2 or not fields[1]:
             raise SourceError(f"{place}: '{text}' is not a stamp and a file name")
-        shots.append(Shot(_parse(place, fields[0], stamp_ns), folder / fields[1], place))
+        files.append(folder / fields[1])
+        shots.append(Shot(_parse(place, fields[0], stamp_ns), ImageFile(files[-1]), place))
     check_increasing(shots)
-    if not any(shot.path.is_file() for shot in shots):
+    if not any(file.is_file() for file in files):
         raise SourceError(
             f"none of the {len(shots)} images named in {table} exists; the first would be "
-            f"{shots[0].path}"
+            f"{files[0]}"
         )
     return shots
 
@@ -127,7 +129,7 @@ def shots_from_times(times: Path, images: Sequence[Path]) -> list[Shot]:
             "there must be one line per image"
         )
     pairs = zip(stamps, images, strict=True)
-    shots = [Shot(stamp_ns, image, place) for (stamp_ns, place), image in pairs]
+    shots = [Shot(stamp_ns, ImageFile(image), place) for (stamp_ns, place), image in pairs]
     check_increasing(shots)
     return shots
 

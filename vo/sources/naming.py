@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vo.formats.trajectory import stamp_ns_from_seconds
+from vo.sources.images import ImageFile
 from vo.sources.listing import LARGEST_NS, Shot, check_increasing, median_interval_ns
 
 _NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
@@ -30,7 +31,7 @@ def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
     stamps_ns = _stamps_of_numbers(numbers)
     if stamps_ns is None or max(stamps_ns) > LARGEST_NS:
         return None
-    shots = [Shot(s, p, f"file {p}") for s, p in zip(stamps_ns, images, strict=True)]
+    shots = [Shot(s, ImageFile(p), f"file {p}") for s, p in zip(stamps_ns, images, strict=True)]
     shots.sort(key=lambda shot: shot.stamp_ns)
     check_increasing(shots)
     return shots

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import SourceError
+from vo.sources.images import ImageFile, StoredImage
 from vo.sources.listing import Shot, median_interval_ns
 from vo.types import Ints
 
@@ -18,7 +19,7 @@ _LARGEST_TOLERANCE_NS = 5_000_000
 """A car at 30 m/s moves 15 cm in 5 ms; images further apart in time are no stereo pair."""
 
 
-def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[Path | None]:
+def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredImage | None]:
     """The right partner of each left image, or None where there is none.
 
     Two images are partners if each is the other's nearest in time and they are no further apart
@@ -30,7 +31,7 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[Path | No
         right: M images, stamps increasing.
 
     Returns:
-        N paths or None.
+        N images or None.
     """
     stamps_left = np.array([shot.stamp_ns for shot in left], dtype=np.int64)
     stamps_right = np.array([shot.stamp_ns for shot in right], dtype=np.int64)
@@ -39,7 +40,7 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[Path | No
     mutual = of_right[of_left] == np.arange(len(left))
     close = np.abs(stamps_right[of_left] - stamps_left) <= tolerance_ns(stamps_left)
     partners = [
-        right[j].path if ok else None for j, ok in zip(of_left, mutual & close, strict=True)
+        right[j].image if ok else None for j, ok in zip(of_left, mutual & close, strict=True)
     ]
     _warn_of_dropped(len(right) - sum(p is not None for p in partners), len(right))
     return partners
@@ -60,19 +61,22 @@ def stamped_like(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:
     Raises:
         SourceError: neither names nor counts agree.
     """
-    by_name = {shot.path.stem: shot for shot in left}
+    by_name = {Path(shot.image.name).stem: shot for shot in left}
     shots = [
-        Shot(by_name[path.stem].stamp_ns, path, by_name[path.stem].place)
+        Shot(by_name[path.stem].stamp_ns, ImageFile(path), by_name[path.stem].place)
         for path in right
         if path.stem in by_name
     ]
     if not shots:
         if len(left) != len(right):
+            folder = Path(left[0].image.name).parent
             raise SourceError(
-                f"{left[0].path.parent} has {len(left)} images and {right[0].parent} has "
+                f"{folder} has {len(left)} images and {right[0].parent} has "
                 f"{len(right)}, with no name in common; name the images of a pair alike"
             )
-        return [Shot(a.stamp_ns, path, a.place) for a, path in zip(left, right, strict=True)]
+        return [
+            Shot(a.stamp_ns, ImageFile(path), a.place) for a, path in zip(left, right, strict=True)
+        ]
     _warn_of_dropped(len(right) - len(shots), len(right))
     return sorted(shots, key=lambda shot: shot.stamp_ns)
 

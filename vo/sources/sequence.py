@@ -1,4 +1,8 @@
-"""A source of images listed beforehand and read one by one, when they are asked for."""
+"""A source of images listed beforehand and read one by one, when they are asked for.
+
+It serves every container: what it is given are `StoredImage`s (`vo.sources.images`), which it reads
+a few frames ahead, one thread for each camera.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,13 @@ import logging
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
+
+import numpy as np
 
 from vo.errors import SourceError
-from vo.sources.images import read_grey
+from vo.sources.images import StoredImage, read_grey
 from vo.sources.listing import Shot
-from vo.types import Bytes, Camera, Frame, Rig, Skipped, Trajectory
+from vo.types import Bytes, Camera, Frame, Ints, Rig, Skipped, Trajectory
 
 _log = logging.getLogger(__name__)
 
@@ -20,7 +25,7 @@ _FRAMES_AHEAD = 2
 
 
 class ImageSequence:
-    """The `Source` of every format that keeps its images in files of their own.
+    """The `Source` of every format whose images can be listed beforehand.
 
     Attributes:
         name: short name for titles and file names.
@@ -39,7 +44,7 @@ class ImageSequence:
         rig: Rig,
         ground_truth: Trajectory | None,
         left: Sequence[Shot],
-        right: Sequence[Path | None] | None = None,
+        right: Sequence[StoredImage | None] | None = None,
         depth_bits: int = 16,
     ) -> None:
         """Take the lists that a format has gathered.
@@ -51,7 +56,7 @@ class ImageSequence:
             ground_truth: true poses of cam0.
             left: the images of cam0 in time order.
             right: the partner of each, None where it is missing; None altogether in mono.
-            depth_bits: how many bits the camera uses, for files with 16 bits per pixel.
+            depth_bits: how many bits the camera uses, for images with 16 bits per pixel.
         """
         self.name = name
         self.format = format
@@ -67,6 +72,11 @@ class ImageSequence:
         """Number of frames before slicing, those that cannot be read included."""
         return len(self._left)
 
+    @property
+    def stamps_ns(self) -> Ints:
+        """(N,) the time of every frame before slicing."""
+        return np.array([shot.stamp_ns for shot in self._left], dtype=np.int64)
+
     def frames(self, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
         """Read frames start, start + stride, … below end.
 
@@ -81,8 +91,8 @@ class ImageSequence:
     def _read(self, numbers: range) -> Iterator[Frame]:
         self.skipped = []
         self.unpaired = 0
-        with ThreadPoolExecutor(max_workers=2, thread_name_prefix="decode") as pool:
-            for index, image0, image1 in self._ahead(pool, numbers):
+        with _reader("cam0") as cam0, _reader("cam1") as cam1:
+            for index, image0, image1 in self._ahead(cam0, cam1, numbers):
                 shot = self._left[index]
                 try:
                     left = image0.result()
@@ -96,30 +106,35 @@ class ImageSequence:
                 yield Frame(index, shot.stamp_ns, left, right)
 
     def _ahead(
-        self, pool: ThreadPoolExecutor, numbers: range
+        self, cam0: ThreadPoolExecutor, cam1: ThreadPoolExecutor, numbers: range
     ) -> Iterator[tuple[int, _Image, _Image | None]]:
         """Decode the next frames while this one is worked on: OpenCV leaves Python's lock free."""
         waiting: deque[tuple[int, _Image, _Image | None]] = deque()
         for index in numbers:
-            left = pool.submit(self._image, self._left[index].path, self.rig.cam0)
-            path = None if self._right is None else self._right[index]
+            left = cam0.submit(self._image, self._left[index].image, self.rig.cam0)
+            partner = None if self._right is None else self._right[index]
             right = None
-            if path is not None and self.rig.cam1 is not None:
-                right = pool.submit(self._image, path, self.rig.cam1)
+            if partner is not None and self.rig.cam1 is not None:
+                right = cam1.submit(self._image, partner, self.rig.cam1)
             waiting.append((index, left, right))
             if len(waiting) > _FRAMES_AHEAD:
                 yield waiting.popleft()
         yield from waiting
 
-    def _image(self, path: Path, camera: Camera) -> Bytes:
-        image = read_grey(path, self._depth_bits)
+    def _image(self, stored: StoredImage, camera: Camera) -> Bytes:
+        image = read_grey(stored, self._depth_bits)
         height, width = image.shape
         if (width, height) != (camera.width, camera.height):
             raise SourceError(
-                f"image {path} is {width}x{height}, but the camera gives "
+                f"image {stored.name} is {width}x{height}, but the camera gives "
                 f"{camera.width}x{camera.height}"
             )
         return image
+
+
+def _reader(camera: str) -> ThreadPoolExecutor:
+    """A thread of its own for a camera, so that containers that run one way are read in order."""
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"read-{camera}")
 
 
 def _partner(index: int, image1: _Image | None) -> Bytes | None:
