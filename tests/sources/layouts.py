@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -16,6 +18,7 @@ COUNT = 6
 BASELINE_M = 0.12
 INTRINSICS = [50.0, 51.0, 31.5, 23.5]
 STAMPS_NS = [1_600_000_000_123_456_789 + i * 100_000_001 for i in range(COUNT)]
+RECTIFIED_FROM_CAM0 = se3_exp(np.array([0.01, -0.02, 0.015, 0, 0, 0]))[:3, :3]
 BODY_FROM_CAM0 = se3_exp(np.array([0.3, -1.2, 0.4, 0.05, 0.06, 0.02]))
 CALIBRATION = f"""\
 cam0: {{model: pinhole, resolution: [{WIDTH}, {HEIGHT}], intrinsics: {INTRINSICS}}}
@@ -69,6 +72,67 @@ def write_kitti(folder: Path) -> None:
     write_text(folder / "times.txt", "".join(f"{seconds(s)}\n" for s in STAMPS_NS))
     rows = [" ".join(f"{v:.12e}" for v in pose[:3].ravel()) for pose in truth()]
     write_text(folder / "poses.txt", "\n".join(rows) + "\n")
+
+
+def date(stamp_ns: int) -> str:
+    moment = datetime.fromtimestamp(stamp_ns // 10**9, UTC)
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{stamp_ns % 10**9:09d}"
+
+
+def numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{v:.17e}" for v in values)
+
+
+def calib_cam_to_cam() -> str:
+    """Two rectified grey cameras, their frame turned as much as the world is."""
+    fx, fy, cx, cy = INTRINSICS
+    lines = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
+    for i in range(2):
+        lines += [
+            f"S_0{i}: 1.392000e+03 5.120000e+02",
+            f"K_0{i}: {numbers([900, 0, 690, 0, 900, 240, 0, 0, 1])}",
+            f"D_0{i}: {numbers([-0.3, 0.1, 0.001, 0.0005, -0.02])}",
+            f"R_0{i}: {numbers(np.eye(3).ravel())}",
+            f"T_0{i}: {numbers([-i * BASELINE_M, 0, 0])}",
+            f"S_rect_0{i}: {numbers([WIDTH, HEIGHT])}",
+            f"R_rect_0{i}: {numbers(RECTIFIED_FROM_CAM0.ravel())}",
+            f"P_rect_0{i}: {numbers([fx, 0, cx, -i * fx * BASELINE_M, 0, fy, cy, 0, 0, 0, 1, 0])}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def rigid_text(transform: Floats) -> str:
+    rotation, shift = numbers(transform[:3, :3].ravel()), numbers(transform[:3, 3])
+    return f"calib_time: 25-May-2012 16:47:16\nR: {rotation}\nT: {shift}\n"
+
+
+def write_kitti_raw(folder: Path) -> None:
+    """The inertial unit sits where the rectified left camera does, the scanner somewhere else."""
+    dates = "".join(f"{date(s)}\n" for s in STAMPS_NS)
+    for camera in ("image_00", "image_01"):
+        write_text(folder / camera / "timestamps.txt", dates)
+        for i in range(COUNT):
+            path = folder / camera / "data" / f"{i:010d}.png"
+            write_image(path, image(i, camera == "image_01"))
+    write_text(folder / "oxts" / "timestamps.txt", dates)
+    for i, pose in enumerate(truth()):
+        write_text(folder / "oxts" / "data" / f"{i:010d}.txt", oxts_record(pose))
+    turn = np.eye(4)
+    turn[:3, :3] = RECTIFIED_FROM_CAM0
+    write_text(folder / "calib_cam_to_cam.txt", calib_cam_to_cam())
+    write_text(folder / "calib_imu_to_velo.txt", rigid_text(BODY_FROM_CAM0))
+    write_text(folder / "calib_velo_to_cam.txt", rigid_text(inverse(BODY_FROM_CAM0 @ turn)))
+
+
+def oxts_record(world_from_imu: Floats) -> str:
+    """Near the equator at Greenwich: Mercator's metres are those of the sphere."""
+    rotation, (x, y, z) = world_from_imu[:3, :3], world_from_imu[:3, 3]
+    roll = math.atan2(rotation[2, 1], rotation[2, 2])
+    pitch = math.asin(-rotation[2, 0])
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    latitude = math.degrees(math.atan(math.sinh(y / 6378137.0)))
+    longitude = math.degrees(x / 6378137.0)
+    return numbers([latitude, longitude, z, roll, pitch, yaw, *[0.0] * 24]) + "\n"
 
 
 def sensor_yaml(body_from_camera: Floats) -> str:

@@ -1,0 +1,120 @@
+"""KITTI raw: a drive with image_00/data/ and timestamps.txt, calibrated by calib_cam_to_cam.txt."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from vo.errors import SourceError
+from vo.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.geometry.transforms import inverse
+from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.images import ImageFile
+from vo.sources.listing import Shot, check_increasing, list_images, read_lines
+from vo.sources.oxts import at_stamps, read_oxts, read_rigid
+from vo.sources.source import Source
+from vo.types import Mode, Trajectory
+
+_PAIRS = (("image_00", "image_01"), ("image_02", "image_03"))
+_CALIBRATION = "calib_cam_to_cam.txt"
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
+
+
+def open_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Source:
+    """Open a drive, rectified (`sync`) or as recorded (`extract`); grey cameras before colour ones.
+
+    Raises:
+        SourceError: images or stamps are missing or do not fit together.
+        CalibrationError: there is no calibration, or it is wrong.
+    """
+    path = path.resolve()
+    left, right = next((pair for pair in _PAIRS if (path / pair[0]).is_dir()), _PAIRS[0])
+    shots = _shots(path / left)
+    gathered = Gathered(
+        name=path.name,
+        format="kitti_raw",
+        left=shots,
+        right=_shots(path / right) if (path / right / "data").is_dir() else None,
+        calibrate=lambda size: _calibration(path, calibration, left[-2:], size),
+        read_truth=lambda known: _truth(path, known, shots),
+    )
+    return assemble(gathered, mode)
+
+
+def stamp_ns_from_date(text: str) -> int:
+    """Nanoseconds since 1970 of `2011-09-26 13:02:25.964389445`, taken as UTC.
+
+    Raises:
+        ValueError: the text is something else.
+    """
+    found = _DATE.fullmatch(text.strip())
+    if found is None:
+        raise ValueError(f"'{text}' is not of the form 2011-09-26 13:02:25.964389445")
+    moment = datetime.strptime(found[1], "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
+    return int(moment.timestamp()) * 1_000_000_000 + int((found[2] or "0").ljust(9, "0"))
+
+
+def _shots(camera: Path) -> list[Shot]:
+    """The images of a camera; image number i has line i, where some images are missing too."""
+    images = list_images(camera / "data")
+    stamps = _stamps(camera / "timestamps.txt")
+    if len(images) == len(stamps):
+        rows = list(range(len(images)))
+    else:
+        rows = [int(image.stem) if image.stem.isdigit() else len(stamps) for image in images]
+        if max(rows) >= len(stamps):
+            raise SourceError(
+                f"{camera} has {len(images)} images but {len(stamps)} stamps, and the image names "
+                "are not the numbers of their lines; there must be one line per image"
+            )
+    table = str(camera / "timestamps.txt")
+    shots = [
+        Shot(stamps[row], ImageFile(image), f"{table}:{row + 1}")
+        for row, image in zip(rows, images, strict=True)
+    ]
+    check_increasing(shots)
+    return shots
+
+
+def _stamps(table: Path) -> list[int]:
+    stamps = []
+    for place, text in read_lines(table):
+        try:
+            stamps.append(stamp_ns_from_date(text))
+        except ValueError as error:
+            raise SourceError(f"{place}: stamp {error}") from error
+    return stamps
+
+
+def _calibration(path: Path, chosen: Path | None, camera: str, size: ImageSize) -> Calibration:
+    raw = first_existing([path / _CALIBRATION, path.parent / _CALIBRATION])
+    if chosen is None and raw is not None:
+        return read_calibration(raw, size)
+    candidates = [path.parent / _CALIBRATION, path / "calibration.yaml"]
+    return find_calibration(chosen, candidates)(size)
+
+
+def _truth(path: Path, calibration: Calibration, shots: Sequence[Shot]) -> Trajectory | None:
+    """Poses of cam0 at the stamps of its images, from those of the GPS/INS unit."""
+    folder = path / "oxts"
+    if not folder.is_dir():
+        return None
+    velo_from_imu = read_rigid(_beside(path, "calib_imu_to_velo.txt"))
+    cam_from_velo = read_rigid(_beside(path, "calib_velo_to_cam.txt"))
+    if calibration.body_from_cam0 is None:
+        raise SourceError(f"the calibration does not say where cam0 is; put {_CALIBRATION} there")
+    imu_from_cam0 = inverse(cam_from_velo @ velo_from_imu) @ calibration.body_from_cam0
+    truth = read_oxts(folder, _stamps(folder / "timestamps.txt"))
+    truth = replace(truth, world_from_cam=truth.world_from_cam @ imu_from_cam0)
+    stamps_ns = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
+    return at_stamps(truth, stamps_ns)
+
+
+def _beside(path: Path, name: str) -> Path:
+    """A file of the drive's own, or of its date; the latter if there is neither."""
+    return first_existing([path / name]) or path.parent / name
