@@ -22,24 +22,27 @@ Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 
-DistortionModel = Literal["none", "radtan", "equidistant"]
+DistortionModel = Literal[
+    "none", "radtan", "equidistant", "double_sphere", "extended_unified", "omni"
+]
 Mode = Literal["auto", "mono", "stereo"]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with lens distortion.
+    """A camera: how directions fall onto a plane, and where the pixels lie on it.
 
     Attributes:
         width: image width in pixels.
         height: image height in pixels.
-        fx: focal length in pixels, along u.
+        fx: focal length in pixels, along u; pixels per unit of the plane.
         fy: focal length in pixels, along v.
         cx: principal point, u.
         cy: principal point, v.
         distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant`
-            (Kannala-Brandt, k1..k4, OpenCV's fisheye) or `none`.
-        distortion: its 0, 4, 5 or 8 coefficients.
+            (Kannala-Brandt, k1..k4, OpenCV's fisheye), `double_sphere` (xi alpha),
+            `extended_unified` (alpha beta), `omni` (Mei's xi, then those of radtan) or `none`.
+        distortion: its coefficients.
     """
 
     width: int
@@ -59,21 +62,27 @@ class Camera:
     @property
     def is_distorted(self) -> bool:
         """Whether pixels differ from those of the ideal pinhole camera."""
-        return self.distortion_model == "equidistant" or any(c != 0.0 for c in self.distortion)
+        return self.distortion_model not in ("none", "radtan") or any(self.distortion)
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """One camera, or two with the transform between them."""
+    """One camera, with depth or without, or two with the transform between them."""
 
     cam0: Camera
     cam1: Camera | None = None
     cam1_from_cam0: Floats | None = None
+    has_depth: bool = False
 
     @property
     def is_stereo(self) -> bool:
         """Whether there are two cameras."""
         return self.cam1 is not None
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether lengths come out in metres."""
+        return self.is_stereo or self.has_depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +94,15 @@ class Frame:
         stamp_ns: time of image0 in nanoseconds.
         image0: (H, W) uint8, grey, as recorded (distorted, unrectified).
         image1: the same of cam1, or None in mono and where the partner is missing.
+        depth: (H, W) float32 metres along cam0's axis at the pixels of image0, 0 where unknown; or
+            None where there is no depth camera or no depth image at that time.
     """
 
     index: int
     stamp_ns: int
     image0: Bytes
     image1: Bytes | None = None
+    depth: Floats32 | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +133,25 @@ class Trajectory:
     def positions(self) -> Floats:
         """(N, 3) camera centres in the world."""
         return np.asarray(self.world_from_cam[:, :3, 3], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedFrames:
+    """The frames of a run that have a pose, in time order.
+
+    Attributes:
+        frame_index: (N,) numbers of the frames in the source.
+        segment: (N,) number of the segment of each.
+        is_keyframe: (N,).
+        interpolated: (N,) frames that were not tracked but lie between two that were.
+        trajectory: their N poses, smoothed.
+    """
+
+    frame_index: Ints
+    segment: Ints
+    is_keyframe: Bools
+    interpolated: Bools
+    trajectory: Trajectory
 
 
 @dataclass(frozen=True, eq=False)

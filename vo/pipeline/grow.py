@@ -13,6 +13,7 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import in_front, triangulate
 from vo.mapping.map import Keyframe, Map
+from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.later import Later
 from vo.pipeline.observe import align_landmarks, among, measure_disparity, visible_landmarks
 from vo.pipeline.working_frame import WorkingFrame
@@ -44,8 +45,8 @@ def grow_stereo(
     rig: WorkingRig,
     config: Config,
 ) -> int:
-    """Landmarks from the free features of a keyframe that have a partner in the right image."""
-    if frame.image1 is None:
+    """Landmarks from the free features of a keyframe that have a disparity."""
+    if not frame.has_disparity:
         return 0
     free = np.flatnonzero(keyframe.free)
     disparity = np.full(len(keyframe.keypoints), np.nan)
@@ -72,6 +73,9 @@ def grow_stereo(
 
 def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: Config) -> Floats:
     """Sub-pixel disparities (n,) of some of a frame's features, NaN where there is none."""
+    if frame.depth is not None:
+        xy = frame.keypoints.xy[rows].astype(np.float64)
+        return disparity_from_depth(frame.depth, xy, rig)
     assert frame.image1 is not None and frame.right is not None
     right = frame.right.result()
     left = frame.keypoints

@@ -15,6 +15,7 @@ from vo.geometry.pnp import PoseFit, refine_pose
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.map import Map
+from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Bytes, Floats, Ints
 
@@ -232,7 +233,10 @@ def with_disparity(
     config: TrackingConfig,
     stereo: StereoConfig,
 ) -> Observed:
-    """The same landmarks with their disparities, where there is a right image."""
+    """The same landmarks with their disparities, where there is a right image or depth."""
+    if frame.depth is not None:
+        disparity = disparity_from_depth(frame.depth, observed.image_xy, rig)
+        return replace(observed, disparity=disparity)
     if frame.image1 is None:
         return observed
     in_cam = transform_points(inverse(world_from_cam), world.xyz[observed.rows])

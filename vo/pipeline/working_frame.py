@@ -12,7 +12,7 @@ from vo.config import FeaturesConfig
 from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig
 from vo.pipeline.later import Later
-from vo.types import Bools, Bytes, Floats, Frame, Keypoints
+from vo.types import Bools, Bytes, Floats, Floats32, Frame, Keypoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,7 @@ class WorkingFrame:
         keypoints: features of image0, all inside the ideal camera's field of view.
         ideal_xy: (N, 2) float64 their ideal pinhole pixels.
         right: features of image1, found when they are asked for: few frames need them.
+        depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
     """
 
     index: int
@@ -36,6 +37,12 @@ class WorkingFrame:
     keypoints: Keypoints
     ideal_xy: Floats
     right: Later[Keypoints] | None = None
+    depth: Floats32 | None = None
+
+    @property
+    def has_disparity(self) -> bool:
+        """Whether features can be measured in depth, by a right image or otherwise."""
+        return self.image1 is not None or self.depth is not None
 
 
 class Preparation:
@@ -85,7 +92,9 @@ class Preparation:
         inside = np.asarray(np.isfinite(ideal).all(axis=1))
         if not inside.all():
             keypoints, ideal = select(keypoints, inside), ideal[inside]
-        return WorkingFrame(frame.index, frame.stamp_ns, image0, image1, keypoints, ideal, right)
+        return WorkingFrame(
+            frame.index, frame.stamp_ns, image0, image1, keypoints, ideal, right, frame.depth
+        )
 
     def _right(self, image: Bytes) -> Later[Keypoints]:
         pool = self._pools[1] if self._pools else None
