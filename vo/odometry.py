@@ -53,6 +53,8 @@ class Odometry:
         cv2.setRNGSeed(config.seed)
         self.history = History()
         self._config = config
+        # Depth cameras have other errors than a wrong rectification.
+        self._corrects_offset = config.stereo.offset_correction and not rig.has_depth
         self._rig = working_rig(rig)
         threads = config.threads or available_cores()
         self._smoother = make_smoother(config.smoothing, threads)
@@ -67,7 +69,7 @@ class Odometry:
         self._lost_for = 0
         self._last: Seen | None = None
         self._window: Window | None = None  # that the smoother works on
-        self._answer_after = _ANSWER_AFTER_STEREO if rig.is_stereo else _ANSWER_AFTER_MONO
+        self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
         self._frames_since_asked = 0
         self._moved: set[int] = set()  # keyframes that were smoothed in this step
 
@@ -171,7 +173,7 @@ class Odometry:
         return keyframe
 
     def _grow(self, keyframe: Keyframe, frame: WorkingFrame) -> None:
-        if frame.image1 is not None:
+        if frame.has_disparity:
             grow_stereo(self._map, keyframe, frame, self._rig, self._config)
         else:
             grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)
@@ -203,7 +205,7 @@ class Odometry:
         with clock.stage("window"):
             self._settle(solution)
             offset = self._disparity_watch.update(solution.offset) if solution.offset else None
-            if offset is not None and self._config.stereo.offset_correction:
+            if offset is not None and self._corrects_offset:
                 self._correct_disparities(offset)
             cull(self._map, self._config)
         self._motion.carry(newest.world_from_cam @ inverse(before))
@@ -240,8 +242,8 @@ class Odometry:
         return "", as_tracked(self._map, started), started
 
     def _start_stereo(self, frame: WorkingFrame) -> Keyframe | str:
-        if frame.image1 is None:
-            return "the right image is missing"
+        if not frame.has_disparity:
+            return "the right image, or depth, is missing"
         self._map.clear()
         everything = np.ones(len(frame.keypoints), dtype=bool)
         anchor = self._motion.last
