@@ -257,7 +257,7 @@ def _facts(
     return RunFacts(
         source=str(path),
         format=opened.format,
-        mode="stereo" if opened.rig.is_stereo else "mono",
+        mode="rgbd" if opened.rig.has_depth else "stereo" if opened.rig.is_stereo else "mono",
         has_ground_truth=opened.ground_truth is not None,
         seed=config.seed,
         start=start,

@@ -50,7 +50,7 @@ class RerunRecorder:
         stream = self._open()
         stream.send_recording_name(name)
         self._image = ImageLayer(stream, self._images)
-        self._map = MapLayer(stream, ground_truth, is_metric=rig.is_stereo)
+        self._map = MapLayer(stream, ground_truth, is_metric=rig.is_metric)
         self._plots = PlotLayer(stream)
         self._index = RunIndex()
         for layer in (self._image, self._map, self._plots):

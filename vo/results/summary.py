@@ -29,7 +29,7 @@ class RunFacts:
 
     source: str
     format: str
-    mode: Literal["mono", "stereo"]
+    mode: Literal["mono", "stereo", "rgbd"]
     has_ground_truth: bool
     seed: int
     start: int
@@ -89,7 +89,7 @@ class Summary:
     @property
     def length_unit(self) -> str:
         """Of every length: metres, or what the mono map happens to be measured in."""
-        return "m" if self.facts.mode == "stereo" else "map units"
+        return "map units" if self.facts.mode == "mono" else "m"
 
     @property
     def frames_per_s(self) -> float:
@@ -205,7 +205,7 @@ def _warnings(summary: Summary) -> list[str]:
     if summary.skipped:
         warnings.append(f"{len(summary.skipped)} frames skipped: their images cannot be used")
     if summary.unpaired:
-        warnings.append(f"{summary.unpaired} frames used without their right image")
+        warnings.append(f"{summary.unpaired} frames used without their right or depth image")
     if summary.tracked and (summary.median_inliers or 0.0) < _FEW_INLIERS:
         warnings.append(f"poor tracking: median of {summary.median_inliers or 0:.0f} inliers")
     if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX:
