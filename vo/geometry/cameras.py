@@ -9,11 +9,12 @@ from vo.types import Camera, Floats
 
 
 def project(camera: Camera, points: Floats) -> Floats:
-    """Pixels (N, 2) of points (N, 3) in the camera's frame, with distortion; z must be positive.
+    """Pixels (N, 2) of points (N, 3) in the camera's frame.
 
-    NaN where the lens model does not reach.
+    NaN where the lens model does not reach, and for points that are not in front of the camera.
     """
-    return distort(camera, points[:, :2] / points[:, 2:3])
+    depth = np.where(points[:, 2:3] > 0, points[:, 2:3], np.nan)
+    return distort(camera, points[:, :2] / depth)
 
 
 def distort(camera: Camera, rays: Floats) -> Floats:

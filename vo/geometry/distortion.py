@@ -1,4 +1,4 @@
-"""Lens distortion of normalised image points (x/z, y/z), its derivative and its inverse.
+"""Lens models on normalised image points (x/z, y/z), and their inverses.
 
 A lens polynomial is only good up to where it stops growing: beyond, a ray further out would fall
 further in. Rays there, and points that no ray reaches, are NaN.
@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from vo.geometry import spheres
 from vo.types import Camera, Floats
 
 _MAX_ITERATIONS = 25
@@ -23,34 +24,57 @@ _WIDEST_RADIUS = 20.0
 
 def distort_rays(camera: Camera, rays: Floats) -> Floats:
     """Where the lens moves normalised points (N, 2); NaN beyond its reach."""
-    if camera.distortion_model == "equidistant":
-        return _equidistant(camera, rays)
-    moved, _ = _radtan(camera.distortion, rays)
-    moved[np.hypot(rays[:, 0], rays[:, 1]) > reach(camera)] = np.nan
-    return moved
+    match camera.distortion_model:
+        case "equidistant":
+            return _equidistant(camera, rays)
+        case "double_sphere":
+            return spheres.double_sphere(rays, *camera.distortion)
+        case "extended_unified":
+            return spheres.extended_unified(rays, *camera.distortion)
+        case "omni":
+            xi, *coefficients = camera.distortion
+            return _radtan(tuple(coefficients), spheres.unified(rays, xi))
+        case _:
+            return _radtan(camera.distortion, rays)
 
 
 def undistort_rays(camera: Camera, moved: Floats) -> Floats:
-    """The inverse of `distort_rays` on (N, 2), by Newton's method; NaN where there is none."""
-    if camera.distortion_model == "equidistant":
-        return _equidistant_inverse(camera, moved)
-    return _radtan_inverse(camera, moved)
+    """The inverse of `distort_rays` on (N, 2); NaN where there is none."""
+    match camera.distortion_model:
+        case "equidistant":
+            return _equidistant_inverse(camera, moved)
+        case "double_sphere":
+            return spheres.double_sphere_inverse(moved, *camera.distortion)
+        case "extended_unified":
+            return spheres.extended_unified_inverse(moved, *camera.distortion)
+        case "omni":
+            xi, *coefficients = camera.distortion
+            return spheres.unified_inverse(_radtan_inverse(tuple(coefficients), moved), xi)
+        case _:
+            return _radtan_inverse(camera.distortion, moved)
+
+
+def centre_scale(camera: Camera) -> float:
+    """How much the lens magnifies what is on the optical axis, against a pinhole camera's 1."""
+    if camera.distortion_model in ("double_sphere", "omni"):
+        return 1.0 / (1.0 + camera.distortion[0])
+    return 1.0
 
 
 @lru_cache(maxsize=16)
-def reach(camera: Camera) -> float:
-    """How far out the lens model holds.
+def angle_reach(coefficients: tuple[float, ...]) -> float:
+    """The largest angle from the axis at which an `equidistant` lens holds, at most pi/2."""
+    angles = np.linspace(0.0, np.pi / 2, 4001)
+    _, slope = _angle_polynomial(coefficients, angles)
+    folds = np.flatnonzero(slope <= 0)
+    return float(angles[folds[0] - 1] if len(folds) else np.pi / 2)
 
-    For `radtan` the largest radius of normalised points, infinity where there is no end to it; for
-    `equidistant` the largest angle from the optical axis in radians, at most pi/2.
-    """
-    if camera.distortion_model == "equidistant":
-        angles = np.linspace(0.0, np.pi / 2, 4001)
-        _, slope = _angle_polynomial(camera, angles)
-        folds = np.flatnonzero(slope <= 0)
-        return float(angles[folds[0] - 1] if len(folds) else np.pi / 2)
+
+@lru_cache(maxsize=16)
+def radial_reach(coefficients: tuple[float, ...]) -> float:
+    """The largest radius of points at which a `radtan` lens holds; infinity if at all."""
     radii = np.linspace(0.0, _WIDEST_RADIUS, 20001)
-    radial, slope = _radial(camera.distortion, radii**2)
+    radial, slope = _radial(coefficients, radii**2)
     # A rational model past its pole changes sign or jumps down.
     folds = np.flatnonzero(~(radial + 2.0 * radii**2 * slope > 0) | ~(radial > 0))
     return float(radii[folds[0] - 1]) if len(folds) else np.inf
@@ -68,7 +92,13 @@ def _radial(coefficients: tuple[float, ...], r2: Floats) -> tuple[Floats, Floats
         return radial, (above_slope - radial * below_slope) / below
 
 
-def _radtan(coefficients: tuple[float, ...], rays: Floats) -> tuple[Floats, Floats]:
+def _radtan(coefficients: tuple[float, ...], rays: Floats) -> Floats:
+    moved, _ = _radtan_slope(coefficients, rays)
+    moved[np.hypot(rays[:, 0], rays[:, 1]) > radial_reach(coefficients)] = np.nan
+    return moved
+
+
+def _radtan_slope(coefficients: tuple[float, ...], rays: Floats) -> tuple[Floats, Floats]:
     """Moved points (N, 2) and the derivative as (N, 3): xx, xy (= yx), yy.
 
     Source: Brown, Decentering Distortion of Lenses, 1966; the rational form is OpenCV's.
@@ -85,16 +115,17 @@ def _radtan(coefficients: tuple[float, ...], rays: Floats) -> tuple[Floats, Floa
     return np.stack([moved_x, moved_y], axis=1), np.stack([dxx, dxy, dyy], axis=1)
 
 
-def _radtan_inverse(camera: Camera, moved: Floats) -> Floats:
-    limit = reach(camera)
+def _radtan_inverse(coefficients: tuple[float, ...], moved: Floats) -> Floats:
+    """By Newton's method."""
+    limit = radial_reach(coefficients)
     rays = _clipped(moved, limit)
     for _ in range(_MAX_ITERATIONS):
-        found, slope = _radtan(camera.distortion, rays)
+        found, slope = _radtan_slope(coefficients, rays)
         step = _solved(slope, moved - found)
         rays = _clipped(rays + step, limit)
         if not np.any(np.abs(step) > _CONVERGED * (1.0 + np.abs(rays))):
             break
-    found, _ = _radtan(camera.distortion, rays)
+    found, _ = _radtan_slope(coefficients, rays)
     rays[~(np.abs(found - moved).max(axis=1) <= _ACCEPTED)] = np.nan
     return rays
 
@@ -115,12 +146,12 @@ def _clipped(rays: Floats, limit: float) -> Floats:
     return np.asarray(rays * np.minimum(1.0, limit / np.maximum(radius, 1e-300))[:, None])
 
 
-def _angle_polynomial(camera: Camera, angle: Floats) -> tuple[Floats, Floats]:
+def _angle_polynomial(coefficients: tuple[float, ...], angle: Floats) -> tuple[Floats, Floats]:
     """The moved radius of angles from the axis, and its derivative.
 
     Source: Kannala and Brandt, A Generic Camera Model, 2006, eq. 6.
     """
-    k1, k2, k3, k4 = camera.distortion
+    k1, k2, k3, k4 = coefficients
     a2 = angle * angle
     radius = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
     slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
@@ -130,23 +161,23 @@ def _angle_polynomial(camera: Camera, angle: Floats) -> tuple[Floats, Floats]:
 def _equidistant(camera: Camera, rays: Floats) -> Floats:
     radius = np.hypot(rays[:, 0], rays[:, 1])
     angle = np.arctan(radius)
-    moved, _ = _angle_polynomial(camera, angle)
+    moved, _ = _angle_polynomial(camera.distortion, angle)
     share = np.where(radius > 1e-9, moved / np.maximum(radius, 1e-300), 1.0)
-    share[angle > reach(camera)] = np.nan
+    share[angle > angle_reach(camera.distortion)] = np.nan
     return np.asarray(rays * share[:, None])
 
 
 def _equidistant_inverse(camera: Camera, moved: Floats) -> Floats:
-    limit = reach(camera)
+    limit = angle_reach(camera.distortion)
     radius = np.hypot(moved[:, 0], moved[:, 1])
     angle = np.minimum(radius, limit)
     for _ in range(_MAX_ITERATIONS):
-        found, slope = _angle_polynomial(camera, angle)
+        found, slope = _angle_polynomial(camera.distortion, angle)
         step = (radius - found) / np.maximum(slope, 1e-12)
         angle = np.clip(angle + step, 0.0, limit)
         if not np.any(np.abs(step) > _CONVERGED):
             break
-    found, _ = _angle_polynomial(camera, angle)
+    found, _ = _angle_polynomial(camera.distortion, angle)
     share = np.where(radius > 1e-9, np.tan(angle) / np.maximum(radius, 1e-300), 1.0)
     share[~(np.abs(found - radius) <= _ACCEPTED) | (angle >= np.pi / 2)] = np.nan
     return np.asarray(moved * share[:, None])

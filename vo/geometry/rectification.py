@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from vo.errors import CalibrationError
 from vo.geometry import cameras
+from vo.geometry.distortion import centre_scale
 from vo.geometry.transforms import inverse, make_transform
 from vo.types import Bytes, Camera, Floats, Rig
 
 _Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
+# A place outside every image, for what a lens does not see; OpenCV's maps hold 16 bits.
+_OUTSIDE_PX = -10000.0
 # The standard deviation of a disparity, 0.4 px, is then one of 1 cm in 2 m and of 6 cm in 5 m
 # (fx = 525): about what structured light and time of flight keep to.
 VIRTUAL_BASELINE_M = 0.3
@@ -105,7 +108,8 @@ def working_rig(rig: Rig) -> WorkingRig:
     if rig.cam1 is None or rig.cam1_from_cam0 is None:
         lens = c if c.is_distorted else None
         baseline = VIRTUAL_BASELINE_M if rig.has_depth else 0.0
-        return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4), lens)
+        fx, fy = _central_focal(c)
+        return WorkingRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), lens)
     _check_baseline(inverse(rig.cam1_from_cam0)[:3, 3])
     if _is_rectified(rig):
         baseline = -float(rig.cam1_from_cam0[0, 3])
@@ -128,8 +132,9 @@ def _is_rectified(rig: Rig) -> bool:
 def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> WorkingRig:
     size = (a.width, a.height)
     rotation, translation = cam1_from_cam0[:3, :3].copy(), cam1_from_cam0[:3, 3:4].copy()
-    if "equidistant" in (a.distortion_model, b.distortion_model):
-        r0, r1, p0, p1 = _fisheye_rectification(a, b, rotation, translation)
+    if _is_wide(a) or _is_wide(b):
+        r0, r1, p0, p1 = _wide_rectification(a, b, rotation, translation)
+        maps = (_wide_maps(a, r0, p0, size), _wide_maps(b, r1, p1, size))
     else:
         r0, r1, p0, p1 = cv2.stereoRectify(
             a.matrix,
@@ -142,20 +147,32 @@ def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> WorkingRig:
             flags=cv2.CALIB_ZERO_DISPARITY,
             alpha=0.0,
         )[:4]
+        maps = (_narrow_maps(a, r0, p0, size), _narrow_maps(b, r1, p1, size))
     baseline = -float(p1[0, 3] / p1[0, 0])
-    maps = (_rectify_maps(a, r0, p0, size), _rectify_maps(b, r1, p1, size))
     fx, fy, cx, cy = float(p0[0, 0]), float(p0[1, 1]), float(p0[0, 2]), float(p0[1, 2])
     cam0_from_working = make_transform(r0.T, np.zeros(3))
     return WorkingRig(a.width, a.height, fx, fy, cx, cy, baseline, cam0_from_working, None, maps)
 
 
-def _fisheye_rectification(
+def _is_wide(camera: Camera) -> bool:
+    """Whether the lens is of a model that OpenCV's `stereoRectify` does not know."""
+    return camera.distortion_model not in ("none", "radtan")
+
+
+def _central_focal(camera: Camera) -> tuple[float, float]:
+    """Focal lengths of the pinhole camera that shows what is on the axis at the same size."""
+    scale = centre_scale(camera)
+    return scale * camera.fx, scale * camera.fy
+
+
+def _wide_rectification(
     a: Camera, b: Camera, rotation: Floats, translation: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Rotate both cameras half-way, then x along the baseline (Fusiello et al., 2000).
 
     OpenCV's own fisheye version chooses focal lengths that cut the image to a small part; here
-    both working cameras keep the mean focal length and principal point of the recorded ones.
+    both working cameras keep the mean focal length (on the axis) and principal point of the
+    recorded ones: 100 to 120 degrees of a usual fisheye, of which nothing is shrunk.
     """
     half, _ = cv2.Rodrigues(-0.5 * cv2.Rodrigues(rotation)[0])
     along = (half @ translation).reshape(3)
@@ -163,7 +180,7 @@ def _fisheye_rectification(
     y = np.cross([0.0, 0.0, 1.0], x)
     y /= np.linalg.norm(y)
     turn = np.stack([x, y, np.cross(x, y)])
-    focal = 0.25 * (a.fx + a.fy + b.fx + b.fy)
+    focal = float(np.mean([*_central_focal(a), *_central_focal(b)]))
     p0 = np.array(
         [
             [focal, 0.0, 0.5 * (a.cx + b.cx), 0.0],
@@ -176,15 +193,26 @@ def _fisheye_rectification(
     return turn @ half.T, turn @ half, p0, p1
 
 
-def _rectify_maps(
+def _narrow_maps(
     camera: Camera, rotation: Floats, projection: Floats, size: tuple[int, int]
 ) -> _Maps:
     coefficients = np.array(camera.distortion, dtype=np.float64)
-    fisheye = camera.distortion_model == "equidistant"
-    make = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
-    first, second = make(
+    first, second = cv2.initUndistortRectifyMap(
         camera.matrix, coefficients, rotation, projection[:, :3].copy(), size, cv2.CV_16SC2
     )
+    return first, second
+
+
+def _wide_maps(
+    camera: Camera, rotation: Floats, projection: Floats, size: tuple[int, int]
+) -> _Maps:
+    """Where each working pixel is in the recorded image; outside of it what the lens cannot see."""
+    v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)
+    pixels = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)])
+    rays = pixels @ np.linalg.inv(projection[:, :3]).T @ rotation
+    xy = np.nan_to_num(cameras.project(camera, rays), nan=_OUTSIDE_PX)
+    bounded = np.clip(xy, _OUTSIDE_PX, -_OUTSIDE_PX).astype(np.float32)
+    first, second = cv2.convertMaps(bounded.reshape(size[1], size[0], 2), None, cv2.CV_16SC2)
     return first, second
 
 
