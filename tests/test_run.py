@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 import signal
@@ -19,11 +20,13 @@ from vo.formats.trajectory import read_tum
 from vo.odometry import Odometry
 from vo.pipeline.later import Later
 from vo.pipeline.working_frame import WorkingFrame
+from vo.results.summary import Summary
 from vo.run import run
 from vo.types import Estimate, Rig, Trajectory
 
 FAST = load_config("fast")
-WHOLE = {"trajectory.tum", "causal.tum", "covariance.csv", "summary.json", "config.yaml"}
+GROWING = {"trajectory.tum", "causal.tum", "covariance.csv", "frames.csv"}
+WHOLE = GROWING | {"summary.json", "config.yaml"}
 FRAMES = 8
 
 
@@ -70,8 +73,23 @@ def test_writes_all_files(synthetic_stereo: Path, tmp_path: Path) -> None:
     for name in ("trajectory.tum", "causal.tum"):
         assert len(read_tum(folder / name)) == FRAMES
     assert len(lines(folder / "covariance.csv")) == 1 + summary.keyframes
+    check_frames(lines(folder / "frames.csv"), summary)
     assert load_config(folder / "config.yaml") == FAST
     assert {"read", "features", "start", "write", "record"} <= set(summary.stages)
+
+
+def check_frames(rows: list[str], summary: Summary) -> None:
+    table = list(csv.DictReader(rows))
+    assert [int(row["frame"]) for row in table] == list(range(FRAMES))
+    assert {row["state"] for row in table} == {"tracking"}
+    assert sum(int(row["keyframe"]) for row in table) == summary.keyframes
+    assert np.median([int(row["inliers"]) for row in table]) == summary.median_inliers
+    for row in table:
+        assert 0 < int(row["inliers"]) <= int(row["matches"]) <= int(row["features"])
+        stages = [float(value) for name, value in row.items() if name.endswith("_ms")]
+        assert stages[0] == pytest.approx(sum(stages[1:]), abs=0.01)  # the total comes first
+    read_ms = np.median([float(row["read_ms"]) for row in table])
+    assert read_ms == pytest.approx(summary.stages["read"].median_ms, abs=0.002)
 
 
 def test_smoothed_path_is_near_the_truth(synthetic_stereo: Path, tmp_path: Path) -> None:
@@ -156,8 +174,7 @@ def test_a_killed_run_leaves_every_pose(synthetic_stereo: Path, tmp_path: Path) 
     here = str(Path(__file__).parent)
     done = subprocess.run([sys.executable, "-c", code, here, str(synthetic_stereo), str(killed)])
     assert done.returncode == -signal.SIGKILL
-    growing = {"trajectory.tum", "causal.tum", "covariance.csv"}
-    assert names(killed) == {f"{n}.partial" for n in growing} | {"summary.json", "config.yaml"}
+    assert names(killed) == {f"{n}.partial" for n in GROWING} | {"summary.json", "config.yaml"}
     assert summary_in(killed)["status"] == "interrupted"
     run(synthetic_stereo, whole, config=FAST, end=FRAMES)
     same = (killed / "causal.tum.partial", whole / "causal.tum")

@@ -24,6 +24,7 @@ from vo.recording.recorder import NullRecorder, Recorder
 from vo.results.account import Account
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
+from vo.results.frames import frame_line
 from vo.results.profile import Profile, make_profile
 from vo.results.summary import Placed, RunFacts, Status, Summary, summarise
 from vo.sources.registry import open_source
@@ -138,6 +139,7 @@ class _Run:
         with _interrupt_between_frames() as check:
             for estimate in self._odometry.steps(_timed(frames, clock)):
                 self._take_in(estimate, clock)
+                self._folder.frames.append(frame_line(estimate, clock.stage_ms))
                 self._account.note_time(clock.stage_ms)
                 clock.stage_ms.clear()
                 self._refresh_if_due()

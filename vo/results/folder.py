@@ -9,15 +9,17 @@ from typing import Any
 
 from vo.errors import OutputError
 from vo.results.covariance import COVARIANCE_HEADING
+from vo.results.frames import FRAMES_HEADING
 from vo.results.growing_file import PARTIAL_SUFFIX, GrowingFile
 
 TRAJECTORY = "trajectory.tum"
 CAUSAL = "causal.tum"
 COVARIANCE = "covariance.csv"
+FRAMES = "frames.csv"
 SUMMARY = "summary.json"
 CONFIG = "config.yaml"
 
-_GROWING = (TRAJECTORY, CAUSAL, COVARIANCE)
+_GROWING = (TRAJECTORY, CAUSAL, COVARIANCE, FRAMES)
 
 
 class RunFolder:
@@ -28,6 +30,7 @@ class RunFolder:
         trajectory: smoothed poses, a line a frame.
         causal: poses as they were known when their frame was tracked.
         covariance: a line a keyframe.
+        frames: a line a frame, as it was known then.
 
     Args:
         path: the folder; made if it is missing, cleared of an earlier run's files.
@@ -51,6 +54,11 @@ class RunFolder:
         self.trajectory = GrowingFile(path / TRAJECTORY)
         self.causal = GrowingFile(path / CAUSAL)
         self.covariance = GrowingFile(path / COVARIANCE, COVARIANCE_HEADING)
+        self.frames = GrowingFile(path / FRAMES, FRAMES_HEADING)
+
+    @property
+    def _growing(self) -> tuple[GrowingFile, ...]:
+        return self.trajectory, self.causal, self.covariance, self.frames
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Replace the summary, at once or not at all."""
@@ -59,12 +67,12 @@ class RunFolder:
 
     def finish(self) -> None:
         """Give the growing files their names."""
-        for file in (self.trajectory, self.causal, self.covariance):
+        for file in self._growing:
             file.finish()
 
     def close(self) -> None:
         """Let go of the files, finished or not."""
-        for file in (self.trajectory, self.causal, self.covariance):
+        for file in self._growing:
             file.close()
 
 

@@ -1,0 +1,38 @@
+"""Frames as they were known when they were taken in, as lines of CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from vo.types import Estimate
+
+# In the order of a frame's way; wall time that belongs to none of them is in the total only.
+STAGES = (
+    "read",
+    "features",
+    "start",
+    "match",
+    "align",
+    "map",
+    "window",
+    "smooth",
+    "write",
+    "record",
+)
+
+FRAMES_HEADING = ",".join(
+    (
+        *("frame", "stamp_ns", "state", "segment", "keyframe", "features", "matches", "inliers"),
+        "total_ms",
+        *(f"{stage}_ms" for stage in STAGES),
+    )
+)
+
+
+def frame_line(estimate: Estimate, stage_ms: Mapping[str, float]) -> str:
+    """One frame with the wall time of its stages; a stage that it did not need has 0."""
+    counts = (len(estimate.view.xy), estimate.matches, estimate.inliers)
+    place = (estimate.frame_index, estimate.stamp_ns, estimate.state.value, estimate.segment)
+    spent = (sum(stage_ms.values()), *(stage_ms.get(stage, 0.0) for stage in STAGES))
+    fields = (*place, int(estimate.is_keyframe), *counts, *(f"{ms:.3f}" for ms in spent))
+    return ",".join(map(str, fields))
