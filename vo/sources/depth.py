@@ -1,0 +1,53 @@
+"""Depth images: which belongs to which image of cam0, and what their pixels mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.sources.images import StoredImage
+from vo.sources.listing import Shot
+from vo.types import Floats32
+
+UNITS_PER_METRE = 5000.0
+"""Of TUM RGB-D's 16-bit images, where the calibration says nothing else."""
+
+_TOLERANCE_NS = 20_000_000
+
+
+class DepthImages(NamedTuple):
+    """The depth of each image of cam0, and how many units of its pixels are a metre."""
+
+    images: Sequence[StoredImage | None]
+    per_metre: float
+
+
+def read_depth(stored: StoredImage, per_metre: float) -> Floats32:
+    """(H, W) metres, 0 where unknown.
+
+    Raises:
+        SourceError: the image is missing or damaged.
+    """
+    return np.asarray(stored.read() / np.float32(per_metre), dtype=np.float32)
+
+
+def depth_of_each(left: Sequence[Shot], depth: Sequence[Shot]) -> list[StoredImage | None]:
+    """The depth image of each left one, no further away than 20 ms in time, each used once.
+
+    Of all pairs the closest in time is taken first, as TUM's `associate.py` does.
+    """
+    stamps = np.array([shot.stamp_ns for shot in depth], dtype=np.int64)
+    candidates = []
+    for i, shot in enumerate(left):
+        first = int(np.searchsorted(stamps, shot.stamp_ns - _TOLERANCE_NS, side="right"))
+        last = int(np.searchsorted(stamps, shot.stamp_ns + _TOLERANCE_NS))
+        candidates += [(abs(int(stamps[j]) - shot.stamp_ns), i, j) for j in range(first, last)]
+    found: list[StoredImage | None] = [None] * len(left)
+    used = np.zeros(len(depth), dtype=bool)
+    for _, i, j in sorted(candidates):
+        if found[i] is None and not used[j]:
+            found[i] = depth[j].image
+            used[j] = True
+    return found
