@@ -13,6 +13,7 @@ from pathlib import Path
 
 from vo.errors import CalibrationError, SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.sources.depth import UNITS_PER_METRE, DepthImages, depth_of_each
 from vo.sources.images import StoredImage, depth_bits_of
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
@@ -33,6 +34,7 @@ class Gathered:
         right: those of cam1, stamps increasing; None where there are none.
         calibrate: reads the calibration, given the size of the images.
         read_truth: reads the poses of cam0, or gives None; it may fail.
+        depth: depth images at the pixels of cam0, stamps increasing; None where there are none.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Gathered:
     right: Sequence[Shot] | None
     calibrate: Callable[[ImageSize], Calibration]
     read_truth: Callable[[Calibration], Trajectory | None]
+    depth: Sequence[Shot] | None = None
 
 
 def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
@@ -55,14 +58,16 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
     _check_size(calibration.rig.cam0, size, gathered.left)
     rig = _choose_rig(gathered, calibration.rig, mode)
     partners = _pair(gathered, rig, mode)
+    depth = None if partners else _depth(gathered, calibration, mode)
     return ImageSequence(
         name=gathered.name,
         format=gathered.format,
-        rig=rig if partners else Rig(rig.cam0),
+        rig=rig if partners else Rig(rig.cam0, has_depth=depth is not None),
         ground_truth=_truth(gathered, calibration),
         left=gathered.left,
         right=partners,
         depth_bits=depth_bits_of([shot.image for shot in gathered.left]),
+        depth=depth,
     )
 
 
@@ -143,6 +148,18 @@ def _pair(gathered: Gathered, rig: Rig, mode: Mode) -> list[StoredImage | None] 
         raise SourceError(f"{message}; check the stamps or use --mode mono")
     _log.warning("%s; only the left camera is used", message)
     return None
+
+
+def _depth(gathered: Gathered, calibration: Calibration, mode: Mode) -> DepthImages | None:
+    if mode == "mono" or not gathered.depth:
+        return None
+    images = depth_of_each(gathered.left, gathered.depth)
+    if not any(images):
+        _log.warning(
+            "%s: depth not used, as no depth image is within 20 ms of an image", gathered.name
+        )
+        return None
+    return DepthImages(images, calibration.depth_per_metre or UNITS_PER_METRE)
 
 
 def _truth(gathered: Gathered, calibration: Calibration) -> Trajectory | None:

@@ -10,17 +10,21 @@ import logging
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 
 from vo.errors import SourceError
+from vo.sources.depth import DepthImages, read_depth
 from vo.sources.images import StoredImage, read_grey
 from vo.sources.listing import Shot
-from vo.types import Bytes, Camera, Frame, Ints, Rig, Skipped, Trajectory
+from vo.types import Bytes, Camera, Floats32, Frame, Ints, Rig, Skipped, Trajectory
 
 _log = logging.getLogger(__name__)
 
 _Image = Future[Bytes]
+_Depth = Future[Floats32]
+_Pixels = TypeVar("_Pixels")
 _FRAMES_AHEAD = 2
 
 
@@ -46,6 +50,7 @@ class ImageSequence:
         left: Sequence[Shot],
         right: Sequence[StoredImage | None] | None = None,
         depth_bits: int = 16,
+        depth: DepthImages | None = None,
     ) -> None:
         """Take the lists that a format has gathered.
 
@@ -57,6 +62,7 @@ class ImageSequence:
             left: the images of cam0 in time order.
             right: the partner of each, None where it is missing; None altogether in mono.
             depth_bits: how many bits the camera uses, for images with 16 bits per pixel.
+            depth: the depth of each image of cam0, or None where there is no depth camera.
         """
         self.name = name
         self.format = format
@@ -67,6 +73,7 @@ class ImageSequence:
         self._left = list(left)
         self._right = None if right is None else list(right)
         self._depth_bits = depth_bits
+        self._depth = depth
 
     def __len__(self) -> int:
         """Number of frames before slicing, those that cannot be read included."""
@@ -92,7 +99,7 @@ class ImageSequence:
         self.skipped = []
         self.unpaired = 0
         with _reader("cam0") as cam0, _reader("cam1") as cam1:
-            for index, image0, image1 in self._ahead(cam0, cam1, numbers):
+            for index, image0, image1, image2 in self._ahead(cam0, cam1, numbers):
                 shot = self._left[index]
                 try:
                     left = image0.result()
@@ -100,36 +107,39 @@ class ImageSequence:
                     _log.warning("frame %d skipped: %s", index, error)
                     self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
                     continue
-                right = _partner(index, image1)
-                if right is None and self.rig.is_stereo:
+                right, depth = _partner(index, image1, "right"), _partner(index, image2, "depth")
+                if right is None and depth is None and self.rig.is_metric:
                     self.unpaired += 1
-                yield Frame(index, shot.stamp_ns, left, right)
+                yield Frame(index, shot.stamp_ns, left, right, depth)
 
     def _ahead(
         self, cam0: ThreadPoolExecutor, cam1: ThreadPoolExecutor, numbers: range
-    ) -> Iterator[tuple[int, _Image, _Image | None]]:
+    ) -> Iterator[tuple[int, _Image, _Image | None, _Depth | None]]:
         """Decode the next frames while this one is worked on: OpenCV leaves Python's lock free."""
-        waiting: deque[tuple[int, _Image, _Image | None]] = deque()
+        waiting: deque[tuple[int, _Image, _Image | None, _Depth | None]] = deque()
         for index in numbers:
             left = cam0.submit(self._image, self._left[index].image, self.rig.cam0)
             partner = None if self._right is None else self._right[index]
             right = None
             if partner is not None and self.rig.cam1 is not None:
                 right = cam1.submit(self._image, partner, self.rig.cam1)
-            waiting.append((index, left, right))
+            measured = None if self._depth is None else self._depth.images[index]
+            depth = None if measured is None else cam1.submit(self._metres, measured)
+            waiting.append((index, left, right, depth))
             if len(waiting) > _FRAMES_AHEAD:
                 yield waiting.popleft()
         yield from waiting
 
     def _image(self, stored: StoredImage, camera: Camera) -> Bytes:
         image = read_grey(stored, self._depth_bits)
-        height, width = image.shape
-        if (width, height) != (camera.width, camera.height):
-            raise SourceError(
-                f"image {stored.name} is {width}x{height}, but the camera gives "
-                f"{camera.width}x{camera.height}"
-            )
+        _check_size(stored, image.shape, camera)
         return image
+
+    def _metres(self, stored: StoredImage) -> Floats32:
+        assert self._depth is not None
+        depth = read_depth(stored, self._depth.per_metre)
+        _check_size(stored, depth.shape, self.rig.cam0)
+        return depth
 
 
 def _reader(camera: str) -> ThreadPoolExecutor:
@@ -137,11 +147,20 @@ def _reader(camera: str) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"read-{camera}")
 
 
-def _partner(index: int, image1: _Image | None) -> Bytes | None:
+def _check_size(stored: StoredImage, shape: tuple[int, ...], camera: Camera) -> None:
+    height, width = shape
+    if (width, height) != (camera.width, camera.height):
+        raise SourceError(
+            f"image {stored.name} is {width}x{height}, but the camera gives "
+            f"{camera.width}x{camera.height}"
+        )
+
+
+def _partner(index: int, image: Future[_Pixels] | None, kind: str) -> _Pixels | None:
     try:
-        return None if image1 is None else image1.result()
+        return None if image is None else image.result()
     except SourceError as error:
-        _log.warning("frame %d used without its right image: %s", index, error)
+        _log.warning("frame %d used without its %s image: %s", index, kind, error)
         return None
 
 

@@ -23,10 +23,12 @@ class Calibration:
         rig: the cameras.
         body_from_cam0: (4, 4) where cam0 sits in the frame whose poses the recording's ground
             truth gives, or None where the file does not say.
+        depth_per_metre: units of a depth image that are a metre, or None where it does not say.
     """
 
     rig: Rig
     body_from_cam0: Floats | None = None
+    depth_per_metre: float | None = None
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from vo.formats.calibration.document import Calibration, Document, ImageSize
 from vo.geometry.transforms import make_transform as rigid
 from vo.types import Camera, Floats, Rig
 
-_TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m")
+_TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre")
 _CAMERA_KEYS = ("model", "resolution", "intrinsics", "distortion_model", "distortion")
 
 
@@ -39,7 +39,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     _check_keys(str(document.path), document.data, _TOP_KEYS)
     cam0 = _camera(document, "cam0")
     if "cam1" not in document.data and "baseline_m" not in document.data:
-        return Calibration(Rig(cam0))
+        return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document))
     # A rectified pair has twice the same camera, so that it need not be written twice.
     cam1 = _camera(document, "cam1") if "cam1" in document.data else cam0
     return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)))
@@ -108,6 +108,16 @@ def _cam1_from_cam0(document: Document) -> Floats:
         cam1_from_cam0 = rigid(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
     check_baseline(where, cam1_from_cam0)
     return cam1_from_cam0
+
+
+def _depth_per_metre(document: Document) -> float | None:
+    if "depth_per_metre" not in document.data:
+        return None
+    where = f"{document.path}: depth_per_metre"
+    value = make_number(where, document.data["depth_per_metre"])
+    if value <= 0:
+        raise CalibrationError(f"{where} is {value:g}; it must be above 0, such as 5000 for TUM")
+    return value
 
 
 def _check_keys(where: str, data: Mapping[str, Any], known: Iterable[str]) -> None:
