@@ -96,7 +96,7 @@ def at_stamps(truth: Trajectory, stamps_ns: Ints) -> Trajectory:
 def _between(truth: Trajectory, after: int, stamp_ns: int) -> Floats:
     first, last = int(truth.stamps_ns[after - 1]), int(truth.stamps_ns[min(after, len(truth) - 1)])
     if stamp_ns == first or last == first:
-        return truth.world_from_cam[after - 1]
+        return np.asarray(truth.world_from_cam[after - 1])
     share = (stamp_ns - first) / (last - first)
     return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], share)
 

@@ -1,18 +1,22 @@
-"""TUM RGB-D layout: rgb.txt and rgb/, one camera; depth is not used."""
+"""TUM RGB-D layout: rgb.txt and rgb/, depth.txt and depth/."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from vo.errors import SourceError
 from vo.formats.trajectory import read_tum, stamp_ns_from_seconds
 from vo.sources.assembly import Gathered, assemble, find_calibration
-from vo.sources.listing import shots_from_table
+from vo.sources.listing import Shot, shots_from_table
 from vo.sources.source import Source
 from vo.types import Mode, Trajectory
 
 
 def open_tum(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open a recording folder; groundtruth.txt may be missing.
+    """Open a recording folder; depth.txt and groundtruth.txt may be missing.
+
+    The calibration says how many units of a depth image are a metre (`depth_per_metre`); TUM's own
+    recordings have 5000.
 
     Raises:
         SourceError: images or stamps are missing or do not fit together.
@@ -25,8 +29,19 @@ def open_tum(path: Path, calibration: Path | None, mode: Mode) -> Source:
         right=None,
         calibrate=find_calibration(calibration, [path / "calibration.yaml"]),
         read_truth=lambda _: _truth(path / "groundtruth.txt"),
+        depth=_depth(path) if mode != "mono" else None,
     )
     return assemble(gathered, mode)
+
+
+def _depth(path: Path) -> list[Shot] | None:
+    table = path / "depth.txt"
+    if not table.is_file():
+        return None
+    try:
+        return shots_from_table(table, path, None, stamp_ns_from_seconds)
+    except SourceError as error:
+        raise SourceError(f"{error}; --mode mono goes without depth") from error
 
 
 def _truth(file: Path) -> Trajectory | None:
