@@ -64,10 +64,11 @@ class Run:
     @property
     def numbers(self) -> list[int]:
         """Frames that have a pose."""
-        return [f.frame_index for f in self.odometry.history.frames]
+        return [int(f) for f in self.odometry.history.frames["frame_index"]]
 
     def segment(self, number: int) -> list[int]:
-        return [f.frame_index for f in self.odometry.history.frames if f.segment == number]
+        frames = self.odometry.history.frames
+        return [int(f) for f in frames["frame_index"][frames["segment"] == number]]
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +194,7 @@ def test_landmarks_lie_inside_the_room(stereo: Run, recording: Recording) -> Non
 @pytest.mark.parametrize("kind", ["stereo", "mono"])
 def test_every_keyframe_has_a_covariance(kind: str, request: pytest.FixtureRequest) -> None:
     run: Run = request.getfixturevalue(kind)
-    covariances = [k.covariance for k in run.odometry.history.keyframes.values()]
+    covariances = [k.covariance for k in run.odometry.history.keyframes()]
     known = [c for c in covariances if c is not None and np.isfinite(c).all()]
     assert len(known) == len(covariances) > 4
     np.testing.assert_array_equal(known[0], 0.0)
@@ -204,7 +205,7 @@ def test_every_keyframe_has_a_covariance(kind: str, request: pytest.FixtureReque
 
 def test_true_poses_lie_within_a_few_sigmas(stereo: Run, recording: Recording) -> None:
     world_from_first = recording.world_from_cam0[0]
-    for keyframe in list(stereo.odometry.history.keyframes.values())[1:]:
+    for keyframe in list(stereo.odometry.history.keyframes())[1:]:
         truth = inverse(world_from_first) @ recording.world_from_cam0[keyframe.frame_index]
         assert keyframe.covariance is not None
         error = se3_log(inverse(keyframe.world_from_cam0) @ truth)
@@ -230,7 +231,7 @@ def test_the_number_of_threads_makes_no_difference(
         assert one.state == other.state
         np.testing.assert_array_equal(one.world_from_cam0, other.world_from_cam0)
     covariances = [
-        [k.covariance for k in run.odometry.history.keyframes.values()] for run in (many, alone)
+        [k.covariance for k in run.odometry.history.keyframes()] for run in (many, alone)
     ]
     np.testing.assert_array_equal(*covariances)
 
@@ -401,7 +402,7 @@ def test_a_jump_in_time_and_place_does_not_make_a_wild_path(recording: Recording
     steps = np.linalg.norm(np.diff(run.path[:, :3, 3], axis=0), axis=1)
     truth = recording.world_from_cam0[run.numbers][:, :3, 3]
     expected = np.linalg.norm(np.diff(truth, axis=0), axis=1)
-    together = np.diff([f.segment for f in run.odometry.history.frames]) == 0
+    together = np.diff(run.odometry.history.frames["segment"]) == 0
     np.testing.assert_allclose(steps[together], expected[together], atol=0.03)
 
 

@@ -38,11 +38,11 @@ class Run:
 
     @property
     def numbers(self) -> list[int]:
-        return [f.frame_index for f in self.odometry.history.frames]
+        return [int(f) for f in self.odometry.history.frames["frame_index"]]
 
     @property
     def segments(self) -> set[int]:
-        return {f.segment for f in self.odometry.history.frames}
+        return {int(s) for s in self.odometry.history.frames["segment"]}
 
     def errors_m(self, recording: Recording, *, with_scale: bool = False) -> Floats:
         """Distances of the smoothed positions from the truth after alignment."""
@@ -127,7 +127,7 @@ def test_frames_that_waited_for_the_first_mono_map_are_placed_in_it(mono: Run) -
     second = [e.state for e in mono.estimates].index(State.TRACKING)
     assert second >= 2  # so there are some that waited
     assert mono.numbers == list(range(15))
-    keyframes = list(mono.odometry.history.keyframes.values())
+    keyframes = mono.odometry.history.keyframes()
     assert [k.frame_index for k in keyframes[:2]] == [0, second]
     assert np.all(np.diff(mono.odometry.history.trajectory().stamps_ns) > 0)
 

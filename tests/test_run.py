@@ -17,6 +17,7 @@ import pytest
 from vo.config import Config, load_config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import read_tum
+from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
 from vo.pipeline.later import Later
 from vo.pipeline.working_frame import WorkingFrame
@@ -25,7 +26,7 @@ from vo.run import run
 from vo.types import Estimate, Rig, Trajectory
 
 FAST = load_config("fast")
-GROWING = {"trajectory.tum", "causal.tum", "covariance.csv", "frames.csv"}
+GROWING = {"trajectory.tum", "causal.tum", "poses.csv", "covariance.csv", "frames.csv"}
 WHOLE = GROWING | {"summary.json", "config.yaml"}
 FRAMES = 8
 
@@ -118,6 +119,29 @@ def test_start_end_and_stride(synthetic_stereo: Path, tmp_path: Path) -> None:
     assert np.array_equal(found.stamps_ns, true.stamps_ns[3:12:2])
     assert (summary.frames, summary.facts.requested) == (5, 5)
     assert watcher.calls == [("walk", 5), 1, 2, 3, 4, 5, "finish"]
+
+
+def test_with_every_third_frame_tracked_the_others_are_interpolated(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    config = load_config("fast", ["tracking.every=3"])
+    summary = run(synthetic_stereo, tmp_path, config=config, end=11)
+    assert (summary.tracked, summary.interpolated, summary.untracked) == (4, 6, 1)
+    assert summary.frames == 11
+    (rest,) = summary.without_pose
+    assert (rest.first, rest.last, rest.state) == (10, 10, "untracked")
+    table = list(csv.DictReader(lines(tmp_path / "poses.csv")))
+    assert [int(row["frame"]) for row in table] == list(range(10))
+    assert [row["interpolated"] for row in table] == list("0110110110")
+    assert sum(int(row["keyframe"]) for row in table) == summary.keyframes
+    found = read_tum(tmp_path / "trajectory.tum")
+    truth = read_tum(synthetic_stereo / "groundtruth.tum").positions[:10]
+    assert [int(row["stamp_ns"]) for row in table] == found.stamps_ns.tolist()
+    for row, line in zip(table, lines(tmp_path / "trajectory.tum"), strict=True):
+        assert list(row.values())[5:] == line.split()[1:]
+    assert len(read_tum(tmp_path / "causal.tum")) == 4
+    fit = umeyama(found.positions, truth, with_scale=False)
+    assert np.linalg.norm(fit.transform_points(found.positions) - truth, axis=1).max() < 0.01
 
 
 def test_mono_that_finds_no_start_ends_honestly(synthetic_stereo: Path, tmp_path: Path) -> None:

@@ -36,6 +36,9 @@ class FeaturesConfig(Section):
 class TrackingConfig(Section):
     """From the map to the pose of a frame."""
 
+    every: int = Field(
+        1, ge=1, description="track every so many frames, interpolate the poses between"
+    )
     search_share: float = Field(
         0.02, gt=0, le=0.5, description="radius of the search window, share of the image width"
     )

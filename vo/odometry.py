@@ -311,13 +311,14 @@ class Odometry:
         if covariance is not None:
             turn = adjoint(self._rig.cam0_from_working)
             covariance = turn @ covariance @ turn.T
-        self.history.keyframes[keyframe.id] = KeyframePose(
+        pose = KeyframePose(
             keyframe.frame_index,
             keyframe.stamp_ns,
             keyframe.segment,
             self._cam0(keyframe.world_from_cam),
             covariance,
         )
+        self.history.store(keyframe.id, pose)
 
     def _cam0(self, world_from_working: Floats) -> Floats:
         """The same pose for the recorded cam0, in a world that is cam0 where it began."""
@@ -351,7 +352,7 @@ class Odometry:
             is_keyframe=keyframe is not None,
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
-            keyframes=tuple(self.history.keyframes[k] for k in moved),
+            keyframes=tuple(self.history.keyframe(k) for k in moved),
             view=view,
             landmarks=self._landmarks() if moved else None,
             stage_ms=clock.stage_ms,

@@ -11,13 +11,12 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
-
 from vo.config import Config, dump_config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import tum_line
 from vo.odometry import Odometry
-from vo.pipeline.history import History
+from vo.pipeline.history import Untracked
+from vo.pipeline.pose_log import PoseLog
 from vo.pipeline.stopwatch import Stopwatch
 from vo.progress import NullProgress, Progress
 from vo.recording.recorder import NullRecorder, Recorder
@@ -25,11 +24,12 @@ from vo.results.account import Account
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
+from vo.results.poses import pose_lines
 from vo.results.profile import Profile, make_profile
-from vo.results.summary import Placed, RunFacts, Status, Summary, summarise
+from vo.results.summary import RunFacts, Status, Summary, summarise
 from vo.sources.registry import open_source
 from vo.sources.source import Source
-from vo.types import Estimate, Floats, Frame, Mode, Trajectory
+from vo.types import Estimate, Frame, Mode, Trajectory
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0
@@ -81,8 +81,11 @@ def run(
     """
     opened = open_source(source, format=format, calibration=calibration, mode=mode)
     facts = _facts(opened, source, config, start, end, stride)
-    frames = opened.frames(start, end, stride)
+    every = config.tracking.every
+    frames = opened.frames(start, end, stride * every)
     with closing(Odometry(opened.rig, config)) as odometry:
+        if every > 1:
+            odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
         folder = RunFolder(Path(output), dump_config(config))
         recorder = recorder or _make_recorder(rrd)
         job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
@@ -116,7 +119,7 @@ class _Run:
         self._progress = progress
         self.profile_since: float | None = None
         self._account = Account()
-        self._causal: list[tuple[int, Floats]] = []
+        self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
         self._start_up_ms = 0.0
@@ -181,11 +184,11 @@ class _Run:
             _log.warning("results are incomplete: %s", error)
 
     def _finish_files(self) -> None:
-        self._write_changed(0, 0)
+        self._write_changed()
         self._folder.finish()
 
     def _finish_recording(self) -> None:
-        self._recorder.finish(_trajectory(self._causal), self._odometry.history.trajectory())
+        self._recorder.finish(self._causal.trajectory(), self._odometry.history.trajectory())
 
     def _take_in(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._account.note(estimate)
@@ -200,23 +203,17 @@ class _Run:
     def _write(self, estimate: Estimate) -> None:
         """Append this frame, and write anew what smoothing has moved."""
         if estimate.world_from_cam0 is not None:
-            self._causal.append((estimate.stamp_ns, estimate.world_from_cam0))
+            self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
             self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.world_from_cam0))
-        row, keyframe_row = len(self._folder.trajectory), len(self._folder.covariance)
-        if estimate.keyframes:
-            history = self._odometry.history
-            first = min(k.frame_index for k in estimate.keyframes)
-            row = min(row, history.first_row(first))
-            keyframe_row = min(keyframe_row, history.first_keyframe_row(first))
-        self._write_changed(row, keyframe_row)
+        self._write_changed()
 
-    def _write_changed(self, row: int, keyframe_row: int) -> None:
+    def _write_changed(self) -> None:
         history = self._odometry.history
-        moved = history.frames[row:]
-        self._folder.trajectory.replace_from(
-            row, (tum_line(frame.stamp_ns, history.pose(frame)) for frame in moved)
-        )
-        keyframes = list(history.keyframes.values())[keyframe_row:]
+        row, keyframe_row = history.take_changes()
+        path = history.path(row)
+        self._folder.trajectory.replace_from(row, _tum_lines(path.trajectory))
+        self._folder.poses.replace_from(row, pose_lines(path))
+        keyframes = history.keyframes(keyframe_row)
         self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
 
     def _refresh_if_due(self) -> None:
@@ -233,7 +230,8 @@ class _Run:
             self._facts,
             status,
             self._account,
-            _placed(self._odometry.history),
+            self._odometry.history.path(),
+            keyframes=self._odometry.history.keyframe_count,
             skipped=self._source.skipped,
             unpaired=self._source.unpaired,
             wall_s=time.perf_counter() - self._begun,
@@ -266,6 +264,7 @@ def _facts(
         end=stop,
         stride=stride,
         requested=len(range(start, stop, stride)) if stride else 0,
+        every=config.tracking.every,
     )
 
 
@@ -323,18 +322,9 @@ def _nothing_readable(source: Source) -> SourceError:
     )
 
 
-def _placed(history: History) -> Placed:
-    return Placed(
-        np.array([f.frame_index for f in history.frames], dtype=np.int64),
-        np.array([f.segment for f in history.frames], dtype=np.int64),
-        history.trajectory(),
-        len(history.keyframes),
-    )
-
-
-def _trajectory(poses: list[tuple[int, Floats]]) -> Trajectory:
-    stamps_ns = np.array([stamp for stamp, _ in poses], dtype=np.int64)
-    return Trajectory(stamps_ns, np.array([pose for _, pose in poses]).reshape(-1, 4, 4))
+def _tum_lines(trajectory: Trajectory) -> Iterator[str]:
+    pairs = zip(trajectory.stamps_ns.tolist(), trajectory.world_from_cam, strict=True)
+    return (tum_line(stamp_ns, pose) for stamp_ns, pose in pairs)
 
 
 def _one_line(error: BaseException) -> str:

@@ -9,8 +9,17 @@ import numpy as np
 
 from vo.results.account import Account
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
-from vo.results.summary import Placed, RunFacts, Summary, summarise
-from vo.types import Estimate, KeyframePose, Landmarks, Skipped, State, Trajectory, View
+from vo.results.summary import RunFacts, Summary, summarise
+from vo.types import (
+    Estimate,
+    KeyframePose,
+    Landmarks,
+    PlacedFrames,
+    Skipped,
+    State,
+    Trajectory,
+    View,
+)
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
 EMPTY = np.empty((0, 0), np.uint8)
@@ -42,18 +51,20 @@ def facts(mode: str = "stereo") -> RunFacts:
     return RunFacts("data", "kitti", mode, True, 0, 0, 100, 1, 100)  # type: ignore[arg-type]
 
 
-def placed(frames: Sequence[int], segments: Sequence[int] | None = None) -> Placed:
+def placed(frames: Sequence[int], segments: Sequence[int] | None = None) -> PlacedFrames:
     """A camera that moves 2 a frame along x."""
     poses = np.tile(np.eye(4), (len(frames), 1, 1))
     poses[:, 0, 3] = 2.0 * np.array(frames)
     segment = np.zeros(len(frames), np.int64) if segments is None else np.array(segments)
     stamps_ns = np.array(frames, np.int64) * 10**8
-    return Placed(np.array(frames, np.int64), segment, Trajectory(stamps_ns, poses), 2)
+    no = np.zeros(len(frames), dtype=bool)
+    trajectory = Trajectory(stamps_ns, poses)
+    return PlacedFrames(np.array(frames, np.int64), segment, no, no, trajectory)
 
 
 def summary_of(
     estimates: Sequence[Estimate],
-    poses: Placed,
+    poses: PlacedFrames,
     skipped: Sequence[Skipped] = (),
     mode: str = "stereo",
 ) -> Summary:
@@ -62,7 +73,14 @@ def summary_of(
         account.note(each)
         account.note_time({"read": 1.0 + each.frame_index})
     return summarise(
-        facts(mode), "finished", account, poses, skipped=skipped, unpaired=0, wall_s=2.0
+        facts(mode),
+        "finished",
+        account,
+        poses,
+        keyframes=2,
+        skipped=skipped,
+        unpaired=0,
+        wall_s=2.0,
     )
 
 

@@ -15,6 +15,14 @@ def make_transform(rotation: Floats, translation: Floats) -> Floats:
     return transform
 
 
+def whole_transforms(rows: Floats) -> Floats:
+    """(N, 4, 4) transforms of their first three rows (N, 3, 4)."""
+    result = np.zeros((len(rows), 4, 4))
+    result[:, :3] = rows
+    result[:, 3, 3] = 1.0
+    return result
+
+
 def inverse(a_from_b: Floats) -> Floats:
     """b_from_a of one (4, 4) or many (..., 4, 4) transforms."""
     result = np.zeros_like(a_from_b)

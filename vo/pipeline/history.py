@@ -2,56 +2,186 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vo.geometry.transforms import inverse
-from vo.types import Floats, KeyframePose, Trajectory
+from vo.geometry.transforms import interpolate, inverse, whole_transforms
+from vo.pipeline.table import Table
+from vo.types import Floats, Ints, KeyframePose, PlacedFrames, Trajectory
+
+_FRAME = np.dtype(
+    [
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("keyframe", np.int32),  # id; never falls from row to row
+        ("share", np.float64),  # of the way between two tracked frames, 0 if tracked
+        ("keyframe_from_cam", np.float64, (3, 4)),
+    ]
+)
+_KEYFRAME = np.dtype(
+    [
+        ("id", np.int64),
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("world_from_cam0", np.float64, (3, 4)),
+        ("covariance", np.float64, (21,)),  # upper triangle, NaN if it is unknown
+    ]
+)
+_TRIANGLE = np.triu_indices(6)
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedFrame:
-    """A frame with a pose: which keyframe it hangs on and where it is against that."""
+class Untracked:
+    """Frames that are left out between tracked ones, to be interpolated.
 
-    frame_index: int
-    stamp_ns: int
-    segment: int
-    keyframe: int
-    keyframe_from_cam: Floats
+    Attributes:
+        stamps_ns: (N,) of all frames of the recording.
+        stride: from one frame that is asked for to the next.
+        every: of the frames that are asked for, each so many is tracked.
+    """
+
+    stamps_ns: Ints
+    stride: int
+    every: int
+
+    def between(self, first: int, last: int) -> range:
+        """Numbers of the frames between two tracked ones; none if more than those is missing."""
+        if last - first != self.stride * self.every:
+            return range(0)
+        return range(first + self.stride, last, self.stride)
 
 
 class History:
-    """Tracked frames in time order, and the newest pose of every keyframe."""
+    """Frames with a pose in time order, and the newest pose of every keyframe.
+
+    Attributes:
+        untracked: frames to be interpolated, None if there is to be none.
+    """
 
     def __init__(self) -> None:
-        self.frames: list[TrackedFrame] = []
-        self.keyframes: dict[int, KeyframePose] = {}
+        self.untracked: Untracked | None = None
+        self._frames = Table(_FRAME)
+        self._keyframes = Table(_KEYFRAME)
+        self._changed = self._changed_keyframe = 0
+
+    @property
+    def frames(self) -> NDArray[Any]:
+        """(n,) rows with `frame_index`, `stamp_ns`, `segment` and `keyframe` (an id)."""
+        return self._frames.rows
+
+    @property
+    def keyframe_count(self) -> int:
+        """How many keyframes there are."""
+        return len(self._keyframes)
 
     def add(
         self, frame_index: int, stamp_ns: int, segment: int, keyframe: int, world_from_cam0: Floats
     ) -> None:
-        """Append a frame that hangs on a keyframe."""
-        relative = inverse(self.keyframes[keyframe].world_from_cam0) @ world_from_cam0
-        self.frames.append(TrackedFrame(frame_index, stamp_ns, segment, keyframe, relative))
+        """Append a frame that hangs on a keyframe, and those to be interpolated before it."""
+        self._add_untracked(frame_index, segment)
+        relative = inverse(self.keyframe(keyframe).world_from_cam0) @ world_from_cam0
+        self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
 
-    def pose(self, frame: TrackedFrame) -> Floats:
-        """world_from_cam0 of a frame as known now."""
-        return self.keyframes[frame.keyframe].world_from_cam0 @ frame.keyframe_from_cam
+    def store(self, keyframe: int, pose: KeyframePose) -> None:
+        """Enter a keyframe, or its new pose."""
+        place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
+        triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
+        fields = (*place, pose.world_from_cam0[:3], triangle)
+        row = int(self._keyframe_row(keyframe))
+        if row == len(self._keyframes):
+            self._keyframes.append(*fields)
+        else:
+            self._keyframes.rows[row] = fields
+        first = int(np.searchsorted(self.frames["keyframe"], keyframe))
+        self._changed = min(self._changed, self._first_after_tracked(first))
+        self._changed_keyframe = min(self._changed_keyframe, row)
 
-    def first_row(self, frame_index: int) -> int:
-        """Row in `frames` of the first frame with this number or a higher one."""
-        return bisect_left(self.frames, frame_index, key=lambda frame: frame.frame_index)
+    def take_changes(self) -> tuple[int, int]:
+        """First row of the frames, and of the keyframes, that is new or moved since last asked."""
+        changed = self._changed, self._changed_keyframe
+        self._changed, self._changed_keyframe = len(self._frames), len(self._keyframes)
+        return changed
 
-    def first_keyframe_row(self, frame_index: int) -> int:
-        """Place in `keyframes` of the first keyframe with this frame number or a higher one."""
-        keyframes = list(self.keyframes.values())
-        return bisect_left(keyframes, frame_index, key=lambda keyframe: keyframe.frame_index)
+    def keyframe(self, keyframe: int) -> KeyframePose:
+        """A keyframe by its id."""
+        return self.keyframes(int(self._keyframe_row(keyframe)), 1)[0]
 
-    def trajectory(self) -> Trajectory:
-        """All tracked frames as known now."""
-        if not self.frames:
-            return Trajectory(np.empty(0, np.int64), np.empty((0, 4, 4)))
-        stamps = np.array([f.stamp_ns for f in self.frames], dtype=np.int64)
-        return Trajectory(stamps, np.stack([self.pose(f) for f in self.frames]))
+    def keyframes(self, row: int = 0, count: int | None = None) -> list[KeyframePose]:
+        """Keyframes from a row on."""
+        stop = None if count is None else row + count
+        return [_keyframe_pose(each) for each in self._keyframes.rows[row:stop]]
+
+    def path(self, row: int = 0) -> PlacedFrames:
+        """All frames with a pose as known now, from a row on."""
+        frames = self.frames[row:]
+        rows = self._keyframe_row(frames["keyframe"])
+        interpolated = frames["share"] > 0
+        frame_index = frames["frame_index"].copy()
+        is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
+        segment = frames["segment"].astype(np.int64)
+        return PlacedFrames(frame_index, segment, is_keyframe, interpolated, self.trajectory(row))
+
+    def trajectory(self, row: int = 0) -> Trajectory:
+        """The poses of `path` alone."""
+        first = row
+        while first < len(self._frames) and self.frames["share"][first] > 0:
+            first -= 1
+        frames = self.frames[first:]
+        rows = self._keyframe_row(frames["keyframe"])
+        poses = whole_transforms(self._keyframes.rows["world_from_cam0"][rows])
+        poses = poses @ whole_transforms(frames["keyframe_from_cam"])
+        _fill(poses, frames["share"])
+        return Trajectory(frames["stamp_ns"][row - first :].copy(), poses[row - first :])
+
+    def _add_untracked(self, frame_index: int, segment: int) -> None:
+        if self.untracked is None or len(self._frames) == 0:
+            return
+        last = self.frames[-1]
+        if last["segment"] != segment:
+            return
+        stamps_ns, keyframe = self.untracked.stamps_ns, int(last["keyframe"])
+        begin, end = int(last["stamp_ns"]), int(stamps_ns[frame_index])
+        for number in self.untracked.between(int(last["frame_index"]), frame_index):
+            stamp_ns = int(stamps_ns[number])
+            share = (stamp_ns - begin) / (end - begin)
+            self._frames.append(number, stamp_ns, segment, keyframe, share, np.zeros((3, 4)))
+
+    def _first_after_tracked(self, row: int) -> int:
+        """The row, or the first of the interpolated ones before it, which move with it."""
+        while 0 < row < len(self._frames) and self.frames["share"][row - 1] > 0:
+            row -= 1
+        return row
+
+    def _keyframe_row(self, keyframe: Any) -> Any:
+        return np.searchsorted(self._keyframes.rows["id"], keyframe)
+
+
+def _fill(poses: Floats, share: Floats) -> None:
+    """Put interpolated poses where the share of the way is not 0; the first and last are tracked.
+
+    Each lies on the geodesic between the tracked poses around it.
+    """
+    tracked = np.flatnonzero(share == 0)
+    for row in np.flatnonzero(share > 0).tolist():
+        after = int(np.searchsorted(tracked, row))
+        first, last = poses[tracked[after - 1]], poses[tracked[after]]
+        poses[row] = interpolate(first, last, float(share[row]))
+
+
+def _keyframe_pose(row: Any) -> KeyframePose:
+    covariance = None
+    if np.isfinite(row["covariance"][0]):
+        covariance = np.zeros((6, 6))
+        covariance[_TRIANGLE] = covariance.T[_TRIANGLE] = row["covariance"]
+    return KeyframePose(
+        int(row["frame_index"]),
+        int(row["stamp_ns"]),
+        int(row["segment"]),
+        whole_transforms(row["world_from_cam0"][None])[0],
+        covariance,
+    )

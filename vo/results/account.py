@@ -39,7 +39,7 @@ class Account:
         self.unplaced: dict[int, Unplaced] = {}
         self.landmarks = 0
         self._highest_landmark = -1
-        self._inliers = array("q")
+        self._inliers = array("i")
         self._stage_ms: dict[str, array[float]] = {}
 
     def note(self, estimate: Estimate) -> None:
@@ -55,7 +55,7 @@ class Account:
     def note_time(self, stage_ms: Mapping[str, float]) -> None:
         """Enter what the stages of one frame took."""
         for stage, spent in stage_ms.items():
-            self._stage_ms.setdefault(stage, array("d")).append(spent)
+            self._stage_ms.setdefault(stage, array("f")).append(spent)
 
     @property
     def median_inliers(self) -> float | None:

@@ -11,15 +11,17 @@ from vo.errors import OutputError
 from vo.results.covariance import COVARIANCE_HEADING
 from vo.results.frames import FRAMES_HEADING
 from vo.results.growing_file import PARTIAL_SUFFIX, GrowingFile
+from vo.results.poses import POSES_HEADING
 
 TRAJECTORY = "trajectory.tum"
 CAUSAL = "causal.tum"
 COVARIANCE = "covariance.csv"
+POSES = "poses.csv"
 FRAMES = "frames.csv"
 SUMMARY = "summary.json"
 CONFIG = "config.yaml"
 
-_GROWING = (TRAJECTORY, CAUSAL, COVARIANCE, FRAMES)
+_GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
 
 
 class RunFolder:
@@ -29,6 +31,7 @@ class RunFolder:
         path: the folder.
         trajectory: smoothed poses, a line a frame.
         causal: poses as they were known when their frame was tracked.
+        poses: the smoothed poses again, with what is known of their frame.
         covariance: a line a keyframe.
         frames: a line a frame, as it was known then.
 
@@ -53,12 +56,13 @@ class RunFolder:
         _write_whole(path / CONFIG, config)
         self.trajectory = GrowingFile(path / TRAJECTORY)
         self.causal = GrowingFile(path / CAUSAL)
+        self.poses = GrowingFile(path / POSES, POSES_HEADING)
         self.covariance = GrowingFile(path / COVARIANCE, COVARIANCE_HEADING)
         self.frames = GrowingFile(path / FRAMES, FRAMES_HEADING)
 
     @property
     def _growing(self) -> tuple[GrowingFile, ...]:
-        return self.trajectory, self.causal, self.covariance, self.frames
+        return self.trajectory, self.causal, self.poses, self.covariance, self.frames
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Replace the summary, at once or not at all."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from array import array
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -27,12 +28,12 @@ class GrowingFile:
     def __init__(self, path: Path, heading: str = "") -> None:
         self._path = path
         self._partial = path.with_name(path.name + PARTIAL_SUFFIX)
-        self._offsets = [0]  # where each row begins, and the end
+        self._offsets = array("q", [0])  # where each row begins, and the end
         try:
             # Unbuffered: one call to the system for each of ours, so that no line is torn.
             self._file = self._partial.open("wb", buffering=0)
             if heading:
-                self._offsets = [self._file.write(f"{heading}\n".encode())]
+                self._offsets[0] = self._file.write(f"{heading}\n".encode())
         except OSError as error:
             raise self._error(error) from error
 

@@ -12,7 +12,7 @@ from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import Floats, Ints, Skipped, State, Trajectory
+from vo.types import Floats, Ints, PlacedFrames, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -25,7 +25,10 @@ _LONG_START = 0.1  # of all frames
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What is known of a run before its first frame; `requested` frames were asked for."""
+    """What is known of a run before its first frame.
+
+    Of the `requested` frames that were asked for, each `every`-th is tracked.
+    """
 
     source: str
     format: str
@@ -36,16 +39,7 @@ class RunFacts:
     end: int
     stride: int
     requested: int
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """The frames that have a pose now, in time order: number, segment and smoothed pose of each."""
-
-    frame: Ints
-    segment: Ints
-    trajectory: Trajectory
-    keyframes: int
+    every: int = 1
 
 
 class Segment(NamedTuple):
@@ -69,6 +63,8 @@ class Summary:
     facts: RunFacts
     frames: int
     tracked: int
+    interpolated: int
+    untracked: int
     starting: int
     lost: int
     skipped: tuple[Skipped, ...]
@@ -126,8 +122,9 @@ def summarise(
     facts: RunFacts,
     status: Status,
     account: Account,
-    placed: Placed,
+    placed: PlacedFrames,
     *,
+    keyframes: int,
     skipped: Sequence[Skipped],
     unpaired: int,
     wall_s: float,
@@ -136,21 +133,25 @@ def summarise(
     profile: Profile | None = None,
 ) -> Summary:
     """Put a run into numbers, as far as it has come."""
-    ranges, count = unplaced_ranges(account, placed.frame, skipped)
+    untracked = _untracked(facts, status, account)
+    ranges, count = unplaced_ranges(account, placed.frame_index, skipped, untracked)
+    interpolated = int(placed.interpolated.sum())
     segments = _segments(placed)
     return Summary(
         status=status,
         error=error,
         facts=facts,
-        frames=len(placed.frame) + sum(count.values()),
-        tracked=len(placed.frame),
+        frames=len(placed.frame_index) + sum(count.values()),
+        tracked=len(placed.frame_index) - interpolated,
+        interpolated=interpolated,
+        untracked=count["untracked"],
         starting=count[State.STARTING.value],
         lost=count[State.LOST.value],
         skipped=tuple(skipped),
         unpaired=unpaired,
         without_pose=tuple(ranges),
         segments=tuple(segments),
-        keyframes=placed.keyframes,
+        keyframes=keyframes,
         landmarks=account.landmarks,
         path_m=round(sum(s.path_m for s in segments), 6),
         wall_s=round(wall_s, 3),
@@ -163,7 +164,16 @@ def summarise(
     )
 
 
-def _segments(placed: Placed) -> list[Segment]:
+def _untracked(facts: RunFacts, status: Status, account: Account) -> Ints:
+    """Numbers of the frames that were reached but, by `tracking.every`, not looked at."""
+    if facts.every == 1 or not account.frames:
+        return np.empty(0, np.int64)
+    stop = facts.end if status == "finished" else account.frames[-1] + 1
+    asked = np.arange(facts.start, stop, facts.stride)
+    return np.asarray(asked[np.arange(len(asked)) % facts.every != 0])
+
+
+def _segments(placed: PlacedFrames) -> list[Segment]:
     steps = np.linalg.norm(np.diff(placed.trajectory.positions, axis=0), axis=1)
     segments = []
     for number in np.unique(placed.segment).tolist():
@@ -172,8 +182,8 @@ def _segments(placed: Placed) -> list[Segment]:
         segments.append(
             Segment(
                 number,
-                int(placed.frame[first]),
-                int(placed.frame[last]),
+                int(placed.frame_index[first]),
+                int(placed.frame_index[last]),
                 int(placed.trajectory.stamps_ns[first]),
                 int(placed.trajectory.stamps_ns[last]),
                 len(rows),

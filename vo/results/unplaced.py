@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from vo.results.account import Account
 from vo.types import Ints, Skipped, State
+
+_LEFT_OUT = "untracked", "left out by tracking.every, and not between two tracked frames"
 
 
 class FrameRange(NamedTuple):
@@ -20,29 +24,33 @@ class FrameRange(NamedTuple):
 
 
 def unplaced_ranges(
-    account: Account, placed: Ints, skipped: Sequence[Skipped]
+    account: Account, placed: Ints, skipped: Sequence[Skipped], untracked: Ints
 ) -> tuple[list[FrameRange], dict[str, int]]:
     """Runs of frames in the same state, and how many frames in each state.
 
     A frame that had no pose when taken in may have one now: the first of a mono pair.
+
+    Args:
+        account: books of the run.
+        placed: numbers of the frames that have a pose.
+        skipped: frames that could not be read.
+        untracked: numbers of frames that were left out on purpose.
     """
-    has_pose = set(placed.tolist())
     unreadable = {s.index: s.reason for s in skipped}
+    reached = np.unique(np.concatenate([account.frames, list(unreadable), untracked]))
+    missing = np.flatnonzero(~np.isin(reached, placed))
+    follows = np.diff(missing, prepend=-2) == 1
+    left_out = set(untracked.tolist())
     ranges: list[FrameRange] = []
-    count = {State.STARTING.value: 0, State.LOST.value: 0, "skipped": 0}
-    follows = False
-    for frame in sorted({*account.frames, *unreadable}):
-        if frame in has_pose:
-            follows = False
-            continue
-        state, reason = _why(account, unreadable, frame)
+    count = {State.STARTING.value: 0, State.LOST.value: 0, "skipped": 0, "untracked": 0}
+    for frame, after in zip(reached[missing].astype(int).tolist(), follows, strict=True):
+        state, reason = _LEFT_OUT if frame in left_out else _why(account, unreadable, frame)
         count[state] += 1
-        if follows and ranges[-1].state == state:
+        if after and ranges[-1].state == state:
             frames = ranges[-1].frames + 1
             ranges[-1] = ranges[-1]._replace(last=frame, frames=frames, reason=reason)
         else:
             ranges.append(FrameRange(frame, frame, 1, state, reason))
-        follows = True
     return ranges, count
 
 
