@@ -15,7 +15,7 @@ import numpy as np
 
 from vo.config import Config
 from vo.geometry.rectification import working_rig
-from vo.geometry.transforms import adjoint, inverse, transform_points
+from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import Window, cull, make_window, take_in
 from vo.pipeline.cores import available_cores
@@ -28,7 +28,7 @@ from vo.pipeline.later import Later
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
 from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
-from vo.pipeline.view import Seen, make_view
+from vo.pipeline.view import Seen, landmarks_of, make_view, neighbours_of
 from vo.pipeline.working_frame import Preparation, WorkingFrame
 from vo.smoothing.smoother import make_smoother
 from vo.smoothing.solution import WindowSolution
@@ -333,12 +333,13 @@ class Odometry:
         reason: str,
         clock: Stopwatch,
     ) -> Estimate:
-        view = make_view(frame, tracked, self._last, self._rig)
         pose = None
         if tracked is not None:
-            self._last = Seen(frame, tracked.ids, tracked.observed.image_xy)
             # A keyframe may have been carried along by the answer to the window before it.
             pose = tracked.world_from_cam if keyframe is None else keyframe.world_from_cam
+        view = make_view(frame, tracked, self._last, self._rig, self._map, pose)
+        if tracked is not None:
+            self._last = Seen(frame, tracked.ids, tracked.observed.image_xy)
         if keyframe is not None:
             self._moved.add(keyframe.id)
         moved, self._moved = sorted(self._moved), set()
@@ -356,8 +357,10 @@ class Odometry:
             view=view,
             landmarks=self._landmarks() if moved else None,
             stage_ms=clock.stage_ms,
+            neighbours={} if keyframe is None else neighbours_of(self._map, keyframe),
+            disparity_offset_px=self.disparity_offset_px,
         )
 
     def _landmarks(self) -> Landmarks:
-        points = transform_points(self._rig.cam0_from_working, self._map.xyz)
-        return Landmarks(self._map.id.copy(), points)
+        sigma_disparity_px = self._config.smoothing.sigma_disparity_px
+        return landmarks_of(self._map, self._rig, sigma_disparity_px)

@@ -203,6 +203,11 @@ class View:
         feature_state: (N,) uint8, codes of `FeatureState`.
         previous_xy: (N, 2) float32 where the feature's landmark was in the previous frame, or NaN.
         camera_matrix: (3, 3) of image0 as an ideal pinhole camera.
+        right_u: (N,) float32 where the feature is in image1, in the same row, or NaN.
+        error_px: (N,) float32 reprojection error of the feature's landmark, NaN without one.
+        lens: what bends image0 against the ideal pinhole camera, or None.
+        baseline_m: distance from image0's camera to image1's, 0 in mono.
+        cam0_from_image0: (4, 4) turns the camera of image0 into the recorded cam0.
     """
 
     image0: Bytes
@@ -211,6 +216,11 @@ class View:
     feature_state: Bytes
     previous_xy: Floats32
     camera_matrix: Floats
+    right_u: Floats32 | None = None
+    error_px: Floats32 | None = None
+    lens: Camera | None = None
+    baseline_m: float = 0.0
+    cam0_from_image0: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,10 +245,19 @@ class KeyframePose:
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Points of the map: ids (M,) and positions in the world (M, 3)."""
+    """Points of the map; row i of each belongs together.
+
+    Attributes:
+        ids: (M,).
+        xyz: (M, 3) in the world.
+        grey: (M,) grey level in the image of the keyframe whose patch stands for the point.
+        sigma: (M,) standard deviation of the position, all axes together, poses taken for exact.
+    """
 
     ids: Ints
     xyz: Floats
+    grey: Bytes | None = None
+    sigma: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,6 +278,9 @@ class Estimate:
         view: what can be shown.
         landmarks: the local map, given with keyframes, else None.
         stage_ms: wall time by stage in milliseconds.
+        neighbours: of a new keyframe, frame numbers of the map's keyframes that share landmarks
+            with it, and how many.
+        disparity_offset_px: the constant error of disparities that is corrected now.
     """
 
     frame_index: int
@@ -274,6 +296,8 @@ class Estimate:
     view: View
     landmarks: Landmarks | None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+    neighbours: Mapping[int, int] = field(default_factory=dict)
+    disparity_offset_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,63 @@
+"""The stated spread of points is that of points found from noisy pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vo.geometry.point_uncertainty import position_sigma
+from vo.geometry.points import refine_points
+from vo.geometry.transforms import make_transform
+
+FOCAL, BASELINE, SIGMA_PX, SIGMA_DISPARITY = 500.0, 0.2, 0.5, 0.3
+
+
+@pytest.mark.parametrize("stereo", [True, False])
+def test_spread_is_that_of_many_noisy_trials(stereo: bool) -> None:
+    rng = np.random.default_rng(0)
+    true, trials = np.array([0.5, -0.3, 6.0]), 2000
+    centres = np.array([[0.0, 0.0, 0.0], [0.4, 0.1, 0.0], [0.8, 0.0, 0.3]])
+    cam_from_world = np.stack([make_transform(np.eye(3), -c) for c in centres])
+    in_cam = true - centres
+    xy = FOCAL * in_cam[:, :2] / in_cam[:, 2:] + rng.normal(0, SIGMA_PX, (trials, 3, 2))
+    disparity = np.full((trials, 3), np.nan)
+    if stereo:
+        noise = rng.normal(0, SIGMA_DISPARITY, (trials, 3))
+        disparity = FOCAL * BASELINE / in_cam[:, 2] + noise
+    focal_baseline = FOCAL * BASELINE if stereo else 0.0
+    point, camera = np.repeat(np.arange(trials), 3), np.tile(np.arange(3), trials)
+    sigma_px = np.full(3 * trials, SIGMA_PX)
+    found = refine_points(
+        np.tile(true, (trials, 1)),
+        cam_from_world,
+        point,
+        camera,
+        xy.reshape(-1, 2),
+        disparity.ravel(),
+        sigma_px,
+        SIGMA_DISPARITY,
+        (FOCAL, FOCAL, 0.0, 0.0),
+        focal_baseline,
+        huber=1e9,
+    )
+    measured = np.sqrt(((found - true) ** 2).sum(axis=1).mean())
+    stated = position_sigma(
+        np.tile(true, (trials, 1)),
+        centres,
+        point,
+        camera,
+        disparity.ravel(),
+        sigma_px,
+        SIGMA_DISPARITY,
+        FOCAL,
+        focal_baseline,
+    )
+    assert stated == pytest.approx(measured, rel=0.1)
+
+
+def test_one_ray_tells_no_depth() -> None:
+    one = np.zeros(1, dtype=np.int64)
+    unknown, sigma_px = np.array([np.nan]), np.ones(1)
+    arguments = (np.ones((1, 3)), np.zeros((1, 3)), one, one)
+    assert np.isinf(position_sigma(*arguments, unknown, sigma_px, 1.0, FOCAL, 0.0)).all()
+    assert np.isfinite(position_sigma(*arguments, np.ones(1), sigma_px, 1.0, FOCAL, 50.0)).all()
