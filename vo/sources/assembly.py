@@ -34,6 +34,7 @@ class Gathered:
         right: those of cam1, stamps increasing; None where there are none.
         calibrate: reads the calibration, given the size of the images.
         read_truth: reads the poses of cam0, or gives None; it may fail.
+        close: closes what images keep open between reads.
         depth: depth images at the pixels of cam0, stamps increasing; None where there are none.
     """
 
@@ -44,6 +45,7 @@ class Gathered:
     calibrate: Callable[[ImageSize], Calibration]
     read_truth: Callable[[Calibration], Trajectory | None]
     depth: Sequence[Shot] | None = None
+    close: Callable[[], None] | None = None
 
 
 def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
@@ -68,6 +70,7 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
         right=partners,
         depth_bits=depth_bits_of([shot.image for shot in gathered.left]),
         depth=depth,
+        close=gathered.close,
     )
 
 

@@ -38,8 +38,8 @@ class StoredImage(Protocol):
 
     `read` is called from a thread of its camera: never twice at a time by one camera, and in the
     order of the recording once frames are asked for (a few images spread over the recording are
-    looked at before). Left and right are read at the same time; what they share needs a lock. No
-    file should stay open between reads.
+    looked at before). Left and right are read at the same time; what they share needs a lock. What
+    stays open between reads is closed by `Gathered.close`, at the end of each call of `frames`.
     """
 
     @property

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import TypeVar
 
 import numpy as np
@@ -51,6 +52,7 @@ class ImageSequence:
         right: Sequence[StoredImage | None] | None = None,
         depth_bits: int = 16,
         depth: DepthImages | None = None,
+        close: Callable[[], None] | None = None,
     ) -> None:
         """Take the lists that a format has gathered.
 
@@ -63,6 +65,7 @@ class ImageSequence:
             right: the partner of each, None where it is missing; None altogether in mono.
             depth_bits: how many bits the camera uses, for images with 16 bits per pixel.
             depth: the depth of each image of cam0, or None where there is no depth camera.
+            close: closes what images keep open between reads; they may be read again afterwards.
         """
         self.name = name
         self.format = format
@@ -74,6 +77,7 @@ class ImageSequence:
         self._right = None if right is None else list(right)
         self._depth_bits = depth_bits
         self._depth = depth
+        self._close = close
 
     def __len__(self) -> int:
         """Number of frames before slicing, those that cannot be read included."""
@@ -98,7 +102,10 @@ class ImageSequence:
     def _read(self, numbers: range) -> Iterator[Frame]:
         self.skipped = []
         self.unpaired = 0
-        with _reader("cam0") as cam0, _reader("cam1") as cam1:
+        with ExitStack() as stack:
+            if self._close is not None:
+                stack.callback(self._close)
+            cam0, cam1 = (stack.enter_context(_reader(name)) for name in ("cam0", "cam1"))
             for index, image0, image1, image2 in self._ahead(cam0, cam1, numbers):
                 shot = self._left[index]
                 try:
