@@ -7,7 +7,7 @@ import pytest
 
 from vo.errors import CalibrationError, OutputError
 from vo.formats.calibration import read_calibration, write_calibration
-from vo.formats.calibration.checks import DISTORTION_NAMES
+from vo.formats.calibration.lenses import COUNTS, DISTORTION_NAMES
 from vo.geometry.transforms import se3_exp
 from vo.types import Camera, Rig
 
@@ -71,6 +71,9 @@ def test_own_rectified_pair(tmp_path: Path, cam1: str) -> None:
 RADTAN = Camera(752, 480, 458.654, 457.296, 367.215, 248.375, "radtan", (-0.28, 0.07, 2e-4, 1.8e-5))
 RATIONAL = Camera(640, 400, 1 / 3e-3, 333.0, 321.7, 199.9, "radtan", tuple(np.arange(8) * 1e-7 / 3))
 FISHEYE = Camera(848, 800, 285.1, 286.2, 424.5, 400.25, "equidistant", (-0.01, 0.04, -0.03, 1e-11))
+SPHERES = Camera(512, 512, 158.28, 158.27, 254.9, 256.8, "double_sphere", (-0.17213, 1 / 1.7))
+EXTENDED = Camera(752, 480, 460.7, 459.4, 365.8, 249.3, "extended_unified", (0.59, 1.127))
+OMNI = Camera(752, 480, 833.0, 830.3, 373.8, 253.7, "omni", (0.8, -0.335, 0.132, 5e-4, 6e-4))
 IDEAL = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
 
 
@@ -79,10 +82,12 @@ IDEAL = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
     [
         Rig(IDEAL),
         Rig(FISHEYE),
+        Rig(SPHERES),
+        Rig(EXTENDED, OMNI, se3_exp(np.array([0.0, 0.01, 0.0, -0.1, 0.0, 0.0]))),
         Rig(RADTAN, RATIONAL, se3_exp(np.array([0.01, -0.02, 0.003, -0.11, 1e-3, -2e-4]))),
         Rig(IDEAL, IDEAL, se3_exp(np.array([0.0, 0.0, 0.0, -0.12, 0.0, 0.0]))),
     ],
-    ids=["ideal", "fisheye", "distorted pair", "rectified pair"],
+    ids=["ideal", "fisheye", "spheres", "wide pair", "distorted pair", "rectified pair"],
 )
 def test_own_form_is_written_and_read_back(tmp_path: Path, rig: Rig) -> None:
     write_calibration(tmp_path / "calibration.yaml", rig)
@@ -102,7 +107,7 @@ def test_a_place_that_takes_no_calibration(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", DISTORTION_NAMES)
 def test_every_name_of_a_distortion_model(tmp_path: Path, name: str) -> None:
     model = DISTORTION_NAMES[name]
-    count = {"none": 0, "radtan": 4, "equidistant": 4}[model]
+    count = COUNTS[model][0]
     text = f"cam0: {{{CAM}, distortion_model: {name}, distortion: {[0.01] * count}}}"
     cam0 = read_calibration(_file(tmp_path, text)).rig.cam0
     assert (cam0.distortion_model, cam0.distortion) == (model, (0.01,) * count)
@@ -125,7 +130,8 @@ def test_every_name_of_a_distortion_model(tmp_path: Path, name: str) -> None:
         ("[640, 480]", "[0, 480]", "resolution is [0, 480]; width and height must be whole"),
         ("[640, 480]", "[640.5, 480]", "must be whole numbers above 0"),
         ("[640, 480]", "[640]", "has 1 numbers; 2 are needed"),
-        ("cam0: {", "cam0: {model: omni, ", "camera model 'omni' is not known"),
+        ("cam0: {", "cam0: {model: fov, ", "camera model 'fov' is not known"),
+        ("cam0: {", "cam0: {model: ds, ", "intrinsics [xi, alpha, fx, fy, cx, cy] has 4 numbers"),
         ("cam0: {", "cam0: {resolutoin: 1, ", "key 'resolutoin'; did you mean 'resolution'?"),
         ("cam0: {", "baseline: 1\ncam0: {", "unknown key 'baseline'; did you mean 'baseline_m'?"),
         ("cam0: {", "cam0: {distortion: [0.1], ", "1 coefficients but distortion_model is missing"),
@@ -183,7 +189,10 @@ def test_pairs_that_cannot_be_true(tmp_path: Path, extra: str, expected: str) ->
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "is no calibration file of a known kind (kitti, kalibr, euroc, vo)"),
+        (
+            "",
+            "is no calibration file of a known kind (KITTI raw, KITTI, COLMAP, Basalt, ORB-SLAM3, ",
+        ),
         ("fx: 500", "docs/calibration.md"),
         ("- 1\n- 2", "no calibration file of a known kind"),
         ("a: b: c", "is not YAML: mapping values are not allowed here"),
@@ -234,7 +243,7 @@ def test_kalibr(tmp_path: Path) -> None:
     ("old", "new", "expected"),
     [
         ("T_cn_cnm1", "T_other", "cam1.T_cn_cnm1 is missing"),
-        ("pinhole", "omni", "cam0: camera model 'omni' is not known"),
+        ("pinhole", "fov", "cam0: camera model 'fov' is not known"),
         ("-0.1]", "0]", "baseline"),
         ("resolution: [640, 480]", "comment: none", "cam0: resolution is missing"),
     ],

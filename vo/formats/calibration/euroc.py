@@ -13,7 +13,8 @@ from vo.types import Camera, Floats, Rig
 
 def recognises(document: Document) -> bool:
     """Whether the file describes one camera mounted on a body."""
-    return "T_BS" in document.data or "distortion_coefficients" in document.data
+    data = document.data
+    return "T_BS" in data or ("distortion_coefficients" in data and "intrinsics" in data)
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:

@@ -65,7 +65,6 @@ def write_calibration(path: Path | str, rig: Rig) -> None:
 
 def _section(camera: Camera) -> dict[str, Any]:
     return {
-        "model": "pinhole",
         "resolution": [int(camera.width), int(camera.height)],
         "intrinsics": [float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy)],
         "distortion_model": camera.distortion_model,

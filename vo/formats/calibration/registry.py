@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from vo.errors import CalibrationError
-from vo.formats.calibration import euroc, kalibr, kitti, own
+from vo.formats.calibration import (
+    basalt,
+    colmap,
+    euroc,
+    kalibr,
+    kitti,
+    kitti_raw,
+    opencv,
+    orb_slam,
+    own,
+    ros,
+)
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
 
 
@@ -18,10 +30,17 @@ class CalibrationFormat(NamedTuple):
     read: Callable[[Document, ImageSize | None], Calibration]
 
 
+# Asked in this order: the more particular before the more general.
 FORMATS: dict[str, CalibrationFormat] = {
-    "kitti": CalibrationFormat(kitti.recognises, kitti.read),
-    "kalibr": CalibrationFormat(kalibr.recognises, kalibr.read),
-    "euroc": CalibrationFormat(euroc.recognises, euroc.read),
+    "KITTI raw": CalibrationFormat(kitti_raw.recognises, kitti_raw.read),
+    "KITTI": CalibrationFormat(kitti.recognises, kitti.read),
+    "COLMAP": CalibrationFormat(colmap.recognises, colmap.read),
+    "Basalt": CalibrationFormat(basalt.recognises, basalt.read),
+    "ORB-SLAM3": CalibrationFormat(orb_slam.recognises, orb_slam.read),
+    "ROS camera_info": CalibrationFormat(ros.recognises, ros.read),
+    "OpenCV": CalibrationFormat(opencv.recognises, opencv.read),
+    "Kalibr": CalibrationFormat(kalibr.recognises, kalibr.read),
+    "EuRoC": CalibrationFormat(euroc.recognises, euroc.read),
     "vo": CalibrationFormat(own.recognises, own.read),
 }
 
@@ -31,16 +50,21 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
 
     Args:
         path: the file.
-        image_size: width and height of the images, for kinds that do not give them (KITTI).
+        image_size: width and height of the images, for kinds that do not give them (KITTI, some of
+            OpenCV's and ORB-SLAM's), or that tell two sorts of images apart by it (KITTI raw).
 
     Raises:
         CalibrationError: the file is missing, of no known kind, or what it says cannot be true.
     """
     document = load_document(Path(path))
-    for kind in FORMATS.values():
+    for name, kind in FORMATS.items():
         if kind.recognises(document):
-            return kind.read(document, image_size)
-    raise CalibrationError(
-        f"{path} is no calibration file of a known kind ({', '.join(FORMATS)}); "
-        "docs/calibration.md shows what one looks like"
+            try:
+                return replace(kind.read(document, image_size), kind=name)
+            except CalibrationError as error:
+                raise CalibrationError(f"{error} (read as a {name} calibration)") from error
+    reason = document.problem or (
+        f"is no calibration file of a known kind ({', '.join(FORMATS)}); docs/calibration.md "
+        "shows what one looks like"
     )
+    raise CalibrationError(f"{path} {reason}")

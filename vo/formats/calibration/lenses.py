@@ -1,0 +1,121 @@
+"""Names, numbers and limits of the lens models, as calibration files give them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vo.errors import CalibrationError
+from vo.formats.calibration.numbers import make_list
+from vo.types import Camera, DistortionModel
+
+DISTORTION_NAMES: dict[str, DistortionModel] = {
+    "none": "none",
+    "radtan": "radtan",
+    "radtan5": "radtan",
+    "radtan8": "radtan",
+    "radial-tangential": "radtan",
+    "plumb_bob": "radtan",
+    "rational_polynomial": "radtan",
+    "equidistant": "equidistant",
+    "kannala_brandt": "equidistant",
+    "fisheye": "equidistant",
+    "double_sphere": "double_sphere",
+    "ds": "double_sphere",
+    "extended_unified": "extended_unified",
+    "eucm": "extended_unified",
+    "omni": "omni",
+    "mei": "omni",
+}
+COUNTS: dict[DistortionModel, tuple[int, ...]] = {
+    "none": (0,),
+    "radtan": (4, 5, 8),
+    "equidistant": (4,),
+    "double_sphere": (2,),
+    "extended_unified": (2,),
+    "omni": (1, 5, 6, 9),
+}
+PROJECTIONS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
+    "pinhole": ("none", ()),
+    "omni": ("omni", ("xi",)),
+    "ds": ("double_sphere", ("xi", "alpha")),
+    "eucm": ("extended_unified", ("alpha", "beta")),
+}
+"""Kalibr's camera models: the lens, and what stands before fx in the intrinsics."""
+
+_OPENCV_COUNTS = (12, 14)
+"""OpenCV's thin prism and tilted sensor: understood where the numbers beyond the eighth are 0."""
+
+
+def make_lens(
+    where: str, model: Any, coefficients: Any
+) -> tuple[DistortionModel, tuple[float, ...]]:
+    """The lens model of a name in `DISTORTION_NAMES` (None for none) and its coefficients.
+
+    Raises:
+        CalibrationError: the name is not known, or the coefficients do not fit it.
+    """
+    name = DISTORTION_NAMES.get("none" if model is None else str(model).strip().lower())
+    if name is None:
+        raise CalibrationError(
+            f"{where}: distortion model {str(model)[:40]!r} is not known; give one of "
+            f"{', '.join(DISTORTION_NAMES)}"
+        )
+    numbers = make_list(f"{where}: distortion", coefficients)
+    if model is None and numbers:
+        raise CalibrationError(
+            f"{where}: distortion has {len(numbers)} coefficients but distortion_model is missing"
+        )
+    if name == "none" and not any(numbers):
+        return "none", ()
+    if name == "radtan" and len(numbers) in _OPENCV_COUNTS and not any(numbers[8:]):
+        numbers = numbers[:8]
+    if len(numbers) not in COUNTS[name]:
+        counts = " or ".join(str(count) for count in COUNTS[name])
+        raise CalibrationError(
+            f"{where}: distortion has {len(numbers)} coefficients; {model} takes {counts}"
+        )
+    return name, numbers
+
+
+def join_projection(
+    where: str,
+    projection: str,
+    parameters: tuple[float, ...],
+    lens: tuple[DistortionModel, tuple[float, ...]],
+) -> tuple[DistortionModel, tuple[float, ...]]:
+    """The one lens model that a projection of `PROJECTIONS` and a distortion after it make.
+
+    Raises:
+        CalibrationError: they do not go together.
+    """
+    wide, names = PROJECTIONS[projection]
+    if not names:
+        return lens
+    model, coefficients = lens
+    if model != "none" and (wide, model) != ("omni", "radtan"):
+        raise CalibrationError(
+            f"{where}: camera model {projection} with distortion model {model} is not known; "
+            f"{projection} goes with {'radtan or none' if wide == 'omni' else 'none'}"
+        )
+    return wide, (*parameters, *coefficients)
+
+
+def check_lens(where: str, camera: Camera) -> None:
+    """Refuse parameters for which a model is not defined.
+
+    Raises:
+        CalibrationError: a parameter is out of its range.
+    """
+    ranges: dict[str, tuple[float, float]] = {}
+    if camera.distortion_model == "double_sphere":
+        ranges = {"xi": (-0.999, 1.0), "alpha": (0.0, 1.0)}
+    elif camera.distortion_model == "extended_unified":
+        ranges = {"alpha": (0.0, 1.0), "beta": (1e-3, 1e3)}
+    elif camera.distortion_model == "omni":
+        ranges = {"xi": (0.0, 1e3)}
+    for (name, (low, high)), value in zip(ranges.items(), camera.distortion, strict=False):
+        if not low <= value <= high:
+            raise CalibrationError(
+                f"{where}: {name} is {value:g}; for {camera.distortion_model} it must be from "
+                f"{low:g} to {high:g}"
+            )
