@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import glob
 import importlib
 from collections.abc import Callable
 from pathlib import Path
@@ -30,10 +31,14 @@ class Format(NamedTuple):
     suffixes: tuple[str, ...] = ()
 
 
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
+
 FORMATS: dict[str, Format] = {
     "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
     "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
     "tum": Format("vo.sources.tum:open_tum", ("rgb.txt",)),
+    "glob": Format("vo.sources.glob:open_glob"),
+    "video": Format("vo.sources.video:open_video", suffixes=VIDEO_SUFFIXES),
     "folder": Format("vo.sources.folder:open_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))),
 }
 """Asked in this order; the first that knows the path has it."""
@@ -60,7 +65,7 @@ def open_source(
         CalibrationError: its calibration is missing or cannot be true.
     """
     path = Path(path)
-    if not path.exists():
+    if not path.exists() and not _is_pattern(path):
         raise SourceError(f"{path} does not exist; give the folder of a recording")
     name = detect_format(path) if format is None else format
     if name not in FORMATS:
@@ -76,6 +81,8 @@ def detect_format(path: Path) -> str:
     Raises:
         SourceError: none does.
     """
+    if not path.exists() and _is_pattern(path):
+        return "glob"
     names = [entry.name.lower() for entry in path.iterdir()] if path.is_dir() else []
     for name, known in FORMATS.items():
         if any(fnmatch.filter(names, pattern) for pattern in known.inside):
@@ -91,6 +98,10 @@ def detect_format(path: Path) -> str:
         f"folder {path} holds no images and no recording of a known format; looked for "
         f"{looked_for} and images ({' '.join(IMAGE_SUFFIXES)})"
     )
+
+
+def _is_pattern(path: Path) -> bool:
+    return glob.has_magic(str(path))
 
 
 def _load(opener: str) -> Opener:
