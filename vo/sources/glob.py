@@ -43,11 +43,6 @@ def open_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Source:
     return assemble(gathered, mode)
 
 
-def is_pattern(path: Path) -> bool:
-    """Whether a path has a wildcard in it."""
-    return glob.has_magic(str(path))
-
-
 def _matching(pattern: str) -> list[Path]:
     found = (Path(name) for name in glob.glob(pattern, recursive=True))
     images = [path for path in found if is_image_name(path.name) and path.is_file()]
