@@ -11,11 +11,12 @@ from vo.errors import CalibrationError
 from vo.formats.calibration.checks import check_baseline, make_camera, make_numbers
 from vo.formats.calibration.document import Calibration, Document, ImageSize
 from vo.formats.calibration.matrices import (
+    make_projection,
+    make_rotation,
     matrix_camera,
-    rectified_from_camera,
     rotation_and_shift,
 )
-from vo.geometry.transforms import inverse
+from vo.geometry.transforms import inverse, make_transform
 from vo.types import Camera, Floats, Rig
 
 _LINE = re.compile(r"^[ \t]*([A-Z](?:_rect)?_0[0-3])[ \t]*:(.*)$", re.MULTILINE)
@@ -83,8 +84,8 @@ def _rectified(lines: _Lines, number: str) -> tuple[Camera, Floats]:
     """The camera without distortion, and (4, 4) camera_from_body."""
     where = f"{lines.path}: P_rect_{number}"
     # Every rectified camera has the axes of R_rect_00, also those in colour.
-    turn = lines.numbers("R_rect_00") if "R_rect_00" in lines.text else None
-    camera_from_body, p = rectified_from_camera(where, turn, lines.numbers(f"P_rect_{number}"))
+    turn = make_rotation(f"{lines.path}: R_rect_00", lines.numbers("R_rect_00"))
+    p, t = make_projection(where, lines.numbers(f"P_rect_{number}"))
     camera = make_camera(
         where,
         model="pinhole",
@@ -93,7 +94,7 @@ def _rectified(lines: _Lines, number: str) -> tuple[Camera, Floats]:
         distortion_model="none",
         distortion=None,
     )
-    return camera, camera_from_body
+    return camera, make_transform(turn, t)
 
 
 def _recorded(lines: _Lines, number: str) -> tuple[Camera, Floats]:

@@ -66,27 +66,35 @@ def make_rotation(where: str, value: Any) -> Floats:
     return orthonormalised(make_transform(rotation, np.zeros(3)))[:3, :3]
 
 
-def rectified_from_camera(where: str, rotation: Any, projection: Any) -> tuple[Floats, Floats]:
-    """What rectifies a camera: (4, 4) rectified_from_camera and its (3, 4) projection P.
+def make_projection(where: str, value: Any) -> tuple[Floats, Floats]:
+    """A (3, 4) projection P = K [1 | t] of a rectified camera, and t (3,).
 
-    The rectified cameras of a rig share their axes; P = K' [1 | t] says how far this one is from
-    their common origin, so that t is part of the transform.
+    The rectified cameras of a rig have the same axes; p_in_camera = p_in_common + t.
 
     Raises:
         CalibrationError: a number is missing or cannot be true.
     """
-    p = make_matrix(f"{where}: projection matrix", projection, 3, 4)
+    p = make_matrix(f"{where}: projection matrix", value, 3, 4)
     if not (p[0, 0] > 1e-3 and p[1, 1] > 1e-3):
         raise CalibrationError(
             f"{where}: the projection matrix has focal lengths {p[0, 0]:g}, {p[1, 1]:g}; they must "
             "be above 0"
         )
     z = p[2, 3]
-    t = np.array([(p[0, 3] - p[0, 2] * z) / p[0, 0], (p[1, 3] - p[1, 2] * z) / p[1, 1], z])
+    return p, np.array([(p[0, 3] - p[0, 2] * z) / p[0, 0], (p[1, 3] - p[1, 2] * z) / p[1, 1], z])
+
+
+def common_from_camera(where: str, rotation: Any, projection: Any) -> Floats:
+    """(4, 4) from a recorded camera to the frame that its rig is rectified to, by its R and P.
+
+    Raises:
+        CalibrationError: a number is missing or cannot be true.
+    """
+    _, t = make_projection(where, projection)
     turn = np.eye(3) if rotation is None else make_rotation(f"{where}: rectification", rotation)
-    return make_transform(np.eye(3), t) @ make_transform(turn, np.zeros(3)), p
+    return make_transform(turn, -t)
 
 
-def between(rectified_from_cam0: Floats, rectified_from_cam1: Floats) -> Floats:
-    """cam1_from_cam0 of two cameras that are rectified to the same axes and origin."""
-    return np.asarray(inverse(rectified_from_cam1) @ rectified_from_cam0)
+def between(common_from_cam0: Floats, common_from_cam1: Floats) -> Floats:
+    """cam1_from_cam0 of two cameras whose places in a common frame are known."""
+    return np.asarray(inverse(common_from_cam1) @ common_from_cam0)

@@ -19,7 +19,7 @@ from vo.formats.calibration.checks import (
     make_transform,
 )
 from vo.formats.calibration.document import Calibration, Document, ImageSize
-from vo.formats.calibration.matrices import between, matrix_camera, rectified_from_camera
+from vo.formats.calibration.matrices import between, common_from_camera, matrix_camera
 from vo.geometry.transforms import inverse
 from vo.geometry.transforms import make_transform as rigid
 from vo.types import Camera, Floats, Rig
@@ -147,8 +147,7 @@ def _side(document: Document, side: str, image_size: ImageSize | None) -> tuple[
         distortion_model="radtan",
         distortion=data.get(f"{side}.D"),
     )
-    place, _ = rectified_from_camera(where, data.get(f"{side}.R"), data.get(f"{side}.P"))
-    return camera, place
+    return camera, common_from_camera(where, data.get(f"{side}.R"), data.get(f"{side}.P"))
 
 
 def _size(document: Document, name: str, image_size: ImageSize | None) -> Any:

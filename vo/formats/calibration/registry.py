@@ -62,7 +62,7 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
             try:
                 return replace(kind.read(document, image_size), kind=name)
             except CalibrationError as error:
-                raise CalibrationError(f"{error} (read as a {name} calibration)") from error
+                raise CalibrationError(f"{error} (read as {name} calibration)") from error
     reason = document.problem or (
         f"is no calibration file of a known kind ({', '.join(FORMATS)}); docs/calibration.md "
         "shows what one looks like"

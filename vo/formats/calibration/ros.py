@@ -10,10 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vo.formats.calibration.checks import check_baseline
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
-from vo.formats.calibration.matrices import between, matrix_camera, rectified_from_camera
-from vo.types import Camera, Rig
+from vo.formats.calibration.matrices import between, common_from_camera, matrix_camera
+from vo.types import Camera, Floats, Rig
 
 _NAMES = (("left", "right"), ("Left", "Right"), ("cam0", "cam1"), ("camera0", "camera1"))
 _FILE = {
@@ -25,7 +27,7 @@ _FILE = {
     "p": "projection_matrix",
 }
 """What camera_calibration_parsers calls the fields of the message."""
-_SMALLEST_TX = 1e-9
+_SHORTEST_BASELINE_M = 1e-6
 _log = logging.getLogger(__name__)
 
 
@@ -49,18 +51,14 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     if partner is None:
         return Calibration(Rig(cam0))
     other = load_document(partner)
-    places = []
-    for one in (document, other):
-        fields = _fields(one.data)
-        places.append(rectified_from_camera(str(one.path), fields.get("r"), fields.get("p")))
-    if abs(places[1][1][0, 3] - places[0][1][0, 3]) < _SMALLEST_TX:
+    cam1_from_cam0 = between(_common_from_camera(document), _common_from_camera(other))
+    if np.linalg.norm(cam1_from_cam0[:3, 3]) < _SHORTEST_BASELINE_M:
         _log.warning(
             "%s: the projection matrix has no baseline (Tx is 0), so it was not calibrated as a "
             "pair; only the left camera is used",
             partner,
         )
         return Calibration(Rig(cam0))
-    cam1_from_cam0 = between(places[0][0], places[1][0])
     check_baseline(f"{partner}: projection matrix", cam1_from_cam0)
     return Calibration(Rig(cam0, _camera(other, image_size), cam1_from_cam0))
 
@@ -84,6 +82,11 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
         distortion_model=fields.get("distortion_model") or "plumb_bob",
         distortion=fields.get("d"),
     )
+
+
+def _common_from_camera(document: Document) -> Floats:
+    fields = _fields(document.data)
+    return common_from_camera(str(document.path), fields.get("r"), fields.get("p"))
 
 
 def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
