@@ -24,11 +24,8 @@ from vo.formats.trajectory import write_tum
 from vo.geometry.transforms import inverse
 from vo.types import Floats
 
-_DISTORTION = {
-    "none": "radial-tangential",
-    "radtan": "radial-tangential",
-    "equidistant": "equidistant",
-}
+_DISTORTION = {"none": "radial-tangential", "radtan": "radial-tangential"}
+"""What EuRoC calls them; other lenses keep the names of our own calibration form."""
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
@@ -98,7 +95,7 @@ def _camera_sensor(recording: Recording, number: int) -> dict[str, Any]:
         "resolution": [int(camera.width), int(camera.height)],
         "camera_model": "pinhole",
         "intrinsics": [float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy)],
-        "distortion_model": _DISTORTION[camera.distortion_model],
+        "distortion_model": _DISTORTION.get(camera.distortion_model, camera.distortion_model),
         "distortion_coefficients": [float(x) for x in camera.distortion] or [0.0] * 4,
     }
 
