@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 
 from vo.cli.demo import demo_command
 from vo.cli.eval import eval_command
+from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import EPILOG, synth_command
 from vo.errors import VoError
@@ -41,5 +42,6 @@ def _vo() -> None:
 
 app.command("run")(run_command)
 app.command("eval")(eval_command)
+app.command("report")(report_command)
 app.command("demo")(demo_command)
 app.command("synth", epilog=EPILOG)(synth_command)

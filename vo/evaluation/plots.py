@@ -78,7 +78,7 @@ def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figu
 def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> None:
     truth = evaluation.matched.reference[:, :3, 3]
     estimate = evaluation.aligned[:, :3, 3]
-    across, up = _axes_from_above(evaluation.matched.reference)
+    across, up = axes_from_above(evaluation.matched.reference)
     whole = reference.positions
     axes.plot(whole[:, across], whole[:, up], color=_FAINT, lw=0.8, zorder=1)
     axes.plot(truth[:, across], truth[:, up], "--", color=_TRUTH, lw=1.2, label="truth", zorder=3)
@@ -118,7 +118,7 @@ def _tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=9)
 
 
-def _axes_from_above(world_from_cam: Floats) -> tuple[int, int]:
+def axes_from_above(world_from_cam: Floats) -> tuple[int, int]:
     """World axes (0, 1, 2 for x, y, z) to the right and upwards on paper, seen from above.
 
     Cameras are carried upright more often than not: the world axis nearest to their mean y axis is

@@ -1,0 +1,97 @@
+"""What a report takes from the recording that a run was made of: truth and images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from vo.errors import EvaluationError, SourceError, VoError
+from vo.evaluation.inputs import Inputs, inputs_against, load_inputs
+from vo.evaluation.report import Evaluation, evaluate
+from vo.report.entry import Thumbnail
+from vo.report.events import choose_events, shrink
+from vo.report.run_folder import RunRecord
+from vo.sources.registry import open_source
+from vo.sources.source import Source
+from vo.types import Mode, Trajectory
+
+_NS_PER_S = 1e9
+
+
+class Judged(NamedTuple):
+    """A run against its truth, and where that came from; or why there is none."""
+
+    evaluation: Evaluation | None
+    truth: Trajectory | None
+    origin: str
+    notes: tuple[str, ...] = ()
+
+
+def open_recording(run: RunRecord) -> tuple[Source | None, str]:
+    """The recording that a run was made of, or why it cannot be read any more."""
+    path = Path(str(run.summary["source"]))
+    if not path.exists():
+        return None, f"the recording {path} is not there any more"
+    mode: Mode = "mono" if run.summary["mode"] == "mono" else "auto"
+    try:
+        return open_source(path, format=str(run.summary["format"]), mode=mode), ""
+    except VoError as error:
+        return None, f"the recording cannot be read as it is: {error}"
+
+
+def judge(run: RunRecord, truth: Path | None, source: Source | None, why_not: str) -> Judged:
+    """Compare a run with the truth that was asked for, or else with its recording's own.
+
+    Raises:
+        SourceError: the truth that was asked for is missing or damaged.
+        EvaluationError: it cannot be compared with the run.
+    """
+    if not len(run.trajectory):
+        return Judged(None, None, "nothing to compare: no frame has a pose")
+    if truth is not None:
+        return _compared(_inputs_asked(run, truth))
+    if source is None:
+        return Judged(None, None, f"no truth: {why_not}")
+    if source.ground_truth is None:
+        return Judged(None, None, "no truth: the recording has none")
+    path = Path(str(run.summary["source"]))
+    try:
+        return _compared(inputs_against(run.path, source.ground_truth, path))
+    except EvaluationError as error:
+        return Judged(None, None, f"not compared with the recording's truth: {error}")
+
+
+def _inputs_asked(run: RunRecord, truth: Path) -> Inputs:
+    """A file or folder that `vo eval` knows, or any recording that has a truth."""
+    try:
+        return load_inputs(run.path, truth)
+    except SourceError:
+        if truth.is_file():
+            raise
+    found = open_source(truth).ground_truth
+    if found is None:
+        raise SourceError(f"{truth} has no ground truth; give its file")
+    return inputs_against(run.path, found, truth)
+
+
+def _compared(inputs: Inputs) -> Judged:
+    evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
+    origin = f"compared with the truth in {inputs.reference_path}"
+    return Judged(evaluation, inputs.reference, origin, (*inputs.notes, *evaluation.notes))
+
+
+def take_thumbnails(run: RunRecord, source: Source, zero_ns: int) -> tuple[Thumbnail, ...]:
+    """Small images of frames where something happened; those that cannot be read are left out."""
+    if run.frames is None:
+        return ()
+    thumbnails = []
+    for row, event in choose_events(run.frames):
+        number, stamp_ns = int(run.frames.frame[row]), int(run.frames.stamp_ns[row])
+        try:
+            frame = next(source.frames(number, number + 1), None)
+        except VoError:
+            continue
+        if frame is not None and frame.stamp_ns == stamp_ns:
+            seconds = (stamp_ns - zero_ns) / _NS_PER_S
+            thumbnails.append(Thumbnail(number, seconds, event, shrink(frame.image0)))
+    return tuple(thumbnails)

@@ -1,0 +1,97 @@
+"""One run of a report: what it left behind, and how far it is from the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vo.evaluation.report import Evaluation
+from vo.report.run_folder import RunRecord
+from vo.types import Bytes, Floats, Ints, Trajectory
+
+_NS_PER_S = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Thumbnail:
+    """A small picture of a frame: (H, W) uint8, and what happened there."""
+
+    frame: int
+    seconds: float
+    event: str
+    image: Bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A run in a report.
+
+    Attributes:
+        name: short, told apart from the others of the report.
+        run: what it left behind.
+        evaluation: against the truth, None where there is none.
+        truth: the whole truth, None where there is none.
+        truth_note: where the truth came from, or why there is none.
+        notes: what a reader of the numbers should know.
+        thumbnails: of frames where something happened.
+        zero_ns: the stamp that plots over time count from.
+    """
+
+    name: str
+    run: RunRecord
+    evaluation: Evaluation | None = None
+    truth: Trajectory | None = None
+    truth_note: str = ""
+    notes: tuple[str, ...] = ()
+    thumbnails: tuple[Thumbnail, ...] = ()
+    zero_ns: int = 0
+
+    def seconds(self, stamps_ns: Ints) -> Floats:
+        """Stamps on the time axis of the plots."""
+        return np.asarray((stamps_ns - self.zero_ns) / _NS_PER_S, dtype=np.float64)
+
+    @property
+    def without_pose_s(self) -> list[tuple[float, float]]:
+        """Stretches of frames without a pose at the time, from the frame before to the one after.
+
+        The start, before the first pose, counts as well.
+        """
+        frames = self.run.frames
+        if frames is None or not len(frames):
+            return []
+        missing = np.concatenate([[False], frames.state != "tracking", [False]])
+        edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
+        seconds = self.seconds(frames.stamp_ns)
+        last = len(frames) - 1
+        return [
+            (float(seconds[max(first - 1, 0)]), float(seconds[min(end, last)]))
+            for first, end in zip(edges[::2], edges[1::2], strict=True)
+        ]
+
+
+def names_of(folders: Sequence[Path]) -> list[str]:
+    """Short names of run folders: as many of their last parts as tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(each[-count:]) for each in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{folder} ({number})" for number, folder in enumerate(folders, start=1)]
+
+
+def first_stamps(runs: Sequence[RunRecord]) -> list[int]:
+    """The stamp that each run's time counts from: the same for runs that overlap in time."""
+    spans = [_span(run) for run in runs]
+    latest_begin = max(begin for begin, _ in spans)
+    earliest_end = min(end for _, end in spans)
+    if latest_begin <= earliest_end:
+        return [min(begin for begin, _ in spans)] * len(runs)
+    return [begin for begin, _ in spans]
+
+
+def _span(run: RunRecord) -> tuple[int, int]:
+    stamps = run.trajectory.stamps_ns if run.frames is None else run.frames.stamp_ns
+    return (int(stamps[0]), int(stamps[-1])) if len(stamps) else (0, 0)

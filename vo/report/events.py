@@ -1,0 +1,55 @@
+"""Which frames of a run are worth a picture."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.report.run_folder import FrameTable
+from vo.types import Bytes, Ints
+
+_MOST = 8
+_MOST_LOSSES = 3
+_WIDTH_PX = 320
+
+
+class Event(NamedTuple):
+    """Something that happened at a frame; `row` is its place among the run's frames."""
+
+    row: int
+    name: str
+
+
+def choose_events(frames: FrameTable) -> list[Event]:
+    """The first pose, losses and recoveries, and keyframes evenly between, in time order."""
+    tracked = frames.state == "tracking"
+    if not tracked.any():
+        return [Event(0, "first frame")] if len(frames) else []
+    found = {int(np.argmax(tracked)): "first pose"}
+    change = np.flatnonzero(np.diff(tracked.astype(np.int8))) + 1
+    for row in _evenly(change[~tracked[change]], _MOST_LOSSES):
+        found.setdefault(row, "lost")
+        later = np.flatnonzero(tracked[row:])
+        if len(later):
+            found.setdefault(row + int(later[0]), "recovered")
+    keyframes = np.array([r for r in np.flatnonzero(frames.keyframe) if r not in found], np.int64)
+    for row in _evenly(keyframes, _MOST - len(found)):
+        found[row] = "keyframe"
+    return [Event(row, found[row]) for row in sorted(found)]
+
+
+def _evenly(rows: Ints, most: int) -> list[int]:
+    if len(rows) <= most:
+        return [int(row) for row in rows]
+    return [int(rows[i]) for i in np.linspace(0, len(rows) - 1, max(most, 0)).round().astype(int)]
+
+
+def shrink(image: Bytes) -> Bytes:
+    """An image at the width of a thumbnail."""
+    height, width = image.shape
+    if width <= _WIDTH_PX:
+        return image
+    size = (_WIDTH_PX, max(round(height * _WIDTH_PX / width), 1))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -1,0 +1,37 @@
+"""HTML that escapes what it is given."""
+
+from __future__ import annotations
+
+import html
+
+
+class Markup(str):
+    """Text that is HTML already."""
+
+
+def element(tag: str, *children: str, **attributes: str) -> Markup:
+    """An HTML element; text in it is escaped, `Markup` is not.
+
+    A trailing underscore of an attribute's name is dropped (`class_`), others become hyphens.
+    """
+    written = "".join(
+        f' {name.rstrip("_").replace("_", "-")}="{html.escape(value, quote=True)}"'
+        for name, value in attributes.items()
+    )
+    return Markup(f"<{tag}{written}>{join(*children)}</{tag}>")
+
+
+def join(*children: str) -> Markup:
+    """Pieces one after the other."""
+    return Markup("".join(c if isinstance(c, Markup) else html.escape(c) for c in children))
+
+
+def table(heading: list[str], rows: list[list[str]], **attributes: str) -> Markup:
+    """A table whose first column names its rows; it scrolls where it is too wide."""
+    head = element("tr", *(element("th", text, scope="col") for text in heading))
+    body = [
+        element("tr", element("th", row[0], scope="row"), *(element("td", c) for c in row[1:]))
+        for row in rows
+    ]
+    inside = element("table", element("thead", head), element("tbody", *body), **attributes)
+    return element("div", inside, class_="scroll")

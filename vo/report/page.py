@@ -1,0 +1,109 @@
+"""Puts a report together: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+from vo.errors import OutputError
+from vo.report import sections
+from vo.report.entry import Entry
+from vo.report.markup import Markup, element, join
+from vo.report.plots.catalogue import Plot
+
+_ERRORS = ("error_time", "error_distance", "rpe", "drift")
+# Nothing may be loaded, whatever a file's name manages to smuggle in.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+
+
+def make_page(entries: Sequence[Entry], plots: Sequence[Plot]) -> str:
+    """The whole page."""
+    several = len(entries) > 1
+    names = ", ".join(entry.name for entry in entries)
+    title = f"{len(entries)} runs compared" if several else "Visual odometry report"
+    parts = [
+        element("header", element("h1", title)),
+        *(sections.opening(entry, i, several) for i, entry in enumerate(entries)),
+        *([sections.comparison(entries)] if several else []),
+        sections.drawings("Path", _named(plots, "path")),
+        sections.drawings("Errors", _named(plots, *_ERRORS)),
+        sections.drawings("Uncertainty", _named(plots, "uncertainty")),
+        sections.drawings("Tracking and time", _named(plots, "inliers", "times")),
+        *(_of_run(entry, i, plots, several) for i, entry in enumerate(entries)),
+        sections.settings(entries),
+        element("section", element("h2", "Details"), *_details(entries)),
+    ]
+    return _document(f"{title}: {names}", join(*parts))
+
+
+def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
+    return [plot for plot in plots if plot.run is None and plot.name in names]
+
+
+def _of_run(entry: Entry, number: int, plots: Sequence[Plot], several: bool) -> Markup:
+    own = [plot for plot in plots if plot.run == number]
+    name = f", {entry.name}" if several else ""
+    return join(
+        sections.drawings(f"Tracking and time{name}", own),
+        sections.pictures(entry, f"What the camera saw{name}"),
+    )
+
+
+def _details(entries: Sequence[Entry]) -> list[Markup]:
+    each = [part(entry) for entry in entries for part in (sections.gaps, sections.segments)]
+    return [*each, sections.origins(entries)]
+
+
+def _document(title: str, body: Markup) -> str:
+    style = files("vo.report").joinpath("page.css").read_text(encoding="utf-8")
+    head = join(
+        Markup('<meta charset="utf-8">'),
+        Markup('<meta name="viewport" content="width=device-width, initial-scale=1">'),
+        Markup('<meta name="color-scheme" content="light dark">'),
+        Markup(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'),
+        Markup('<link rel="icon" href="data:,">'),
+        element("title", title),
+        element("style", Markup(style)),
+    )
+    page = join(element("head", head), element("body", element("main", body)))
+    return f'<!doctype html>\n<html lang="en">{page}</html>\n'
+
+
+def write_page(path: Path, page: str) -> None:
+    """Write a report.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(
+            f"report {path} cannot be written: {error.strerror or error}; choose another file"
+        ) from error
+
+
+def write_plots(folder: Path, plots: Sequence[Plot]) -> list[Path]:
+    """Write each figure as PNG and PDF.
+
+    Raises:
+        OutputError: one cannot be written.
+    """
+    from vo.report.plots.style import drawing
+
+    written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with drawing():
+            for plot in plots:
+                for suffix in (".png", ".pdf"):
+                    path = folder / f"{plot.name}{suffix}"
+                    plot.figure.savefig(path, dpi=200)
+                    written.append(path)
+    except OSError as error:
+        raise OutputError(
+            f"plots cannot be written to {folder}: {error.strerror or error}; choose another folder"
+        ) from error
+    return written

@@ -1,0 +1,1 @@
+"""The figures of a report; each module draws what belongs together."""

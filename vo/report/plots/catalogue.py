@@ -1,0 +1,80 @@
+"""All figures of a report, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from vo.report.entry import Entry
+from vo.report.plots import errors, paths, style, times, tracking
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Plot(NamedTuple):
+    """A figure with its name for files, what it shows in words, and the run it is of, if one."""
+
+    name: str
+    caption: str
+    figure: Figure
+    run: int | None = None
+
+
+_OF_ALL = (
+    ("path", "Camera path from above and from the side.", paths.draw_paths),
+    (
+        "error_time",
+        "Error of each pose over time, after alignment to the truth.",
+        errors.draw_errors_over_time,
+    ),
+    (
+        "error_distance",
+        "Error of each pose by distance travelled, after alignment to the truth.",
+        errors.draw_errors_over_distance,
+    ),
+    (
+        "rpe",
+        "Distribution of relative errors: how many of the steps err by up to so much. The dot is "
+        "the median.",
+        errors.draw_relative_errors,
+    ),
+    ("drift", "Mean drift over sub-paths of each length.", errors.draw_drift),
+    (
+        "uncertainty",
+        "Standard deviation of each keyframe's pose against the first of its segment, from the "
+        "covariance.",
+        tracking.draw_uncertainty,
+    ),
+)
+_OF_SEVERAL = (
+    ("inliers", "Landmarks that agree with the pose, over time.", tracking.draw_inliers),
+    ("times", "How many of the frames took up to so long.", times.draw_total_times),
+)
+_OF_ONE = (
+    (
+        "counts",
+        "Features, and landmarks of the map matched and agreeing with the pose, over time.",
+        tracking.draw_counts,
+    ),
+    ("stages", "Wall time of the frames by stage.", times.draw_stages),
+)
+
+
+def draw_all(entries: Sequence[Entry]) -> Iterator[Plot]:
+    """Every figure that there is something to draw for."""
+    with style.drawing():
+        for name, caption, draw in _OF_ALL:
+            figure = draw(entries)
+            if figure is not None:
+                yield Plot(name, caption, figure)
+        for name, caption, draw in _OF_SEVERAL if len(entries) > 1 else ():
+            figure = draw(entries)
+            if figure is not None:
+                yield Plot(name, caption, figure)
+        for number, entry in enumerate(entries):
+            for name, caption, draw_one in _OF_ONE:
+                figure = draw_one(entry)
+                if figure is not None:
+                    suffix = f"_{number + 1}" if len(entries) > 1 else ""
+                    yield Plot(name + suffix, caption, figure, number)

@@ -1,0 +1,94 @@
+"""What was seen in the images, and how sure the poses are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vo.report.entry import Entry
+from vo.report.plots.style import MUTED, broken, colour, dash, new_figure, shade, thin
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_counts(entry: Entry) -> Figure | None:
+    """Features, matches and inliers of one run's frames, its keyframes as ticks below."""
+    frames = entry.run.frames
+    if frames is None:
+        return None
+    seconds = entry.seconds(frames.stamp_ns)
+    figure = new_figure(4.0)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.4))
+    upper.plot(*thin(seconds, frames.features.astype(np.float64)), color=MUTED, label="features")
+    for number, (name, counts) in enumerate(
+        (("matches", frames.matches), ("inliers", frames.inliers))
+    ):
+        style = {"color": colour(1 - number), "ls": dash(1 - number), "label": name}
+        lower.plot(*thin(seconds, counts.astype(np.float64)), **style)
+    keyframes = seconds[frames.keyframe == 1]
+    lower.plot(
+        keyframes,
+        np.full(len(keyframes), 0.02),
+        "|",
+        color=MUTED,
+        ms=8,
+        transform=lower.get_xaxis_transform(),
+        label=f"keyframes ({len(keyframes)})",
+    )
+    for axes in (upper, lower):
+        shade(axes, entry.without_pose_s, "no pose" if axes is lower else "_")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+    upper.set(title="Features in each image", ylabel="count")
+    lower.set(title="Landmarks of the map found in it", ylabel="count", xlabel="time (s)")
+    handles, labels = lower.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_inliers(entries: Sequence[Entry]) -> Figure | None:
+    """Inliers of several runs over each other."""
+    runs = [(entry, entry.run.frames) for entry in entries if entry.run.frames is not None]
+    if not runs:
+        return None
+    figure = new_figure(2.9)
+    axes = figure.subplots()
+    for number, (entry, frames) in enumerate(runs):
+        curve = thin(entry.seconds(frames.stamp_ns), frames.inliers.astype(np.float64))
+        axes.plot(*curve, color=colour(number), ls=dash(number), lw=1.2, label=entry.name)
+    axes.set(title="Inliers", ylabel="count", xlabel="time (s)")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
+    return figure
+
+
+def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
+    """One standard deviation of keyframes' positions and rotations, as the run itself says."""
+    runs = [(entry, entry.run.sigmas) for entry in entries if entry.run.sigmas is not None]
+    if not runs:
+        return None
+    figure = new_figure(3.8)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for number, (entry, sigmas) in enumerate(runs):
+        seconds = entry.seconds(sigmas.stamp_ns)
+        cuts = (np.flatnonzero(np.diff(sigmas.segment)) + 1).tolist()
+        style = {"color": colour(number), "ls": dash(number), "label": entry.name}
+        for axes, values in ((upper, sigmas.position), (lower, sigmas.rotation_deg)):
+            axes.plot(*broken(seconds, values, cuts), **style)
+    if len(runs) == 1:
+        for axes in (upper, lower):
+            shade(axes, runs[0][0].without_pose_s)
+    units = sorted({entry.run.unit for entry, _ in runs})
+    upper.set(title="Own estimate of uncertainty (1σ)", ylabel=f"position ({' or '.join(units)})")
+    lower.set(ylabel="rotation (°)", xlabel="time (s)")
+    for axes in (upper, lower):
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+    if len(runs) > 1 or upper.patches:
+        handles, labels = upper.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    return figure

@@ -1,0 +1,188 @@
+"""Reads back what `vo run` wrote into its folder, as far as it is there."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.errors import SourceError
+from vo.formats.trajectory import read_tum
+from vo.types import Floats, Ints, Trajectory
+
+_PARTIAL = ".partial"  # of a run that was killed
+_STAGE_SUFFIX = "_ms"
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTable:
+    """`frames.csv`: one row (N,) per frame, as it was known when it was taken in."""
+
+    frame: Ints
+    stamp_ns: Ints
+    state: NDArray[np.str_]
+    keyframe: Ints
+    features: Ints
+    matches: Ints
+    inliers: Ints
+    total_ms: Floats
+    stage_ms: Mapping[str, Floats]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, eq=False)
+class Sigmas:
+    """Standard deviations of keyframe poses (K,): of the position in lengths, of the rotation."""
+
+    stamp_ns: Ints
+    segment: Ints
+    position: Floats
+    rotation_deg: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecord:
+    """What a run left behind.
+
+    Attributes:
+        path: its folder.
+        summary: `summary.json`.
+        config: `config.yaml` as text, empty if it is not there.
+        trajectory: the smoothed path, which may be empty.
+        causal: the path as it was known at the time, which may be empty.
+        frames: None of a run from before there was `frames.csv`.
+        sigmas: None where no covariance is known.
+    """
+
+    path: Path
+    summary: Mapping[str, Any]
+    config: str
+    trajectory: Trajectory
+    causal: Trajectory
+    frames: FrameTable | None
+    sigmas: Sigmas | None
+
+    @property
+    def unit(self) -> str:
+        """Of every length."""
+        return str(self.summary.get("length_unit", "m"))
+
+    def segment_of(self, stamps_ns: Ints) -> Ints:
+        """Number of the segment that each stamp (N,) lies in, -1 outside of all."""
+        numbers = np.full(len(stamps_ns), -1, dtype=np.int64)
+        for segment in self.summary.get("segments", ()):
+            first, last = segment["first_stamp_ns"], segment["last_stamp_ns"]
+            numbers[(stamps_ns >= first) & (stamps_ns <= last)] = segment["segment"]
+        return numbers
+
+
+def read_run(folder: Path) -> RunRecord:
+    """Read the folder of a run, finished or not.
+
+    Raises:
+        SourceError: it is no such folder, or a file in it is damaged.
+    """
+    if not folder.is_dir():
+        raise SourceError(f"{folder} is not a folder; give the --output of a `vo run`")
+    return RunRecord(
+        folder,
+        _summary(folder / "summary.json"),
+        _text(folder / "config.yaml"),
+        _trajectory(folder / "trajectory.tum"),
+        _trajectory(folder / "causal.tum"),
+        _frames(folder / "frames.csv"),
+        _sigmas(folder / "covariance.csv"),
+    )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise SourceError(f"{path.parent} has no {path.name}; give the --output of a `vo run`")
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
+    if not isinstance(summary, dict) or "schema_version" not in summary:
+        raise SourceError(f"{path} is no summary of a run; give the --output of a `vo run`")
+    return summary
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return ""
+
+
+def _there(path: Path) -> Path | None:
+    """The file, or what a killed run left of it."""
+    for each in (path, path.with_name(path.name + _PARTIAL)):
+        if each.is_file() and each.stat().st_size:
+            return each
+    return None
+
+
+def _trajectory(path: Path) -> Trajectory:
+    found = _there(path)
+    if found is None:
+        return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    return read_tum(found)
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    found = _there(path)
+    if found is None:
+        return []
+    try:
+        with found.open(encoding="utf-8", newline="") as stream:
+            return list(csv.DictReader(stream))
+    except (OSError, ValueError, csv.Error) as error:
+        raise SourceError(f"{found} cannot be read: {error}; run `vo run` again") from error
+
+
+def _frames(path: Path) -> FrameTable | None:
+    rows = _rows(path)
+    if not rows:
+        return None
+    try:
+        counts = {
+            name: np.array([int(row[name]) for row in rows], dtype=np.int64)
+            for name in ("frame", "stamp_ns", "keyframe", "features", "matches", "inliers")
+        }
+        times = {
+            name.removesuffix(_STAGE_SUFFIX): np.array([float(row[name]) for row in rows])
+            for name in rows[0]
+            if name.endswith(_STAGE_SUFFIX)
+        }
+        state = np.array([row["state"] for row in rows])
+        return FrameTable(**counts, state=state, total_ms=times.pop("total"), stage_ms=times)
+    except (KeyError, TypeError, ValueError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+
+
+def _sigmas(path: Path) -> Sigmas | None:
+    """Root of the trace of the rotation's and of the translation's 3x3 blocks."""
+    try:
+        known = [row for row in _rows(path) if row["c_rx_rx"]]
+        if not known:
+            return None
+        rotation, position = (
+            np.array([[float(row[f"c_{axis}_{axis}"]) for axis in axes] for row in known])
+            for axes in (("rx", "ry", "rz"), ("tx", "ty", "tz"))
+        )
+        stamps, segments = (
+            np.array([int(row[name]) for row in known], dtype=np.int64)
+            for name in ("stamp_ns", "segment")
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+    rotation_rad = np.sqrt(rotation.sum(axis=1))
+    return Sigmas(stamps, segments, np.sqrt(position.sum(axis=1)), np.rad2deg(rotation_rad))
