@@ -33,7 +33,21 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(params=layouts.WRITERS)
-def recording(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Each layout in turn, in a folder of the format's name."""
+def kind(request: pytest.FixtureRequest) -> str:
+    """Each format in turn."""
+    return str(request.param)
+
+
+@pytest.fixture
+def recording(kind: str, tmp_path: Path) -> Path:
+    """A recording of each format in turn, a folder, file or pattern of the format's name."""
+    path = tmp_path / layouts.PATHS.get(kind, kind)
+    layouts.WRITERS[kind](path)
+    return path
+
+
+@pytest.fixture(params=[kind for kind in layouts.WRITERS if kind not in layouts.PATHS])
+def folder_recording(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Those that are folders with images in files of their own."""
     layouts.WRITERS[request.param](tmp_path / request.param)
     return tmp_path / request.param

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
@@ -184,9 +186,42 @@ def write_folder(folder: Path) -> None:
     write_text(folder / "calibration.yaml", CALIBRATION)
 
 
+def write_glob(pattern: Path) -> None:
+    for i, stamp in enumerate(STAMPS_NS):
+        write_image(pattern.parent / f"left_{stamp}.png", image(i))
+        write_image(pattern.parent / f"right_{stamp}.png", image(i, right=True))
+    write_text(pattern.parent / "calibration.yaml", CALIBRATION)
+
+
+def write_video(path: Path) -> None:
+    """Without loss, with a unit of time that is fine enough for the stamps."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unit = Fraction(1, 10**9)
+    with av.open(str(path), "w", options={"video_track_timescale": "1000000000"}) as container:
+        stream = container.add_stream("png", rate=10)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
+        stream.time_base = stream.codec_context.time_base = unit
+        for i, stamp in enumerate(stamps("video")):
+            frame = av.VideoFrame.from_ndarray(image(i), format="gray")
+            frame.pts, frame.time_base = stamp, unit
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    write_text(path.with_suffix(".yaml"), CALIBRATION)
+
+
+def stamps(kind: str) -> list[int]:
+    """What a format makes of `STAMPS_NS`: a video begins at 0."""
+    return [stamp - STAMPS_NS[0] for stamp in STAMPS_NS] if kind == "video" else STAMPS_NS
+
+
+PATHS = {"glob": "glob/left_*.png", "video": "video.mov"}
+"""Where a recording is that is not a folder of the format's name."""
+
 WRITERS: dict[str, Callable[[Path], None]] = {
     "kitti": write_kitti,
     "euroc": write_euroc,
     "tum": write_tum,
     "folder": write_folder,
+    "glob": write_glob,
+    "video": write_video,
 }

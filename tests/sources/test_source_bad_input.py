@@ -58,7 +58,7 @@ def test_file_of_unknown_kind(tmp_path: Path) -> None:
 
 def test_unknown_format(kitti: Path) -> None:
     message = _message(kitti, SourceError, format="kity")
-    assert message == "format 'kity' is not known; known are kitti, euroc, tum, folder"
+    assert message.startswith("format 'kity' is not known; known are ")
 
 
 def test_format_that_does_not_fit_says_what_it_misses(folder: Path) -> None:
@@ -104,9 +104,9 @@ def test_no_readable_image(kitti: Path) -> None:
 
 
 def test_image_of_another_size_in_the_middle_is_skipped(
-    recording: Path, caplog: pytest.LogCaptureFixture
+    folder_recording: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    source = open_source(recording)
+    source = open_source(folder_recording)
     shot = source._left[4]  # type: ignore[attr-defined]
     layouts.write_image(Path(shot.image.name), np.zeros((20, 30), np.uint8))
     caplog.clear()
@@ -258,12 +258,12 @@ def test_table_naming_only_missing_files(euroc: Path) -> None:
 # The right camera
 
 
-def test_right_camera_missing(recording: Path) -> None:
+def test_right_camera_missing(folder_recording: Path) -> None:
     for name in ("image_1", "mav0/cam1", "right"):
-        shutil.rmtree(recording / name, ignore_errors=True)
-    message = _message(recording, SourceError, mode="stereo")
-    assert f"{recording.name} has no images of a right camera" in message
-    assert not open_source(recording).rig.is_stereo
+        shutil.rmtree(folder_recording / name, ignore_errors=True)
+    message = _message(folder_recording, SourceError, mode="stereo")
+    assert f"{folder_recording.name} has no images of a right camera" in message
+    assert not open_source(folder_recording).rig.is_stereo
 
 
 def test_right_folder_without_images(kitti: Path) -> None:
@@ -317,11 +317,11 @@ def test_broken_ground_truth(
     assert file in caplog.text
 
 
-def test_no_ground_truth(recording: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_no_ground_truth(folder_recording: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in ("poses.txt", "groundtruth.txt", "groundtruth.tum"):
-        (recording / name).unlink(missing_ok=True)
-    shutil.rmtree(recording / "mav0/state_groundtruth_estimate0", ignore_errors=True)
-    assert open_source(recording).ground_truth is None
+        (folder_recording / name).unlink(missing_ok=True)
+    shutil.rmtree(folder_recording / "mav0/state_groundtruth_estimate0", ignore_errors=True)
+    assert open_source(folder_recording).ground_truth is None
     assert caplog.records == []
 
 

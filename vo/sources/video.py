@@ -127,8 +127,8 @@ class _Decoder:
             return
         if self._container is None:
             self._container = av.open(str(self.path))
+            _video_stream(self.path, self._container).thread_type = "AUTO"
         stream = _video_stream(self.path, self._container)
-        stream.thread_type = "AUTO"
         self._container.seek(key, stream=stream)
         self._newest, self._reached = None, None
         self._frames = self._container.decode(stream)
