@@ -134,6 +134,9 @@ class SmoothingConfig(Section):
     huber: float = Field(1.5, gt=0, description="standard deviations from which it counts less")
     gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
+    covariance_scale: float = Field(
+        9.0, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
+    )
 
 
 class Config(Section):

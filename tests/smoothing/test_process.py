@@ -39,7 +39,7 @@ def _problem(seed: int = 1) -> WindowProblem:
 def _assert_same(found: WindowSolution, expected: WindowSolution) -> None:
     assert found.converged and expected.converged
     assert found.offset == expected.offset
-    for name in ("world_from_cam", "covariance", "points", "point_ok"):
+    for name in ("world_from_cam", "information", "points", "point_ok"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vo.geometry.transforms import inverse, se3_exp, se3_log, transform_points
+from vo.smoothing.covariance import propagated
+from vo.smoothing.solution import WindowSolution
 from vo.types import Floats, WindowProblem
 
 INTRINSICS = (500.0, 500.0, 320.0, 200.0)
@@ -43,6 +45,17 @@ class Window:
         """(K, 6) tangents xi with truth = estimate @ exp(xi)."""
         pairs = zip(self.world_from_cam, world_from_cam, strict=True)
         return np.stack([se3_log(inverse(found) @ truth) for truth, found in pairs])
+
+
+def covariance_given_held(solution: WindowSolution) -> Floats:
+    """(K, 6, 6) as if the poses that were held were exact."""
+    known = np.zeros_like(solution.information)
+    return blocks(propagated(solution.information, solution.held, known))
+
+
+def blocks(joint: Floats) -> Floats:
+    """(K, 6, 6) on the diagonal of (6 K, 6 K)."""
+    return np.stack([joint[k : k + 6, k : k + 6] for k in range(0, len(joint), 6)])
 
 
 def drive(

@@ -22,6 +22,7 @@ class Keyframe:
         slot: where its image lies in `Map.images`.
         world_from_cam: (4, 4), changed by smoothing.
         covariance: (6, 6) in the camera's frame, or None before it was smoothed.
+        shared: (6, 6) with keyframes before it, by their ids: rows its own errors, columns theirs.
         keypoints: its features.
         ideal_xy: (N, 2) undistorted pixels of its features.
         free: (N,) features that have no landmark.
@@ -39,6 +40,7 @@ class Keyframe:
     slot: int
     world_from_cam: Floats
     covariance: Floats | None
+    shared: dict[int, Floats]
     keypoints: Keypoints
     ideal_xy: Floats
     free: Bools
@@ -140,6 +142,7 @@ class Map:
             slot=slot,
             world_from_cam=world_from_cam.copy(),
             covariance=None,
+            shared={},
             keypoints=keypoints,
             ideal_xy=ideal_xy,
             free=free.copy(),

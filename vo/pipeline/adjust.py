@@ -9,8 +9,9 @@ import numpy as np
 from vo.config import Config
 from vo.geometry.points import refine_points
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.transforms import adjoint, inverse, orthonormalised
+from vo.geometry.transforms import inverse, orthonormalised
 from vo.mapping.map import Keyframe, Map
+from vo.pipeline.path_covariance import update_covariances
 from vo.smoothing.residuals import residuals
 from vo.smoothing.solution import WindowSolution
 from vo.types import Bools, Floats, Ints, WindowProblem
@@ -29,11 +30,6 @@ class Window:
     problem: WindowProblem
     keyframes: tuple[Keyframe, ...]
     landmarks: Ints
-
-    @property
-    def anchor(self) -> Keyframe:
-        """The newest of the fixed keyframes."""
-        return self.keyframes[int(np.flatnonzero(self.problem.fixed)[-1])]
 
 
 def make_window(
@@ -93,7 +89,7 @@ def _move_keyframes(world: Map, window: Window, solution: WindowSolution) -> lis
     for k in free.tolist():
         keyframe = window.keyframes[k]
         keyframe.world_from_cam = solution.world_from_cam[k]
-        keyframe.covariance = _chained(window.anchor, keyframe, solution.covariance[k])
+    update_covariances(window.keyframes, solution)
     return [window.keyframes[k] for k in free] + moved
 
 
@@ -214,14 +210,3 @@ def _drop_outliers(
         if keyframe.id <= newest.id:
             dropped |= disagree[mine]
         keyframe.keep_observations(~dropped)
-
-
-def _chained(anchor: Keyframe, keyframe: Keyframe, relative: np.ndarray) -> np.ndarray | None:
-    """Covariance against the start: that of the anchor carried over, plus that since the anchor.
-
-    Source: Barfoot 2017, sec. 7.3.3 (compounding, first order).
-    """
-    if anchor.covariance is None or not np.isfinite(relative).all():
-        return None
-    carry = adjoint(inverse(keyframe.world_from_cam) @ anchor.world_from_cam)
-    return np.asarray(carry @ anchor.covariance @ carry.T + relative)

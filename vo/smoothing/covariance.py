@@ -1,33 +1,48 @@
-"""How well a window knows its poses."""
+"""How well poses are known, given how well those are known that a window held."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vo.smoothing.anchors import anchors
-from vo.smoothing.pose_system import PoseSystem
-from vo.types import Floats, WindowProblem
-
-_LEAST_OBSERVATIONS = 3  # below that a pose cannot be determined
+from vo.types import Bools, Floats
 
 
-def covariances(problem: WindowProblem, system: PoseSystem) -> Floats:
-    """(K, 6, 6) against the held poses; 0 of the held ones, NaN of poses that nothing holds."""
-    held, scaled, sigmas = anchors(problem)
-    result = np.full((len(held), 6, 6), np.nan)
-    result[held] = 0.0
-    free = np.flatnonzero(~held & (system.seen >= _LEAST_OBSERVATIONS))
-    hessian = system.hessian.copy()
-    if scaled is not None:
-        rows = np.arange(6 * scaled, 6 * scaled + 6)
-        hessian[rows, rows] += sigmas**-2.0
-    rows = (6 * free[:, None] + np.arange(6)).ravel()
+def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
+    """Joint covariance of a window's K poses.
+
+    The poses that were held err too, and the others err with them:
+    error_free = -I_ff^-1 I_fh error_held + noise, noise ~ N(0, I_ff^-1).
+
+    Args:
+        information: (6 K, 6 K) that the window has on its poses; 0 for poses it does not determine.
+        held: (K,) poses that stayed where they were.
+        known: (6 K, 6 K) joint covariance of the held ones, NaN where it is not known; what it
+            says of the others is ignored.
+
+    Returns:
+        (6 K, 6 K), the covariances of the held ones as they were; NaN for poses that nothing
+        determines.
+
+    Source: Barfoot, "State Estimation for Robotics", 2017, sec. 2.2.3 (a joint density is that of
+    one part times that of the other given the first).
+    """
+    result = np.full_like(known, np.nan)
+    anchored = held & np.isfinite(np.diag(known)).reshape(-1, 6).all(axis=1)
+    free = ~anchored & (np.diag(information).reshape(-1, 6) > 0).all(axis=1)
+    h, f = np.flatnonzero(np.repeat(anchored, 6)), np.flatnonzero(np.repeat(free, 6))
+    of_held = known[np.ix_(h, h)]
+    result[np.ix_(h, h)] = of_held
     try:
-        np.linalg.cholesky(hessian[np.ix_(rows, rows)])
-        inverse = np.linalg.inv(hessian[np.ix_(rows, rows)])
+        np.linalg.cholesky(information[np.ix_(f, f)])
+        noise = np.linalg.inv(information[np.ix_(f, f)])
     except np.linalg.LinAlgError:  # not positive definite: some pose is not determined
         return result
-    for place, k in enumerate(free.tolist()):
-        block = inverse[6 * place : 6 * place + 6, 6 * place : 6 * place + 6]
-        result[k] = 0.5 * (block + block.T)
+    if len(h) == 0:
+        return result
+    gain = -noise @ information[np.ix_(f, h)]
+    shared = gain @ of_held
+    own = shared @ gain.T + noise
+    result[np.ix_(f, h)], result[np.ix_(h, f)] = shared, shared.T
+    # Rounding must not add up: what is not symmetric would grow with every window.
+    result[np.ix_(f, f)] = 0.5 * (own + own.T)
     return result

@@ -1,7 +1,7 @@
 """The window's normal equations at its solution, with the points eliminated.
 
-What is left speaks of the poses and of one constant error of all disparities: it gives the
-covariances and tells a wrong stereo calibration.
+What is left speaks of the poses and of one constant error of all disparities: it tells a wrong
+stereo calibration.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from vo.config import SmoothingConfig
-from vo.smoothing.residuals import residuals
-from vo.types import Bools, Floats, Ints, WindowProblem
+from vo.smoothing.linearisation import Linearised
+from vo.types import Floats
 
 _SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below which it is dropped
 
@@ -24,126 +23,43 @@ class PoseSystem(NamedTuple):
     Attributes:
         hessian: (6 K + 1, 6 K + 1).
         gradient: (6 K + 1,).
-        seen: (K,) observations that each pose has.
     """
 
     hessian: Floats
     gradient: Floats
-    seen: Ints
 
 
-def pose_system(
-    problem: WindowProblem,
-    world_from_cam: Floats,
-    points: Floats,
-    point_ok: Bools,
-    config: SmoothingConfig,
-) -> PoseSystem:
-    """Linearise a window with Huber weights and eliminate its points by the Schur complement.
+def pose_system(linear: Linearised) -> PoseSystem:
+    """Eliminate a window's points by the Schur complement.
 
-    Points that their observations do not determine are left out. The tangent of a pose is (rx ry
-    rz tx ty tz) in the camera's own frame.
+    Points that their observations do not determine are left out.
 
     Source: Triggs et al., "Bundle Adjustment", 2000, sec. 6.1.
     """
-    residual, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
-    used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
-    order = used[np.argsort(problem.point[used], kind="stable")]
-    starts = np.searchsorted(problem.point[order], np.arange(len(points) + 1))
-    weight = np.sqrt(config.huber / np.maximum(residual, config.huber))
-    hessian, gradient = _eliminated(
-        np.ascontiguousarray(world_from_cam),
-        np.ascontiguousarray(points),
-        order,
-        starts,
-        problem.keyframe,
-        problem.xy,
-        problem.disparity,
-        problem.sigma_px,
-        config.sigma_disparity_px,
-        weight,
-        np.array(problem.intrinsics),
-        problem.intrinsics[0] * problem.baseline_m,
-    )
-    seen = np.bincount(problem.keyframe[used], minlength=len(world_from_cam))
-    return PoseSystem(hessian, gradient, seen)
+    arrays = (linear.by_pose, linear.by_point, linear.by_offset, linear.error)
+    return PoseSystem(*_eliminated(linear.poses, linear.starts, linear.keyframe, *arrays))
 
 
 @numba.njit(cache=True, nogil=True)
 def _eliminated(  # type: ignore[no-untyped-def]
-    poses, points, order, starts, keyframe, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
+    poses, starts, keyframe, by_pose, by_point, by_offset, error
 ):
-    size = 6 * len(poses) + 1
+    size = 6 * poses + 1
     hessian = np.zeros((size, size))
     gradient = np.zeros(size)
-    most = 0
-    for m in range(len(points)):
-        most = max(most, starts[m + 1] - starts[m])
-    by_pose, by_point = np.zeros((most, 3, 6)), np.zeros((most, 3, 3))
-    by_offset, error = np.zeros(most), np.zeros((most, 3))
     normal, inverse = np.zeros((3, 3)), np.zeros((3, 3))
-    for m in range(len(points)):
-        rows = order[starts[m] : starts[m + 1]]
-        for a in range(len(rows)):
-            i = rows[a]
-            by_offset[a] = _linearise(
-                poses[keyframe[i]],
-                points[m],
-                xy[i],
-                disparity[i],
-                sigma[i],
-                sigma_d,
-                weight[i],
-                intrinsics,
-                fb,
-                by_pose[a],
-                by_point[a],
-                error[a],
-            )
-        _add_point_normal(by_point, len(rows), normal)
-        if len(rows) > 0 and _invert(normal, inverse):
-            at = 6 * keyframe[rows]
-            _add_poses(at, by_pose, by_offset, error, hessian, gradient)
-            _subtract_point(at, by_pose, by_point, by_offset, error, inverse, hessian, gradient)
+    for m in range(len(starts) - 1):
+        first, last = starts[m], starts[m + 1]
+        at, offset, wrong = 6 * keyframe[first:last], by_offset[first:last], error[first:last]
+        pose, point = by_pose[first:last], by_point[first:last]
+        _add_point_normal(point, last - first, normal)
+        if last > first and _invert(normal, inverse):
+            _add_poses(at, pose, offset, wrong, hessian, gradient)
+            _subtract_point(at, pose, point, offset, wrong, inverse, hessian, gradient)
     for r in range(size):
         for c in range(r):
             hessian[r, c] = hessian[c, r]
     return hessian, gradient
-
-
-@numba.njit(cache=True, nogil=True)
-def _linearise(  # type: ignore[no-untyped-def]
-    pose, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb, by_pose, by_point, error
-):
-    """Fill the weighted errors and derivatives of one observation; returns that by the offset."""
-    fx, fy, cx, cy = intrinsics
-    d0, d1, d2 = point[0] - pose[0, 3], point[1] - pose[1, 3], point[2] - pose[2, 3]
-    x = pose[0, 0] * d0 + pose[1, 0] * d1 + pose[2, 0] * d2
-    y = pose[0, 1] * d0 + pose[1, 1] * d1 + pose[2, 1] * d2
-    z = pose[0, 2] * d0 + pose[1, 2] * d1 + pose[2, 2] * d2
-    s = weight / sigma
-    measured = fb > 0.0 and not np.isnan(disparity)
-    t = weight / sigma_d if measured else 0.0
-    error[0] = s * (fx * x / z + cx - xy[0])
-    error[1] = s * (fy * y / z + cy - xy[1])
-    error[2] = t * (fb / z - disparity) if measured else 0.0
-    for r in range(3):
-        a = s * fx / z if r == 0 else 0.0
-        b = s * fy / z if r == 1 else 0.0
-        if r == 0:
-            c = -s * fx * x / (z * z)
-        elif r == 1:
-            c = -s * fy * y / (z * z)
-        else:
-            c = -t * fb / (z * z)
-        for k in range(3):
-            by_point[r, k] = a * pose[k, 0] + b * pose[k, 1] + c * pose[k, 2]
-        # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
-        by_pose[r, 0] = b * z - c * y
-        by_pose[r, 1] = c * x - a * z
-        by_pose[r, 2] = a * y - b * x
-        by_pose[r, 3], by_pose[r, 4], by_pose[r, 5] = -a, -b, -c
-    return t
 
 
 @numba.njit(cache=True, nogil=True)

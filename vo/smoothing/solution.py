@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import SmoothingConfig
-from vo.smoothing.covariance import covariances
+from vo.smoothing.anchors import anchors
 from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
+from vo.smoothing.information import pose_information
+from vo.smoothing.linearisation import linearise
 from vo.smoothing.pose_system import pose_system
 from vo.types import AdjustedWindow, Bools, Floats, WindowProblem
 
@@ -18,8 +20,9 @@ class WindowSolution(NamedTuple):
 
     Attributes:
         world_from_cam: (K, 4, 4) adjusted.
-        covariance: (K, 6, 6) relative to the fixed poses, tangent (rx ry rz tx ty tz) in the
-            camera's own frame; NaN where it could not be computed.
+        held: (K,) poses that stayed where they were: the fixed ones, or else the first.
+        information: (6 K, 6 K) on all poses, tangent (rx ry rz tx ty tz) in the camera's own
+            frame; 0 for poses that it does not determine.
         points: (M, 3) adjusted.
         point_ok: (M,) False for points that were dropped as degenerate.
         offset: in stereo what the window says of a constant error of its disparities.
@@ -27,7 +30,8 @@ class WindowSolution(NamedTuple):
     """
 
     world_from_cam: Floats
-    covariance: Floats
+    held: Bools
+    information: Floats
     points: Floats
     point_ok: Bools
     offset: DisparityOffset | None
@@ -37,12 +41,16 @@ class WindowSolution(NamedTuple):
 def complete(
     problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
 ) -> WindowSolution:
-    """Add covariances and disparity offset to an adjusted window."""
+    """Add information and disparity offset to an adjusted window."""
     poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
+    held, scaled, sigmas = anchors(problem)
     if not adjusted.converged:
-        unknown = np.full((len(poses), 6, 6), np.nan)
-        return WindowSolution(poses, unknown, points, ok, None, False)
-    system = pose_system(problem, poses, points, ok, config)
-    covariance = covariances(problem, system)
-    offset = disparity_offset(system) if problem.baseline_m > 0.0 else None
-    return WindowSolution(poses, covariance, points, ok, offset, True)
+        nothing = np.zeros((6 * len(poses), 6 * len(poses)))
+        return WindowSolution(poses, held, nothing, points, ok, None, False)
+    linear = linearise(problem, poses, points, ok, config)
+    information = pose_information(linear, config.covariance_scale)
+    if scaled is not None:
+        rows = np.arange(6 * scaled, 6 * scaled + 6)
+        information[rows, rows] += sigmas**-2.0
+    offset = disparity_offset(pose_system(linear)) if problem.baseline_m > 0.0 else None
+    return WindowSolution(poses, held, information, points, ok, offset, True)

@@ -1,0 +1,114 @@
+"""A window's observations, linearised at its solution."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from vo.config import SmoothingConfig
+from vo.smoothing.residuals import residuals
+from vo.types import Bools, Floats, Ints, WindowProblem
+
+
+class Linearised(NamedTuple):
+    """N observations, those of a point together and by keyframe, in standard deviations.
+
+    The tangent of a pose is (rx ry rz tx ty tz) in the camera's own frame; the rows of an
+    observation are u, v and disparity, which is all 0 where it was not measured.
+
+    Attributes:
+        poses: how many there are.
+        starts: (M + 1,) first observation of each point.
+        keyframe: (N,) pose of each observation.
+        by_pose: (N, 3, 6) derivatives.
+        by_point: (N, 3, 3) derivatives.
+        by_offset: (N,) derivatives of the disparity by a constant error of all disparities.
+        error: (N, 3) predicted - measured.
+    """
+
+    poses: int
+    starts: Ints
+    keyframe: Ints
+    by_pose: Floats
+    by_point: Floats
+    by_offset: Floats
+    error: Floats
+
+    @property
+    def seen(self) -> Ints:
+        """(K,) observations that each pose has."""
+        return np.bincount(self.keyframe, minlength=self.poses)
+
+
+def linearise(
+    problem: WindowProblem,
+    world_from_cam: Floats,
+    points: Floats,
+    point_ok: Bools,
+    config: SmoothingConfig,
+) -> Linearised:
+    """Linearise a window with Huber weights; points that are not ok have no observations."""
+    residual, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
+    used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
+    order = used[np.lexsort((problem.keyframe[used], problem.point[used]))]
+    by_pose, by_point, by_offset, error = _linearised(
+        np.ascontiguousarray(world_from_cam),
+        np.ascontiguousarray(points),
+        order,
+        problem.keyframe,
+        problem.point,
+        problem.xy,
+        problem.disparity,
+        problem.sigma_px,
+        config.sigma_disparity_px,
+        np.sqrt(config.huber / np.maximum(residual, config.huber)),
+        np.array(problem.intrinsics),
+        problem.intrinsics[0] * problem.baseline_m,
+    )
+    starts = np.searchsorted(problem.point[order], np.arange(len(points) + 1))
+    keyframe = problem.keyframe[order]
+    poses = len(world_from_cam)
+    return Linearised(poses, starts, keyframe, by_pose, by_point, by_offset, error)
+
+
+@numba.njit(cache=True, nogil=True)
+def _linearised(  # type: ignore[no-untyped-def]
+    poses, points, order, keyframe, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
+):
+    fx, fy, cx, cy = intrinsics
+    count = len(order)
+    by_pose, by_point = np.zeros((count, 3, 6)), np.zeros((count, 3, 3))
+    by_offset, error = np.zeros(count), np.zeros((count, 3))
+    for n in range(count):
+        i = order[n]
+        pose, at = poses[keyframe[i]], points[point[i]]
+        d0, d1, d2 = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
+        x = pose[0, 0] * d0 + pose[1, 0] * d1 + pose[2, 0] * d2
+        y = pose[0, 1] * d0 + pose[1, 1] * d1 + pose[2, 1] * d2
+        z = pose[0, 2] * d0 + pose[1, 2] * d1 + pose[2, 2] * d2
+        s = weight[i] / sigma[i]
+        measured = fb > 0.0 and not np.isnan(disparity[i])
+        t = weight[i] / sigma_d if measured else 0.0
+        by_offset[n] = t
+        error[n, 0] = s * (fx * x / z + cx - xy[i, 0])
+        error[n, 1] = s * (fy * y / z + cy - xy[i, 1])
+        error[n, 2] = t * (fb / z - disparity[i]) if measured else 0.0
+        for r in range(3):
+            a = s * fx / z if r == 0 else 0.0
+            b = s * fy / z if r == 1 else 0.0
+            if r == 0:
+                c = -s * fx * x / (z * z)
+            elif r == 1:
+                c = -s * fy * y / (z * z)
+            else:
+                c = -t * fb / (z * z)
+            for k in range(3):
+                by_point[n, r, k] = a * pose[k, 0] + b * pose[k, 1] + c * pose[k, 2]
+            # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
+            by_pose[n, r, 0] = b * z - c * y
+            by_pose[n, r, 1] = c * x - a * z
+            by_pose[n, r, 2] = a * y - b * x
+            by_pose[n, r, 3], by_pose[n, r, 4], by_pose[n, r, 5] = -a, -b, -c
+    return by_pose, by_point, by_offset, error
