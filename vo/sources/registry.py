@@ -35,6 +35,7 @@ VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpe
 
 FORMATS: dict[str, Format] = {
     "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
+    "kitti_raw": Format("vo.sources.kitti_raw:open_kitti_raw", ("image_00", "image_02")),
     "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
     "tum": Format("vo.sources.tum:open_tum", ("rgb.txt",)),
     "glob": Format("vo.sources.glob:open_glob"),
