@@ -271,9 +271,10 @@ def _facts(
 def _make_recorder(rrd: Path | None) -> Recorder:
     if rrd is None:
         return NullRecorder()
+    from vo.recording.background import BackgroundRecorder
     from vo.recording.rerun_recorder import RerunRecorder  # rerun takes long to import
 
-    return RerunRecorder(rrd)
+    return BackgroundRecorder(RerunRecorder(rrd))
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from vo.types import (
     View,
 )
 
-FRAMES = 10
+FRAMES = 22
 LOST_FRAME = 6
 FEATURES = 30
 LANDMARKS = 20
@@ -46,20 +46,35 @@ def view(frame: int) -> View:
     state = np.full(FEATURES, FeatureState.TRACKED, dtype=np.uint8)
     state[:5], state[5:8] = FeatureState.NEW, FeatureState.REJECTED
     image = rng.integers(0, 255, (CAMERA.height, CAMERA.width), dtype=np.uint8)
-    return View(image, None, xy, state, previous, CAMERA.matrix)
+    right_u = (xy[:, 0] - 3.0).astype(np.float32)
+    error_px = np.linspace(0.0, 4.0, FEATURES).astype(np.float32)
+    right_u[:5] = error_px[:5] = np.nan
+    return View(
+        image,
+        image[:, ::-1].copy(),
+        xy,
+        state,
+        previous,
+        CAMERA.matrix,
+        right_u=right_u,
+        error_px=error_px,
+        baseline_m=0.1,
+        cam0_from_image0=np.eye(4),
+    )
 
 
 def keyframes(frame: int, first_ns: int = 0) -> tuple[KeyframePose, ...]:
     window = [k for k in range(max(0, frame - 4), frame + 1, 2) if k != LOST_FRAME]
     return tuple(
-        KeyframePose(k, stamp_ns(k, first_ns), int(k > LOST_FRAME), pose(k), np.eye(6))
+        KeyframePose(k, stamp_ns(k, first_ns), int(k > LOST_FRAME), pose(k), 1e-4 * np.eye(6))
         for k in window
     )
 
 
 def landmarks(frame: int) -> Landmarks:
     ids = np.arange(LANDMARKS) + 5 * frame
-    return Landmarks(ids, np.stack([ids * 0.1, ids % 7 - 3.0, 5.0 + ids * 0.2], axis=1))
+    xyz = np.stack([ids * 0.1, ids % 7 - 3.0, 5.0 + ids * 0.2], axis=1)
+    return Landmarks(ids, xyz, (10 * ids % 256).astype(np.uint8), 0.01 + 0.001 * ids)
 
 
 def estimate(frame: int, first_ns: int = 0) -> Estimate:
@@ -78,4 +93,5 @@ def estimate(frame: int, first_ns: int = 0) -> Estimate:
         view=view(frame),
         landmarks=landmarks(frame) if is_keyframe else None,
         stage_ms={"features": 5.0, "tracking": 3.0},
+        neighbours={k: 5 + k for k in range(max(0, frame - 4), frame, 2)} if is_keyframe else {},
     )

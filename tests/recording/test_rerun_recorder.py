@@ -1,5 +1,5 @@
-import logging
 import os
+import signal
 import subprocess
 import sys
 from collections import defaultdict
@@ -45,6 +45,16 @@ def read(path: Path, column: str) -> dict[str, list]:
     return {entity: sorted(found, key=lambda row: row[0]) for entity, found in rows.items()}
 
 
+def run_script(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run Python code of its own, with what is here on its path."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    }
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("rrd") / "new_folder" / "run.rrd"
@@ -69,19 +79,27 @@ def test_holds_every_entity_on_both_timelines(recording):
         timelines[chunk.entity_path.lstrip("/")] |= set(chunk.timeline_names)
     both = {entities.FRAME_TIMELINE, entities.SENSOR_TIMELINE}
     moving = [
-        entities.CAMERA,
-        entities.IMAGE,
+        entities.CAM0,
+        entities.LEFT,
+        entities.LEFT_IMAGE,
+        entities.RIGHT_IMAGE,
         entities.MATCHES,
+        entities.STEREO_MATCHES,
+        entities.EPIPOLAR,
         entities.CAUSAL_PATH,
         entities.SMOOTHED_PATH,
-        entities.WINDOW,
+        entities.WINDOW_PATH,
+        entities.GRAPH,
+        entities.COVARIANCE,
         entities.LOCAL_LANDMARKS,
         entities.SETTLED_LANDMARKS,
         entities.EVENTS,
         entities.CAUSAL_POSES,
         entities.SMOOTHED_POSES,
-        *(f"{entities.KEYPOINTS}/{name}" for name in entities.KEYPOINT_NAMES.values()),
-        *(f"{entities.TRACKING_PLOT}/{name}" for name in ("matches", "inliers")),
+        *(f"{entities.FEATURES}/{name}" for name in entities.FEATURE_COLOURS),
+        *(f"{entities.TRACKING_PLOT}/{name}" for name in ("matches", "inliers", "lost")),
+        *(f"{entities.REPROJECTION_PLOT}/{name}" for name in ("median", "p95")),
+        *(f"{entities.ERROR_PLOT}/{name}" for name in ("causal", "smoothed")),
         *(f"{entities.TIME_PLOT}/{name}" for name in ("total", "features", "tracking")),
     ]
     assert {entity: timelines[entity] for entity in moving} == dict.fromkeys(moving, both)
@@ -102,13 +120,13 @@ def test_poses_are_those_of_the_run(recording):
 
 
 def test_camera_moves_along_the_causal_path(recording):
-    rows = read(recording, "quaternion")[entities.CAMERA]
+    rows = read(recording, "quaternion")[entities.CAM0]
     assert len(rows) == fake_run.FRAMES - 1
     for frame, (quat,) in rows:
         expected = quat_xyzw_from_rotation(fake_run.pose(frame)[:3, :3])
         assert np.asarray(quat) == pytest.approx(expected, abs=1e-6)
     lines = read(recording, "strips")[entities.CAUSAL_PATH]
-    assert [frame for frame, _ in lines] == [1, 2, 3, 4, 5, 8, 9]  # none across the loss
+    assert [frame for frame, _ in lines] == [*range(1, 6), *range(8, 22)]  # none across the loss
     for frame, (line,) in lines:
         ends = [fake_run.pose(frame - 1)[:3, 3], fake_run.pose(frame)[:3, 3]]
         assert np.array(line) == pytest.approx(np.array(ends), abs=1e-4)
@@ -116,7 +134,7 @@ def test_camera_moves_along_the_causal_path(recording):
 
 def test_smoothed_path_ends_as_one_strip_for_each_segment(recording):
     last = [strips for frame, strips in read(recording, "strips")[entities.SMOOTHED_PATH]][0]
-    assert [len(strip) for strip in last] == [6, 3]
+    assert [len(strip) for strip in last] == [6, 15]
 
 
 def test_each_landmark_settles_once(recording):
@@ -130,16 +148,16 @@ def test_each_landmark_settles_once(recording):
 @pytest.mark.parametrize("images, scale", [("full", 1.0), ("half", 0.5), ("none", 1.0)])
 def test_overlays_lie_on_the_image(tmp_path, images, scale):
     path = record(tmp_path / "run.rrd", images=images)
-    blobs = read(path, "blob").get(entities.IMAGE, [])
+    blobs = read(path, "blob").get(entities.LEFT_IMAGE, [])
     assert len(blobs) == (0 if images == "none" else fake_run.FRAMES)
-    ((width, height),) = read(path, "resolution")[entities.CAMERA][0][1]
+    ((width, height),) = read(path, "resolution")[entities.LEFT][0][1]
     for _, (blob,) in blobs:
         image = cv2.imdecode(np.array(blob, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         assert image.shape == (height, width)
-    points = read(path, "positions")[f"{entities.KEYPOINTS}/tracked"]
+    points = read(path, "positions")[f"{entities.FEATURES}/tracked"]
     points = [row for row in points if row[0] == 3][0][1]
-    assert np.array(points) == pytest.approx((fake_run.view(3).xy[8:] + 0.5) * scale, abs=1e-5)
-    (matrix,) = read(path, "image_from_camera")[entities.CAMERA][0][1]
+    assert np.array(points) == pytest.approx((fake_run.view(3).xy[8:] + 0.5) * scale, abs=1 / 31)
+    (matrix,) = read(path, "image_from_camera")[entities.LEFT][0][1]
     centre = (fake_run.CAMERA.cx + 0.5) * scale
     assert matrix[6] == pytest.approx(centre) and matrix[0] == pytest.approx(50.0 * scale)
 
@@ -169,10 +187,14 @@ def test_truth_lies_on_the_estimate(tmp_path, is_stereo, scale):
 
 def test_loss_is_in_the_events(recording):
     texts = [(frame, text) for frame, (text,) in read(recording, "text")[entities.EVENTS]]
-    assert texts == [
-        (0, "tracking, segment 0"),
-        (6, "lost, segment 1: too few matches: 3"),
-        (7, "tracking, segment 1"),
+    keyframes = [(frame, text) for frame, text in texts if text.startswith("keyframe")]
+    assert [frame for frame, _ in keyframes] == [0, 2, 4, *range(8, 22, 2)]
+    assert keyframes[1][1] == "keyframe: 20 of 22 matches agree, shares landmarks with 1"
+    assert [text for text in texts if text not in keyframes] == [
+        (0, "tracking"),
+        (6, "new segment 1"),
+        (6, "lost: too few matches: 3"),
+        (7, "recovered"),
     ]
 
 
@@ -180,7 +202,7 @@ def test_replaces_an_older_file(tmp_path, recording):
     path = tmp_path / "run.rrd"
     path.write_bytes(b"old" * 1_000_000)
     record(path)
-    assert len(read(path, "blob")[entities.IMAGE]) == fake_run.FRAMES
+    assert len(read(path, "blob")[entities.LEFT_IMAGE]) == fake_run.FRAMES
 
 
 @pytest.mark.parametrize("name", ["folder", "file.txt/run.rrd"])
@@ -192,21 +214,24 @@ def test_says_that_the_file_cannot_be_written(tmp_path, name):
     assert "\n" not in str(error.value)
 
 
-def test_a_failing_writer_ends_the_recording_not_the_run(tmp_path, caplog, monkeypatch):
-    recorder = RerunRecorder(tmp_path / "run.rrd")
-    recorder.begin("fake", fake_run.RIG, None)
-
-    def fail(**_):
-        raise RuntimeError("File-writer thread shut down prematurely")
-
-    monkeypatch.setattr(recorder._stream, "flush", fail)
-    path_found = fake_run.trajectory()
-    with caplog.at_level(logging.WARNING):
-        for frame in range(40):
-            recorder.record(fake_run.estimate(frame))
-        recorder.finish(path_found, path_found)
-    assert [record.levelname for record in caplog.records] == ["WARNING"]
-    assert "File-writer" in caplog.text
+def test_a_full_disk_ends_the_recording_not_the_run(tmp_path):
+    script = (
+        "import resource, sys; from pathlib import Path\n"
+        "import fake_run\n"
+        "from vo.recording.background import BackgroundRecorder\n"
+        "from vo.recording.rerun_recorder import RerunRecorder\n"
+        "recorder = BackgroundRecorder(RerunRecorder(Path(sys.argv[1])), room=1000)\n"
+        "recorder.begin('x', fake_run.RIG, None)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))\n"
+        "for frame in range(200): recorder.record(fake_run.estimate(frame))\n"
+        "recorder.finish(fake_run.trajectory(), fake_run.trajectory())\n"
+        "print('the run goes on')\n"
+    )
+    done = run_script(script, tmp_path / "run.rrd")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "the run goes on\n"
+    assert len([line for line in done.stderr.splitlines() if "stopped" in line]) == 1, done.stderr
+    assert (tmp_path / "run.rrd").stat().st_size <= 150_000
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
@@ -220,11 +245,8 @@ def test_run_killed_in_the_middle_leaves_a_file_that_opens(tmp_path):
         "for frame in range(45): recorder.record(fake_run.estimate(frame))\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    subprocess.run(
-        [sys.executable, "-c", script, path], env={**os.environ, "PYTHONPATH": paths}, timeout=60
-    )
-    assert len(read(path, "blob")[entities.IMAGE]) >= 30
+    assert run_script(script, path).returncode == -signal.SIGKILL
+    assert len(read(path, "blob")[entities.LEFT_IMAGE]) >= 25
 
 
 def test_recorder_without_frames_closes(tmp_path):

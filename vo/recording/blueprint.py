@@ -6,21 +6,20 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vo.recording import entities
+from vo.types import Rig
+
+_WIDE = 1.8  # images of this shape, width to height, stand one over the other
+_USUAL_MS = (0.0, 300.0)  # the first frame, which compiles, would flatten all others
 
 
-def make_blueprint() -> rrb.Blueprint:
-    """The map on the left; image, time series and events on the right."""
-    right = rrb.Vertical(
-        _image_view(),
-        rrb.Horizontal(
-            _plot("Matches", entities.TRACKING_PLOT, rrb.Corner2D.LeftBottom),
-            _plot("Milliseconds per frame", entities.TIME_PLOT, rrb.Corner2D.LeftTop),
-        ),
-        rrb.TextLogView(name="Events", origin=entities.EVENTS, columns=_event_columns()),
-        row_shares=[9, 8, 5],
-    )
+def make_blueprint(rig: Rig, *, has_truth: bool, has_images: bool = True) -> rrb.Blueprint:
+    """The map, events and summary on the left; images and time series on the right."""
+    left = rrb.Vertical(_map_view(), _words(), row_shares=[7, 3])
+    right: list[rrb.Container | rrb.View] = [_plots(has_truth=has_truth)]
+    if has_images:
+        right.insert(0, _images(rig))
     return rrb.Blueprint(
-        rrb.Horizontal(_map_view(), right, column_shares=[1, 1]),
+        rrb.Horizontal(left, rrb.Vertical(*right, row_shares=[6, 4][: len(right)])),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=entities.FRAME_TIMELINE),
@@ -31,17 +30,61 @@ def make_blueprint() -> rrb.Blueprint:
 
 def _map_view() -> rrb.Spatial3DView:
     history = rrb.VisibleTimeRanges([_until_now(timeline) for timeline in _timelines()])
-    growing = (entities.CAUSAL_PATH, entities.SMOOTHED_PATH, entities.SETTLED_LANDMARKS)
+    growing = (
+        entities.CAUSAL_PATH,
+        entities.SMOOTHED_PATH,
+        entities.SETTLED_LANDMARKS,
+        entities.COVARIANCE,
+    )
+    flat = (entities.FEATURES, entities.MATCHES, entities.EPIPOLAR, entities.RIGHT)
     return rrb.Spatial3DView(
         name="Map",
         origin=entities.WORLD,
-        contents=["+ $origin/**", f"- {entities.KEYPOINTS}/**", f"- {entities.MATCHES}"],
+        contents=["+ $origin/**", *(f"- {entity}/**" for entity in flat)],
         overrides={path: history for path in growing},
+        background=entities.MAP_BACKGROUND,
+        line_grid=False,
     )
 
 
-def _image_view() -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(name="Image", origin=entities.CAMERA, contents="$origin/**")
+def _images(rig: Rig) -> rrb.Container:
+    views = [_image_view("Left", entities.LEFT)]
+    if rig.is_stereo:
+        views.append(_image_view("Right", entities.RIGHT))
+    is_wide = rig.cam0.width > _WIDE * rig.cam0.height
+    return rrb.Vertical(*views) if is_wide else rrb.Horizontal(*views)
+
+
+def _image_view(name: str, origin: str) -> rrb.Spatial2DView:
+    """Epipolar lines are there, but hidden until someone asks for them."""
+    return rrb.Spatial2DView(
+        name=name,
+        origin=origin,
+        contents="$origin/**",
+        overrides={entities.EPIPOLAR: rrb.EntityBehavior(visible=False)},
+    )
+
+
+def _plots(*, has_truth: bool) -> rrb.Container:
+    matches = _plot("Matches", entities.TRACKING_PLOT, rrb.Corner2D.LeftBottom)
+    others = [
+        _plot("Reprojection error, px", entities.REPROJECTION_PLOT, rrb.Corner2D.LeftTop),
+        rrb.TimeSeriesView(
+            name="Milliseconds",
+            origin=entities.TIME_PLOT,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+            axis_y=rrb.ScalarAxis(range=_USUAL_MS),
+        ),
+    ]
+    if has_truth:
+        others.insert(0, _plot("Error, m", entities.ERROR_PLOT, rrb.Corner2D.LeftTop))
+    return rrb.Horizontal(matches, rrb.Tabs(*others, active_tab=0))
+
+
+def _words() -> rrb.Container:
+    events = rrb.TextLogView(name="Events", origin=entities.EVENTS, columns=_event_columns())
+    summary = rrb.TextDocumentView(name="Summary", origin=entities.SUMMARY)
+    return rrb.Horizontal(events, summary, column_shares=[3, 2])
 
 
 def _plot(name: str, origin: str, legend: rrb.Corner2D) -> rrb.TimeSeriesView:

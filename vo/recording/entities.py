@@ -1,52 +1,62 @@
 """Names of what a recording holds, and its colours; entity tree = frame tree.
 
-Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart; all show on a
-light and on a dark ground, since the viewer follows the desktop's theme.
+Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart. `cam0` is the
+recorded left camera; `left` and `right` under it are the ideal cameras that are computed with.
 """
 
 from __future__ import annotations
-
-from vo.types import FeatureState
 
 FRAME_TIMELINE = "frame"
 SENSOR_TIMELINE = "sensor_time"
 
 WORLD = "world"
-CAMERA = "world/cam0"
-IMAGE = "world/cam0/image"
-MATCHES = "world/cam0/image/matches"
-KEYPOINTS = "world/cam0/image/keypoints"
+CAM0 = "world/cam0"
+LEFT = "world/cam0/left"
+LEFT_IMAGE = "world/cam0/left/image"
+FEATURES = "world/cam0/left/features"
+MATCHES = "world/cam0/left/matches"
+EPIPOLAR = "world/cam0/left/epipolar"
+RIGHT = "world/cam0/right"
+RIGHT_IMAGE = "world/cam0/right/image"
+STEREO_MATCHES = "world/cam0/right/matches"
 CAUSAL_PATH = "world/path/causal"
 SMOOTHED_PATH = "world/path/smoothed"
-WINDOW = "world/path/window"
+WINDOW_PATH = "world/path/window"
 TRUE_PATH = "world/path/ground_truth"
+GRAPH = "world/keyframes/graph"
+COVARIANCE = "world/keyframes/covariance_30_sigma"
 LOCAL_LANDMARKS = "world/landmarks/local"
 SETTLED_LANDMARKS = "world/landmarks/settled"
 TRACKING_PLOT = "plot/tracking"
+REPROJECTION_PLOT = "plot/reprojection"
+ERROR_PLOT = "plot/error"
 TIME_PLOT = "plot/ms"
 EVENTS = "events"
+SUMMARY = "summary"
 CAUSAL_POSES = "trajectory/causal"
 SMOOTHED_POSES = "trajectory/smoothed"
-
-KEYPOINT_NAMES = {
-    FeatureState.NEW: "new",
-    FeatureState.TRACKED: "tracked",
-    FeatureState.REJECTED: "rejected",
-}
 
 Colour = tuple[int, int, int]
 
 ORANGE: Colour = (230, 159, 0)
 SKY: Colour = (86, 180, 233)
 GREEN: Colour = (0, 200, 130)  # lighter than theirs, for thin lines
+BLUE: Colour = (60, 130, 210)  # lighter than theirs, for a dark ground
 VERMILION: Colour = (225, 85, 20)
 PINK: Colour = (204, 121, 167)
-YELLOW: Colour = (240, 228, 66)  # over images only
-GREY: Colour = (128, 128, 128)
+YELLOW: Colour = (240, 228, 66)
+GREY: Colour = (150, 150, 150)
 
-KEYPOINT_COLOURS: dict[int, Colour] = {
-    FeatureState.NEW: SKY,
-    FeatureState.TRACKED: GREEN,
-    FeatureState.REJECTED: VERMILION,
+NEW, TRACKED, LANDMARK, REJECTED = "new", "tracked", "landmark", "rejected"
+FEATURE_COLOURS: dict[str, Colour] = {
+    NEW: SKY,
+    TRACKED: GREEN,
+    LANDMARK: PINK,
+    REJECTED: VERMILION,
 }
-STAGE_COLOURS: tuple[Colour, ...] = (ORANGE, SKY, GREEN, PINK, VERMILION)
+STAGE_COLOURS: tuple[Colour, ...] = (ORANGE, SKY, GREEN, PINK, VERMILION, YELLOW, BLUE)
+MAP_BACKGROUND: Colour = (
+    22,
+    24,
+    29,
+)  # landmarks are grey, as in the images: the ground must be dark

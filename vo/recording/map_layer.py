@@ -1,138 +1,169 @@
-"""The world: camera, paths and landmarks."""
+"""The world: camera, paths, keyframes and landmarks."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
 
 from vo.geometry.transforms import quat_xyzw_from_rotation
 from vo.recording import entities
-from vo.recording.scene import GrowingMap, GrowingPath, Points, SmoothedPath
-from vo.recording.trajectories import RunIndex
-from vo.recording.truth import laid_onto_path, laid_onto_pose
-from vo.types import Estimate, Floats, Landmarks, State, Trajectory
+from vo.recording.scene import GrowingMap, GrowingPath, KeyframeGraph, Points, SmoothedPath
+from vo.recording.tape import Strips, Tape
+from vo.recording.timelines import Moment
+from vo.types import Estimate, Floats, KeyframePose, Landmarks, State, Trajectory
 
 _PATHS = {
     entities.CAUSAL_PATH: (entities.ORANGE, 1.2),
     entities.SMOOTHED_PATH: (entities.SKY, 2.0),
-    entities.WINDOW: (entities.PINK, 2.5),
-    entities.TRUE_PATH: (entities.GREY, 1.2),
+    entities.WINDOW_PATH: (entities.PINK, 2.5),
+    entities.TRUE_PATH: (entities.GREEN, 1.2),
+    entities.GRAPH: ((110, 110, 125), 0.5),
 }
 _FRUSTUM_SHARE_OF_DEPTH = 0.1
 _FRUSTUM_SHARE_OF_PATH = 0.04
 _FRUSTUM_STEP = 1.25
-_FRAMES_BETWEEN_MAPS = 5  # the local map is the largest thing after the image
+_FRAMES_BETWEEN_MAPS = 10  # the local map is the largest thing after the images
+_EDGES_PER_KEYFRAME = 4
+_SHOWN_SIGMAS = 30.0  # one would be too small to be seen
 
 
 class MapLayer:
-    """Logs the camera, the paths and the landmarks of each frame.
+    """Logs the camera, the paths, the keyframes and the landmarks of each frame."""
 
-    Args:
-        stream: where to log.
-        truth: the true path, if known.
-        is_metric: whether the estimate's lengths are metres, so that the truth has its scale.
-    """
-
-    def __init__(
-        self, stream: rr.RecordingStream, truth: Trajectory | None, *, is_metric: bool
-    ) -> None:
-        self._stream = stream
-        self._truth = truth if truth is not None and len(truth) else None
-        self._is_metric = is_metric
-        self._has_shown_truth = False
+    def __init__(self, tape: Tape) -> None:
+        self._tape = tape
         self._causal = GrowingPath()
         self._smoothed = SmoothedPath()
+        self._graph = KeyframeGraph()
         self._landmarks = GrowingMap()
         self._next_map_frame = 0
         self._frustum = 0.0
         self._state: State | None = None
 
-    def log_styles(self) -> None:
+    def fix_styles(self) -> None:
         """Log the axes, and the colours and sizes that never change."""
-        self._stream.log(entities.WORLD, rr.ViewCoordinates.RDF, static=True)
+        self._tape.fix(entities.WORLD, rr.ViewCoordinates.RDF)
         for entity, (colour, radius) in _PATHS.items():
             style = rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(radius))
-            self._stream.log(entity, style, static=True)
-        for entity, radius in ((entities.LOCAL_LANDMARKS, 2.0), (entities.SETTLED_LANDMARKS, 1.2)):
-            dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(radius))
-            self._stream.log(entity, dots, static=True)
+            self._tape.fix(entity, style)
+        shells = rr.Ellipsoids3D.from_fields(
+            colors=[entities.PINK], line_radii=rr.Radius.ui_points(0.6)
+        )
+        self._tape.fix(entities.COVARIANCE, shells)
 
-    def log(self, estimate: Estimate) -> None:
-        """Log what a frame adds to the world."""
-        self._log_state(estimate.state)
+    def add(self, moment: Moment, estimate: Estimate) -> None:
+        """Note what a frame adds to the world."""
+        self._add_state(moment, estimate.state)
         pose = estimate.world_from_cam0
         if pose is not None:
-            self._log_pose(pose, estimate)
+            self._add_pose(moment, pose, estimate.segment)
         if estimate.keyframes:
-            settled, window = self._smoothed.update(estimate.keyframes)
-            self._log_lines(entities.SMOOTHED_PATH, settled)
-            self._stream.log(entities.WINDOW, rr.LineStrips3D.from_fields(strips=window))
+            self._add_keyframes(moment, estimate)
         is_map_due = estimate.frame_index >= self._next_map_frame
         if estimate.landmarks is not None and pose is not None and is_map_due:
             self._next_map_frame = estimate.frame_index + _FRAMES_BETWEEN_MAPS
-            self._log_landmarks(estimate.landmarks, pose)
+            self._add_landmarks(moment, estimate.landmarks, pose)
 
-    def log_whole(self, smoothed: Trajectory, index: RunIndex) -> None:
-        """Log the final path in place of the growing one, and the truth laid onto it."""
-        pieces = index.by_segment(smoothed)
-        if not pieces:
-            return
+    def finish(self, moment: Moment, pieces: Sequence[Trajectory]) -> None:
+        """Log the final path, a strip for each segment, in place of the growing one."""
+        self._add_covariances(moment, self._smoothed.window)
         strips = [piece.positions for piece in pieces]
-        self._stream.log(
-            entities.SMOOTHED_PATH, rr.LineStrips3D.from_fields(strips=strips), static=True
-        )
-        self._stream.log(entities.WINDOW, rr.LineStrips3D.from_fields(strips=[]), static=True)
-        if self._truth is not None:
-            longest = max(pieces, key=len)
-            scaled = not self._is_metric
-            self._log_truth(laid_onto_path(self._truth, longest, with_scale=scaled))
+        self._tape.fix(entities.SMOOTHED_PATH, rr.LineStrips3D.from_fields(strips=strips))
+        self._tape.fix(entities.WINDOW_PATH, rr.LineStrips3D.from_fields(strips=[]))
 
-    def _log_pose(self, pose: Floats, estimate: Estimate) -> None:
-        transform = rr.Transform3D(
-            translation=pose[:3, 3],
-            quaternion=rr.Quaternion(xyzw=quat_xyzw_from_rotation(pose[:3, :3])),
-        )
-        self._stream.log(entities.CAMERA, transform)
-        line = self._causal.extend(pose[:3, 3], estimate.segment)
-        self._log_lines(entities.CAUSAL_PATH, [] if line is None else [line])
-        self._grow_frustum(_FRUSTUM_SHARE_OF_PATH * float(np.linalg.norm(pose[:3, 3])))
-        if self._truth is not None and self._is_metric and not self._has_shown_truth:
-            self._log_truth(laid_onto_pose(self._truth, estimate.stamp_ns, pose))
-
-    def _log_truth(self, positions: Floats | None) -> None:
+    def fix_truth(self, positions: Floats) -> None:
         """Log the true path; the last one logged is what the viewer shows."""
-        if positions is None:
+        self._tape.fix(entities.TRUE_PATH, rr.LineStrips3D.from_fields(strips=[positions]))
+
+    def _add_pose(self, moment: Moment, pose: Floats, segment: int) -> None:
+        self._tape.add(
+            moment,
+            entities.CAM0,
+            rr.Transform3D,
+            translation=pose[None, :3, 3],
+            quaternion=quat_xyzw_from_rotation(pose[:3, :3])[None],
+        )
+        line = self._causal.extend(pose[:3, 3], segment)
+        self._add_lines(moment, entities.CAUSAL_PATH, [] if line is None else [line])
+        self._grow_frustum(moment, _FRUSTUM_SHARE_OF_PATH * float(np.linalg.norm(pose[:3, 3])))
+
+    def _add_keyframes(self, moment: Moment, estimate: Estimate) -> None:
+        lines, window, settled = self._smoothed.update(estimate.keyframes)
+        self._add_lines(moment, entities.SMOOTHED_PATH, lines)
+        self._add_whole(moment, entities.WINDOW_PATH, window)
+        neighbours = _closest(estimate.neighbours)
+        edges = self._graph.update(estimate.keyframes, estimate.frame_index, neighbours)
+        self._add_whole(moment, entities.GRAPH, list(edges))
+        self._add_covariances(moment, settled)
+
+    def _add_covariances(self, moment: Moment, keyframes: list[KeyframePose]) -> None:
+        known = [k for k in keyframes if k.covariance is not None and k.covariance.any()]
+        if not known:
             return
-        self._has_shown_truth = True
-        path = rr.LineStrips3D.from_fields(strips=[positions])
-        self._stream.log(entities.TRUE_PATH, path, static=True)
+        shells = [_ellipsoid(keyframe) for keyframe in known]
+        self._tape.add(
+            moment,
+            entities.COVARIANCE,
+            rr.Ellipsoids3D,
+            centers=np.array([k.world_from_cam0[:3, 3] for k in known]),
+            half_sizes=np.array([half for half, _ in shells]),
+            quaternions=np.array([quat for _, quat in shells]),
+        )
 
-    def _log_lines(self, entity: str, lines: list[Floats]) -> None:
+    def _add_lines(self, moment: Moment, entity: str, lines: list[Floats]) -> None:
         if lines:
-            self._stream.log(entity, rr.LineStrips3D.from_fields(strips=lines))
+            self._add_whole(moment, entity, lines)
 
-    def _log_landmarks(self, landmarks: Landmarks, pose: Floats) -> None:
+    def _add_whole(self, moment: Moment, entity: str, lines: list[Floats]) -> None:
+        points = np.concatenate([np.empty((0, 3)), *lines]).astype(np.float32)
+        strips = Strips(points, [len(line) for line in lines])
+        self._tape.add(moment, entity, rr.LineStrips3D, strips=strips)
+
+    def _add_landmarks(self, moment: Moment, landmarks: Landmarks, pose: Floats) -> None:
         local, settled = self._landmarks.update(landmarks, pose)
-        self._log_points(entities.LOCAL_LANDMARKS, local)
+        self._add_points(moment, entities.LOCAL_LANDMARKS, local)
         if len(settled.xyz):
-            self._log_points(entities.SETTLED_LANDMARKS, settled)
+            self._add_points(moment, entities.SETTLED_LANDMARKS, settled)
         if len(landmarks.xyz):
             distances = np.linalg.norm(landmarks.xyz - pose[:3, 3], axis=1)
-            self._grow_frustum(_FRUSTUM_SHARE_OF_DEPTH * float(np.median(distances)))
+            self._grow_frustum(moment, _FRUSTUM_SHARE_OF_DEPTH * float(np.median(distances)))
 
-    def _log_points(self, entity: str, points: Points) -> None:
-        dots = rr.Points3D.from_fields(positions=points.xyz, colors=points.colours)
-        self._stream.log(entity, dots)
+    def _add_points(self, moment: Moment, entity: str, points: Points) -> None:
+        self._tape.add(
+            moment,
+            entity,
+            rr.Points3D,
+            positions=points.xyz.astype(np.float32),
+            colors=points.colours,
+            radii=points.radii,
+        )
 
-    def _grow_frustum(self, size: float) -> None:
+    def _grow_frustum(self, moment: Moment, size: float) -> None:
         """Keep the camera visible as the path grows; in steps, not in every frame."""
         if size > _FRUSTUM_STEP * self._frustum:
             self._frustum = size
-            self._stream.log(entities.CAMERA, rr.Pinhole.from_fields(image_plane_distance=size))
+            self._tape.add(moment, entities.LEFT, rr.Pinhole, image_plane_distance=[size])
 
-    def _log_state(self, state: State) -> None:
+    def _add_state(self, moment: Moment, state: State) -> None:
         """Turn the camera red while it is lost."""
         if state != self._state:
             self._state = state
             colour = entities.VERMILION if state == State.LOST else entities.GREEN
-            self._stream.log(entities.CAMERA, rr.Pinhole.from_fields(color=colour))
+            self._tape.add(moment, entities.LEFT, rr.Pinhole, color=[colour])
+
+
+def _closest(neighbours: Mapping[int, int]) -> tuple[int, ...]:
+    """Those that share the most landmarks."""
+    return tuple(sorted(neighbours, key=lambda frame: -neighbours[frame])[:_EDGES_PER_KEYFRAME])
+
+
+def _ellipsoid(keyframe: KeyframePose) -> tuple[Floats, Floats]:
+    """Half sizes (3,) and orientation (xyzw) of where the camera may be, in the world."""
+    assert keyframe.covariance is not None
+    variance, axes = np.linalg.eigh(keyframe.covariance[3:, 3:])
+    turned = keyframe.world_from_cam0[:3, :3] @ axes
+    turned[:, 0] *= np.sign(np.linalg.det(turned))  # eigenvectors may come out left-handed
+    half_sizes = _SHOWN_SIGMAS * np.sqrt(np.maximum(variance, 0.0))
+    return half_sizes, quat_xyzw_from_rotation(turned)

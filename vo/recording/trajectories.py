@@ -1,4 +1,4 @@
-"""Which frame is which moment of a run, and whole trajectories as columns."""
+"""Which frame is which moment of a run, and whole trajectories as rows."""
 
 from __future__ import annotations
 
@@ -6,59 +6,41 @@ import numpy as np
 import rerun as rr
 
 from vo.geometry.transforms import quat_xyzw_from_rotation
-from vo.recording import entities
-from vo.types import Estimate, Floats, Ints, Trajectory
+from vo.recording.tape import Tape
+from vo.recording.timelines import Moment
+from vo.types import Estimate, Floats, Trajectory
 
-_EARLIEST_EPOCH_NS = 10**17  # March 1973: smaller stamps count from the start of something else
 _POSE_NAMES = ["tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
 class RunIndex:
-    """The frames recorded so far: their numbers, stamps, and where segments begin."""
+    """The frames recorded so far: their moments, and where segments begin."""
 
     def __init__(self) -> None:
-        self._frame_of_stamp: dict[int, int] = {}
+        self._moments: dict[int, Moment] = {}
         self._segment = -1
         self._segment_starts: list[int] = []
-        self._counts_from_epoch: bool | None = None
 
     def __len__(self) -> int:
-        return len(self._frame_of_stamp)
+        return len(self._moments)
 
-    def add(self, estimate: Estimate) -> None:
+    def add(self, estimate: Estimate) -> Moment:
         """Take in a frame."""
-        if self._counts_from_epoch is None:
-            self._counts_from_epoch = estimate.stamp_ns >= _EARLIEST_EPOCH_NS
-        self._frame_of_stamp[estimate.stamp_ns] = estimate.frame_index
+        moment = Moment(estimate.frame_index, estimate.stamp_ns)
+        self._moments[estimate.stamp_ns] = moment
         if estimate.world_from_cam0 is not None and estimate.segment != self._segment:
             self._segment = estimate.segment
             self._segment_starts.append(estimate.stamp_ns)
+        return moment
 
-    def set_time(self, stream: rr.RecordingStream, estimate: Estimate) -> None:
-        """Make `estimate`'s moment the time of what is logged next."""
-        stream.set_time(entities.FRAME_TIMELINE, sequence=estimate.frame_index)
-        if self._counts_from_epoch:
-            moment = np.datetime64(estimate.stamp_ns, "ns")
-            stream.set_time(entities.SENSOR_TIMELINE, timestamp=moment)
-        else:
-            span = np.timedelta64(estimate.stamp_ns, "ns")
-            stream.set_time(entities.SENSOR_TIMELINE, duration=span)
+    @property
+    def last(self) -> Moment:
+        """The newest frame."""
+        return self._moments[next(reversed(self._moments))]
 
-    def time_columns(self, stamps_ns: Ints) -> list[rr.TimeColumn]:
-        """Both timelines for rows that belong to recorded frames."""
-        frames = [self._frame_of_stamp[stamp] for stamp in stamps_ns.tolist()]
-        name = entities.SENSOR_TIMELINE
-        if self._counts_from_epoch:
-            sensor = rr.TimeColumn(name, timestamp=stamps_ns.astype("datetime64[ns]"))
-        else:
-            sensor = rr.TimeColumn(name, duration=stamps_ns.astype("timedelta64[ns]"))
-        return [rr.TimeColumn(entities.FRAME_TIMELINE, sequence=frames), sensor]
-
-    def recorded(self, trajectory: Trajectory) -> Trajectory:
-        """The part of a trajectory whose frames were recorded."""
-        known = np.array([stamp in self._frame_of_stamp for stamp in trajectory.stamps_ns.tolist()])
-        kept = known.astype(np.bool_)
-        return Trajectory(trajectory.stamps_ns[kept], trajectory.world_from_cam[kept])
+    def moment(self, stamp_ns: int) -> Moment | None:
+        """The frame taken then, or None if it was not recorded."""
+        return self._moments.get(stamp_ns)
 
     def by_segment(self, trajectory: Trajectory) -> list[Trajectory]:
         """A trajectory cut where segments begin; empty pieces are left out."""
@@ -69,19 +51,15 @@ class RunIndex:
         return [Trajectory(stamp, pose) for stamp, pose in pairs if len(stamp)]
 
 
-def log_trajectory(
-    stream: rr.RecordingStream, entity: str, trajectory: Trajectory, index: RunIndex
-) -> None:
-    """Log poses as rows of seven float64 (tx ty tz qx qy qz qw): transforms hold only float32."""
-    trajectory = index.recorded(trajectory)
-    if not len(trajectory):
-        return
-    stream.log(entity, rr.SeriesLines(names=_POSE_NAMES), static=True)
-    rows = _pose_rows(trajectory)
-    columns = rr.Scalars.columns(scalars=rows.reshape(-1)).partition([rows.shape[1]] * len(rows))
-    stream.send_columns(entity, index.time_columns(trajectory.stamps_ns), columns)
+def add_trajectory(tape: Tape, entity: str, trajectory: Trajectory, index: RunIndex) -> None:
+    """Note poses as rows of seven float64 (tx ty tz qx qy qz qw): transforms hold only float32."""
+    tape.fix(entity, rr.SeriesLines(names=_POSE_NAMES))
+    for stamp_ns, row in zip(trajectory.stamps_ns.tolist(), _pose_rows(trajectory), strict=True):
+        moment = index.moment(stamp_ns)
+        if moment is not None:
+            tape.add(moment, entity, rr.Scalars, scalars=row)
 
 
 def _pose_rows(trajectory: Trajectory) -> Floats:
-    quats = np.array([quat_xyzw_from_rotation(pose[:3, :3]) for pose in trajectory.world_from_cam])
-    return np.concatenate([trajectory.positions, quats], axis=1)
+    quats = [quat_xyzw_from_rotation(pose[:3, :3]) for pose in trajectory.world_from_cam]
+    return np.concatenate([trajectory.positions, np.array(quats).reshape(-1, 4)], axis=1)

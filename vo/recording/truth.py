@@ -1,12 +1,12 @@
-"""The true path laid onto the estimate, to be drawn beside it."""
+"""The true path laid onto the estimate, to be drawn beside it, and how far they are apart."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vo.geometry.similarity import umeyama
+from vo.geometry.similarity import Similarity, umeyama
 from vo.geometry.transforms import inverse, transform_points
-from vo.types import Floats, Ints, Trajectory
+from vo.types import Bools, Floats, Ints, Trajectory
 
 
 def laid_onto_pose(truth: Trajectory, stamp_ns: int, world_from_cam0: Floats) -> Floats | None:
@@ -23,19 +23,43 @@ def laid_onto_pose(truth: Trajectory, stamp_ns: int, world_from_cam0: Floats) ->
 
 def laid_onto_path(truth: Trajectory, path: Trajectory, *, with_scale: bool) -> Floats | None:
     """True positions (N, 3), laid onto a path by least squares; None where that cannot be done."""
-    covered = _covers(truth, path.stamps_ns)
-    stamps = path.stamps_ns[covered]
-    # Floats hold no epoch nanoseconds, but do hold those since the truth's start.
-    seconds, known = stamps - truth.stamps_ns[0], truth.stamps_ns - truth.stamps_ns[0]
-    true = np.stack([np.interp(seconds, known, axis) for axis in truth.positions.T], axis=1)
+    stamps, true = _positions_at(truth, path.stamps_ns)
+    similarity = _fit(true, path.positions[np.isin(path.stamps_ns, stamps)], with_scale)
+    return None if similarity is None else similarity.transform_points(truth.positions)
+
+
+def errors_along(
+    truth: Trajectory, path: Trajectory, *, with_scale: bool
+) -> tuple[Ints, Floats] | None:
+    """Stamps (n,) and position errors (n,) of a path laid onto the truth by least squares.
+
+    In metres, also where the path has a scale of its own; None where that cannot be done.
+    """
+    stamps, true = _positions_at(truth, path.stamps_ns)
+    found = path.positions[np.isin(path.stamps_ns, stamps)]
+    similarity = _fit(found, true, with_scale)
+    if similarity is None:
+        return None
+    return stamps, np.linalg.norm(similarity.transform_points(found) - true, axis=1)
+
+
+def _fit(source: Floats, target: Floats, with_scale: bool) -> Similarity | None:
     try:
-        similarity = umeyama(true, path.positions[covered], with_scale=with_scale)
+        return umeyama(source, target, with_scale=with_scale)
     except ValueError:
         return None
-    return similarity.transform_points(truth.positions)
 
 
-def _covers(truth: Trajectory, stamps_ns: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _positions_at(truth: Trajectory, stamps_ns: Ints) -> tuple[Ints, Floats]:
+    """Those of the stamps that the truth covers (n,), and true positions (n, 3) there."""
+    stamps = stamps_ns[_covers(truth, stamps_ns)]
+    # Floats hold no epoch nanoseconds, but do hold those since the truth's start.
+    seconds, known = stamps - truth.stamps_ns[0], truth.stamps_ns - truth.stamps_ns[0]
+    true = [np.interp(seconds, known, axis) for axis in truth.positions.T]
+    return stamps, np.stack(true, axis=1)
+
+
+def _covers(truth: Trajectory, stamps_ns: Ints) -> Bools:
     """Which stamps lie within the truth, or half its step outside."""
     step = int(np.median(np.diff(truth.stamps_ns))) // 2 if len(truth) > 1 else 0
     first, last = truth.stamps_ns[0] - step, truth.stamps_ns[-1] + step

@@ -1,0 +1,70 @@
+"""What a recording says of its run in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vo.types import Estimate, Floats, Rig, State
+
+
+@dataclass
+class Tally:
+    """Counts frames while they are recorded; as Markdown in the end."""
+
+    name: str
+    rig: Rig
+    states: dict[State, int] = field(default_factory=lambda: dict.fromkeys(State, 0))
+    keyframes: int = 0
+    segments: set[int] = field(default_factory=set)
+    inliers: list[int] = field(default_factory=list)
+    offset_px: float = 0.0
+
+    def add(self, estimate: Estimate) -> None:
+        """Take in a frame."""
+        self.states[estimate.state] += 1
+        self.keyframes += estimate.is_keyframe
+        self.offset_px = estimate.disparity_offset_px
+        if estimate.world_from_cam0 is not None:
+            self.segments.add(estimate.segment)
+            self.inliers.append(estimate.inliers)
+
+    def beginning(self) -> str:
+        """What is known before the first frame; it stays if the run is killed."""
+        return f"{self._title()}\nThe run has not come to its end yet.\n"
+
+    def ending(self, path_length: float, errors: Mapping[str, Floats]) -> str:
+        """The whole run.
+
+        Args:
+            path_length: of the smoothed path.
+            errors: position errors of each path against the truth, where they are known.
+        """
+        frames = sum(self.states.values())
+        tracked = self.states[State.TRACKING]
+        unit = "m" if self.rig.is_stereo else "map units"
+        rows = {
+            "frames": str(frames),
+            "tracked": f"{tracked} ({tracked / max(frames, 1):.0%})",
+            "lost": str(self.states[State.LOST]),
+            "without a map": str(self.states[State.STARTING]),
+            "segments": str(len(self.segments)),
+            "keyframes": str(self.keyframes),
+            "path": f"{path_length:.2f} {unit}",
+            "inliers, median": f"{np.median(self.inliers):.0f}" if self.inliers else "-",
+        }
+        if self.rig.is_stereo:
+            rows["disparity offset"] = f"{self.offset_px:+.2f} px"
+        rows |= {f"ATE, {path}": _rms(values) for path, values in errors.items()}
+        lines = "".join(f"- {name}: **{value}**\n" for name, value in rows.items())
+        return f"{self._title()}\n{lines}"
+
+    def _title(self) -> str:
+        kind = "stereo" if self.rig.is_stereo else "mono"
+        return f"**{self.name}**, {kind}, {self.rig.cam0.width} x {self.rig.cam0.height} px\n"
+
+
+def _rms(errors: Floats) -> str:
+    return f"{np.sqrt(np.mean(errors**2)):.3f} m" if len(errors) else "-"
