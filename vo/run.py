@@ -6,7 +6,7 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
@@ -48,6 +48,7 @@ def run(
     rrd: Path | None = None,
     calibration: Path | None = None,
     format: str | None = None,
+    topics: Sequence[str] = (),
     recorder: Recorder | None = None,
     progress: Progress | None = None,
     profile_since: float | None = None,
@@ -70,6 +71,7 @@ def run(
         rrd: file to record for the rerun viewer.
         calibration: file that overrides the recording's own.
         format: of the recording; by default found out from the path.
+        topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
         recorder: what to record with instead of `rrd`.
         progress: what watches the run.
         profile_since: write a profile; it begins at this time of `time.perf_counter`.
@@ -79,7 +81,7 @@ def run(
         CalibrationError: its calibration is missing or cannot be true.
         OutputError: the folder or the recording cannot be written.
     """
-    opened = open_source(source, format=format, calibration=calibration, mode=mode)
+    opened = open_source(source, format=format, calibration=calibration, mode=mode, topics=topics)
     facts = _facts(opened, source, config, start, end, stride)
     every = config.tracking.every
     frames = opened.frames(start, end, stride * every)

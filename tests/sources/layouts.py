@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import cv2
+import mcap_logs
 import numpy as np
 
+from vo.formats.messages import (
+    CalibrationMessage,
+    CompressedImageMessage,
+    FrameTransform,
+    ImageMessage,
+    Message,
+    PoseMessage,
+    TransformsMessage,
+)
 from vo.geometry.transforms import inverse, quat_xyzw_from_rotation, se3_exp
-from vo.types import Bytes, Floats
+from vo.types import Bytes, Camera, Floats
 
 WIDTH, HEIGHT = 64, 48
 COUNT = 6
@@ -209,19 +219,49 @@ def write_video(path: Path) -> None:
     write_text(path.with_suffix(".yaml"), CALIBRATION)
 
 
+def log_messages(codec: str = "mono8") -> Iterator[tuple[str, Message]]:
+    """The same moments as messages; `codec` is mono8 or png."""
+    cam0_from_cam1 = np.eye(4)
+    cam0_from_cam1[0, 3] = BASELINE_M
+    body_from_cam0 = FrameTransform("body", "cam0", BODY_FROM_CAM0)
+    fixed = (body_from_cam0, FrameTransform("cam0", "cam1", cam0_from_cam1))
+    yield "/tf_static", TransformsMessage(STAMPS_NS[0], fixed)
+    camera = Camera(WIDTH, HEIGHT, *INTRINSICS)
+    projection = np.column_stack([camera.matrix, np.zeros(3)])
+    for i, (stamp, pose) in enumerate(zip(STAMPS_NS, truth(), strict=True)):
+        yield "/truth", PoseMessage(stamp, "world", pose @ inverse(BODY_FROM_CAM0))
+        for name in ("cam0", "cam1"):
+            calibration = CalibrationMessage(stamp, name, camera, np.eye(3), projection)
+            yield f"/{name}/camera_info", calibration
+            pixels = image(i, right=name == "cam1")
+            if codec == "mono8":
+                message: Message = ImageMessage(stamp, name, WIDTH, HEIGHT, codec, pixels.tobytes())
+                yield f"/{name}/image_raw", message
+            else:
+                data = cv2.imencode(f".{codec}", pixels)[1].tobytes()
+                message = CompressedImageMessage(stamp, name, codec, data)
+                yield f"/{name}/image_raw/compressed", message
+
+
+def write_mcap(path: Path) -> None:
+    mcap_logs.write_log(path, log_messages())
+
+
 def stamps(kind: str) -> list[int]:
     """What a format makes of `STAMPS_NS`: a video begins at 0."""
     return [stamp - STAMPS_NS[0] for stamp in STAMPS_NS] if kind == "video" else STAMPS_NS
 
 
-PATHS = {"glob": "glob/left_*.png", "video": "video.mov"}
+PATHS = {"glob": "glob/left_*.png", "video": "video.mov", "mcap": "mcap.mcap"}
 """Where a recording is that is not a folder of the format's name."""
 
 WRITERS: dict[str, Callable[[Path], None]] = {
     "kitti": write_kitti,
+    "kitti_raw": write_kitti_raw,
     "euroc": write_euroc,
     "tum": write_tum,
     "folder": write_folder,
     "glob": write_glob,
     "video": write_video,
+    "mcap": write_mcap,
 }

@@ -68,6 +68,14 @@ def run_command(
             show_default="found out from its files",
         ),
     ] = None,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Topic of a log: left=/cam0/image and right=/cam1/image, or one name alone; may "
+            "be given again.",
+            show_default="found out",
+        ),
+    ] = None,
     threads: Annotated[
         int | None,
         typer.Option(
@@ -131,6 +139,7 @@ def run_command(
                 rrd=rrd,
                 calibration=calibration,
                 format=format,
+                topics=topic or (),
                 progress=make_progress(console, quiet=quiet),
                 profile_since=begun if profile else None,
             )

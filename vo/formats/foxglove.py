@@ -105,7 +105,7 @@ def _protobuf(message: Message) -> PbMessage:
                 height=message.height,
                 encoding=message.pixel_format,
                 step=message.row_bytes,
-                data=message.data,
+                data=bytes(message.data),
             )
         case CompressedImageMessage():
             return CompressedImage(

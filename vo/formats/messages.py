@@ -1,4 +1,6 @@
-"""What messages say, whatever the format that carries them; `foxglove` and `ros2` write them down.
+"""What messages say, whatever the format that carries them.
+
+`foxglove` and `ros2` write them down; `codecs` finds who reads them back.
 
 Frames are named as everywhere (`world`, `body`, `cam0`, `cam1`); a message's stamp is when it was
 measured, in nanoseconds.
@@ -12,8 +14,10 @@ from typing import Literal
 
 from vo.types import Camera, Floats
 
-PixelFormat = Literal["mono8", "32FC1"]
 ImageFormat = Literal["png", "jpeg"]
+
+HEAD_BYTES = 256
+"""Of a message; enough for its stamp in all formats that begin with it."""
 
 _PLUMB_BOB_COEFFICIENTS = 5
 
@@ -27,17 +31,21 @@ class ImageMessage:
         frame: the camera.
         width: in pixels.
         height: in pixels.
-        pixel_format: `mono8`, or `32FC1` for a depth image in metres, little-endian, infinite where
-            nothing is hit.
-        data: rows from the top, without gaps.
+        pixel_format: a name that `vo.formats.pixels` knows, such as `mono8` or `bayer_rggb8`;
+            `32FC1` for a depth image in metres, infinite where nothing is hit.
+        data: rows from the top.
+        step: bytes from a row to the next; 0 where rows follow each other without gaps.
+        big_endian: of pixels with more than 8 bits.
     """
 
     stamp_ns: int
     frame: str
     width: int
     height: int
-    pixel_format: PixelFormat
-    data: bytes
+    pixel_format: str
+    data: bytes | memoryview
+    step: int = 0
+    big_endian: bool = False
 
     @property
     def row_bytes(self) -> int:
@@ -47,11 +55,21 @@ class ImageMessage:
 
 @dataclass(frozen=True, eq=False)
 class CompressedImageMessage:
-    """An image as a PNG or JPEG file."""
+    """An image as a file; what `image_format` says of it is free text where it was read."""
 
     stamp_ns: int
     frame: str
-    image_format: ImageFormat
+    image_format: str
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class CompressedVideoMessage:
+    """One frame of a video; `codec` is `h264` or `h265`, `data` what begins with a start code."""
+
+    stamp_ns: int
+    frame: str
+    codec: str
     data: bytes
 
 
@@ -97,11 +115,15 @@ class ImuMessage:
 
 @dataclass(frozen=True, eq=False)
 class PoseMessage:
-    """Where something is: the (4, 4) transform from its own frame to `frame`."""
+    """Where something is: the (4, 4) transform from its own frame to `frame`.
+
+    Its own frame is `child`; empty where the message does not say.
+    """
 
     stamp_ns: int
     frame: str
     pose: Floats
+    child: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +153,33 @@ Message = (
 )
 
 
+ReadMessage = Message | CompressedVideoMessage
+"""What may be found in logs; `Message` is what is written too."""
+
+
 @dataclass(frozen=True)
 class Schema:
     """What a reader needs to decode a kind of message: its name and its definition."""
 
     name: str
     definition: bytes
+
+
+@dataclass(frozen=True)
+class Codec:
+    """How a topic's messages are read.
+
+    Attributes:
+        kind: of message.
+        decode: bytes to a message; raises SourceError where they are none, and CalibrationError
+            for a camera that cannot be true.
+        peek_stamp_ns: the stamp from the first `HEAD_BYTES` of a message, which may be all of it;
+            None where that does not tell; may raise SourceError as `decode` does.
+    """
+
+    kind: type[ReadMessage]
+    decode: Callable[[bytes], ReadMessage]
+    peek_stamp_ns: Callable[[bytes], int | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +215,8 @@ def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:
     coefficients = list(camera.distortion)
     if camera.distortion_model == "equidistant":
         return fisheye, coefficients
+    if camera.distortion_model not in ("none", "radtan"):  # they have no name for these
+        return camera.distortion_model, coefficients
     if len(coefficients) > _PLUMB_BOB_COEFFICIENTS:
         return "rational_polynomial", coefficients
     missing = _PLUMB_BOB_COEFFICIENTS - len(coefficients)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import glob
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -14,7 +14,8 @@ from vo.sources.listing import IMAGE_SUFFIXES
 from vo.sources.source import Source
 from vo.types import Mode
 
-Opener = Callable[[Path, Path | None, Mode], Source]
+Opener = Callable[..., Source]
+"""Takes path, calibration (Path or None) and mode; logs take the chosen topics as a fourth."""
 
 
 class Format(NamedTuple):
@@ -24,16 +25,19 @@ class Format(NamedTuple):
         opener: `module:function` of an `Opener`, imported when it is needed.
         inside: names or patterns of which a folder of this format holds at least one.
         suffixes: of single files of this format.
+        has_topics: whether it is a log, of which topics can be chosen.
     """
 
     opener: str
     inside: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
+    has_topics: bool = False
 
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
 
 FORMATS: dict[str, Format] = {
+    "mcap": Format("vo.sources.mcap.source:open_mcap", suffixes=(".mcap",), has_topics=True),
     "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
     "kitti_raw": Format("vo.sources.kitti_raw:open_kitti_raw", ("image_00", "image_02")),
     "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
@@ -51,6 +55,7 @@ def open_source(
     format: str | None = None,
     calibration: Path | str | None = None,
     mode: Mode = "auto",
+    topics: Sequence[str] = (),
 ) -> Source:
     """Open a recording.
 
@@ -60,6 +65,7 @@ def open_source(
         calibration: file that overrides the recording's own calibration.
         mode: `mono` ignores the right camera, `stereo` insists on it, `auto` uses it if there is
             one with a calibration.
+        topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
 
     Raises:
         SourceError: the recording is missing, empty, damaged or of no known format.
@@ -71,9 +77,13 @@ def open_source(
     name = detect_format(path) if format is None else format
     if name not in FORMATS:
         raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")
-    return _load(FORMATS[name].opener)(
-        path, None if calibration is None else Path(calibration), mode
-    )
+    chosen = None if calibration is None else Path(calibration)
+    open_it = _load(FORMATS[name].opener)
+    if FORMATS[name].has_topics:
+        return open_it(path, chosen, mode, topics)
+    if topics:
+        raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
+    return open_it(path, chosen, mode)
 
 
 def detect_format(path: Path) -> str:

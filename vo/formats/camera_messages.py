@@ -1,0 +1,87 @@
+"""Turns the numbers of ROS's CameraInfo and Foxglove's CameraCalibration into a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.errors import CalibrationError
+from vo.formats.calibration.checks import make_camera
+from vo.formats.messages import CalibrationMessage
+from vo.types import Camera
+
+_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (4, 5, 8)}
+
+
+@dataclass(frozen=True, eq=False)
+class RawCalibration:
+    """The numbers as they stand in the message.
+
+    Attributes:
+        stamp_ns: that of the image it belongs to.
+        frame: the camera.
+        size: width and height that the numbers are for.
+        model: name of the distortion; may be empty.
+        d: its coefficients.
+        k: (9,) camera matrix by rows.
+        r: (9,) rotation into the rectified camera, or nothing.
+        p: (12,) projection of the rectified camera, or nothing.
+        binning: pixels of the sensor in one of the image, along u and v; 0 counts as 1.
+        corner: of the image on the sensor, in pixels of the sensor.
+    """
+
+    stamp_ns: int
+    frame: str
+    size: tuple[int, int]
+    model: str
+    d: Sequence[float]
+    k: Sequence[float]
+    r: Sequence[float]
+    p: Sequence[float]
+    binning: tuple[int, int] = (1, 1)
+    corner: tuple[int, int] = (0, 0)
+
+
+def calibration_message(raw: RawCalibration) -> CalibrationMessage:
+    """Check the numbers and take them over.
+
+    Raises:
+        CalibrationError: the camera was never calibrated, or the numbers cannot be true.
+    """
+    if len(raw.k) != 9 or not any(raw.k):
+        raise CalibrationError(
+            f"calibration message of '{raw.frame}' is empty (K is zero): the camera was never "
+            "calibrated; give a file with --calibration FILE"
+        )
+    r = np.reshape(raw.r, (3, 3)) if len(raw.r) == 9 and any(raw.r) else np.eye(3)
+    p = np.reshape(raw.p, (3, 4)) if len(raw.p) == 12 and any(raw.p) else np.zeros((3, 4))
+    if not p.any():
+        p[:, :3] = np.reshape(raw.k, (3, 3))
+    # Numbers are for the whole sensor; the image may be a part of it and have fewer pixels.
+    bin_u, bin_v = (max(int(b), 1) for b in raw.binning)
+    shrink = np.array([[1 / bin_u, 0, 0], [0, 1 / bin_v, 0], [0, 0, 1.0]])
+    shift = np.array([[1.0, 0, -raw.corner[0]], [0, 1.0, -raw.corner[1]], [0, 0, 1.0]])
+    camera = _camera(raw, shrink @ shift @ np.reshape(raw.k, (3, 3)), (bin_u, bin_v))
+    return CalibrationMessage(
+        raw.stamp_ns, raw.frame.lstrip("/"), camera, r.astype(float), shrink @ shift @ p
+    )
+
+
+def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Camera:
+    model, coefficients = raw.model or "plumb_bob", [float(x) for x in raw.d]
+    counts = _COUNTS.get(model.lower())
+    if not any(coefficients) and model.lower() in ("plumb_bob", "rational_polynomial"):
+        model, coefficients = "none", []
+    # Writers fill up with zeros: twelve and fourteen are OpenCV's thin prism and tilt.
+    elif counts and len(coefficients) not in counts and not any(coefficients[counts[-1] :]):
+        coefficients = coefficients[: counts[-1]]
+    return make_camera(
+        f"calibration message of '{raw.frame}'",
+        model="pinhole",
+        resolution=[raw.size[0] // binning[0], raw.size[1] // binning[1]],
+        intrinsics=[float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
+        distortion_model=model,
+        distortion=coefficients,
+    )

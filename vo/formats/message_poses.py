@@ -1,0 +1,24 @@
+"""Turns positions and quaternions, as messages have them, into transforms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vo.errors import SourceError
+from vo.geometry.transforms import make_transform, rotation_from_quat_xyzw
+from vo.types import Floats
+
+
+def rigid_transform(position: Any, rotation: Any) -> Floats:
+    """The (4, 4) transform of a position (x, y, z) and a quaternion (x, y, z, w).
+
+    Raises:
+        SourceError: a number is not finite, or the quaternion is zero.
+    """
+    quat = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
+    place = np.array([position.x, position.y, position.z])
+    if not (np.isfinite(quat).all() and np.isfinite(place).all() and np.any(quat)):
+        raise SourceError(f"position {place.tolist()} with quaternion {quat.tolist()} is no pose")
+    return make_transform(rotation_from_quat_xyzw(quat), place)

@@ -1,0 +1,112 @@
+"""Raw pixels of messages as grey images: ROS's and Foxglove's names of encodings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.errors import SourceError
+from vo.formats.messages import ImageMessage
+
+Pixels = NDArray[np.unsignedinteger]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a pixel is stored: bytes of a sample, samples, and the way to grey."""
+
+    bytes_each: int
+    channels: int
+    grey: Callable[[Pixels], Pixels]
+
+
+def _as_is(image: Pixels) -> Pixels:
+    return image[:, :, 0]
+
+
+def _converted(code: int) -> Callable[[Pixels], Pixels]:
+    # A single channel without a third axis is what OpenCV wants of a Bayer pattern.
+    def grey(image: Pixels) -> Pixels:
+        flat = image[:, :, 0] if image.shape[2] == 1 else image
+        return cast("Pixels", cv2.cvtColor(np.ascontiguousarray(flat), code))
+
+    return grey
+
+
+# OpenCV names a Bayer pattern by its second row, second column on; ROS by its first pixels.
+_BAYER = {
+    "rggb": cv2.COLOR_BayerBG2GRAY,
+    "bggr": cv2.COLOR_BayerRG2GRAY,
+    "gbrg": cv2.COLOR_BayerGR2GRAY,
+    "grbg": cv2.COLOR_BayerGB2GRAY,
+}
+_LAYOUTS: dict[str, _Layout] = {
+    **{
+        f"{name}{bits}": _Layout(bits // 8, channels, grey)
+        for name, channels, grey in (
+            ("mono", 1, _as_is),
+            ("rgb", 3, _converted(cv2.COLOR_RGB2GRAY)),
+            ("bgr", 3, _converted(cv2.COLOR_BGR2GRAY)),
+            ("rgba", 4, _converted(cv2.COLOR_RGBA2GRAY)),
+            ("bgra", 4, _converted(cv2.COLOR_BGRA2GRAY)),
+            *((f"bayer_{name}", 1, _converted(code)) for name, code in _BAYER.items()),
+        )
+        for bits in (8, 16)
+    },
+    "yuv422": _Layout(1, 2, _converted(cv2.COLOR_YUV2GRAY_UYVY)),
+    "yuv422_yuy2": _Layout(1, 2, _converted(cv2.COLOR_YUV2GRAY_YUY2)),
+}
+_OTHER_NAMES = {
+    "8uc1": "mono8",
+    "16uc1": "mono16",
+    "8uc3": "bgr8",
+    "16uc3": "bgr16",
+    "8uc4": "bgra8",
+    "16uc4": "bgra16",
+    "uyvy": "yuv422",
+    "yuyv": "yuv422_yuy2",
+    "yuy2": "yuv422_yuy2",
+}
+
+
+def grey_pixels(message: ImageMessage) -> Pixels:
+    """The (H, W) grey image, uint8 or uint16, of a raw image.
+
+    Raises:
+        SourceError: the encoding is not known, or there are fewer bytes than it needs.
+    """
+    name = message.pixel_format.strip().lower()
+    layout = _LAYOUTS.get(_OTHER_NAMES.get(name, name))
+    if layout is None:
+        raise SourceError(
+            f"pixels are encoded as '{message.pixel_format}'; known are mono8, mono16, rgb8, bgr8, "
+            "rgba8, bgra8, bayer_*, yuv422 and yuyv"
+        )
+    return layout.grey(_rows(message, layout))
+
+
+def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
+    """The samples as (H, W, channels), in the machine's byte order; a view where that will do."""
+    width, height = message.width, message.height
+    row_bytes = width * layout.channels * layout.bytes_each
+    step = message.step or row_bytes
+    needed = (height - 1) * step + row_bytes
+    if width < 1 or height < 1 or step < row_bytes or len(message.data) < needed:
+        raise SourceError(
+            f"image of {width}x{height} {message.pixel_format} with rows of {step} bytes has "
+            f"{len(message.data)} bytes; {max(needed, 0)} are needed"
+        )
+    kind = np.dtype(np.uint8 if layout.bytes_each == 1 else np.uint16)
+    stored = kind.newbyteorder(">" if message.big_endian else "<")
+    image = np.ndarray(
+        (height, width, layout.channels),
+        stored,
+        message.data,
+        strides=(step, layout.channels * layout.bytes_each, layout.bytes_each),
+    )
+    return image.astype(kind, copy=False)

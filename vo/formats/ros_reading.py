@@ -1,0 +1,221 @@
+"""Reads messages of ROS 1 and ROS 2 by the definitions that come with them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg
+from rosbags.typesys import get_typestore as load_store
+from rosbags.typesys.store import Typestore
+
+from vo.errors import SourceError
+from vo.formats.camera_messages import RawCalibration, calibration_message
+from vo.formats.message_poses import rigid_transform
+from vo.formats.messages import (
+    CalibrationMessage,
+    Codec,
+    CompressedImageMessage,
+    CompressedVideoMessage,
+    FrameTransform,
+    ImageMessage,
+    PoseMessage,
+    ReadMessage,
+    TransformsMessage,
+)
+
+_NS_PER_S = 1_000_000_000
+
+
+def ros2_codec(schema: str, schema_encoding: str, definition: bytes) -> Codec | None:
+    """Who reads a kind of message in CDR; None for kinds that nobody needs.
+
+    Args:
+        schema: such as `sensor_msgs/msg/Image`.
+        schema_encoding: `ros2msg`, `ros2idl` or empty.
+        definition: its text; if it is missing or cannot be read, that of ROS 2 Humble is taken.
+    """
+    name = _full_name(schema)
+    if name not in _CONVERTERS:
+        return None
+    store = _store(name, schema_encoding, definition, Stores.ROS2_HUMBLE)
+    return _codec(name, lambda data: store.deserialize_cdr(data, name), _peek_cdr)
+
+
+def ros1_codec(schema: str, definition: bytes) -> Codec | None:
+    """Who reads a kind of message of ROS 1, else as `ros2_codec`; the fallback is Noetic."""
+    name = _full_name(schema)
+    if name not in _CONVERTERS:
+        return None
+    store = _store(name, "ros1msg", definition, Stores.ROS1_NOETIC)
+    return _codec(name, lambda data: store.deserialize_ros1(data, name), _peek_ros1)
+
+
+def message_from_ros(record: Any, name: str) -> ReadMessage:
+    """What a record says that `rosbags` has deserialised.
+
+    Args:
+        record: with the attributes that the definition names.
+        name: of its kind, such as `sensor_msgs/msg/Image`; one of `KNOWN_NAMES`.
+
+    Raises:
+        CalibrationError: it is a camera that cannot be true.
+    """
+    _, convert = _CONVERTERS[name]
+    return convert(record)
+
+
+def _codec(name: str, parse: Callable[[bytes], Any], peek: Callable[[bytes], int]) -> Codec:
+    kind, convert = _CONVERTERS[name]
+
+    def decode(data: bytes) -> ReadMessage:
+        try:
+            record = parse(data)
+        # What rosbags' generated code raises depends on where the bytes stop making sense.
+        except Exception as error:
+            raise SourceError(
+                f"{name} cannot be decoded: {error or type(error).__name__}"
+            ) from error
+        return convert(record)
+
+    # The transforms of a TFMessage have their stamps one by one.
+    return Codec(kind, decode, (lambda _: None) if kind is TransformsMessage else peek)
+
+
+def _full_name(schema: str) -> str:
+    package, _, name = schema.rpartition("/")
+    return f"{package.removesuffix('/msg')}/msg/{name}"
+
+
+def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typestore:
+    try:
+        text = definition.decode()
+        is_idl = encoding == "ros2idl"
+        types = get_types_from_idl(text) if is_idl else get_types_from_msg(text, name)
+        store = load_store(Stores.EMPTY)
+        store.register(types)
+        if name in store.fielddefs:
+            return store
+    except (TypesysError, UnicodeDecodeError, KeyError, ValueError):
+        pass
+    return load_store(fallback)
+
+
+def _peek_cdr(head: bytes) -> int:
+    """The stamp with which every header begins, after four bytes that tell the byte order."""
+    if len(head) < 12:
+        raise SourceError(f"message of {len(head)} bytes is cut off")
+    seconds, nanoseconds = struct.unpack_from("<iI" if head[1] & 1 else ">iI", head, 4)
+    return int(seconds) * _NS_PER_S + int(nanoseconds)
+
+
+def _peek_ros1(head: bytes) -> int:
+    """The stamp that follows the sequence number of every header."""
+    if len(head) < 12:
+        raise SourceError(f"message of {len(head)} bytes is cut off")
+    _, seconds, nanoseconds = struct.unpack_from("<III", head)
+    return int(seconds) * _NS_PER_S + int(nanoseconds)
+
+
+def _stamp_ns(time: Any) -> int:
+    return int(time.sec) * _NS_PER_S + int(time.nanosec)
+
+
+def _image(record: Any) -> ImageMessage:
+    return ImageMessage(
+        stamp_ns=_stamp_ns(record.header.stamp),
+        frame=record.header.frame_id,
+        width=record.width,
+        height=record.height,
+        pixel_format=record.encoding,
+        data=record.data.data,
+        step=record.step,
+        big_endian=bool(record.is_bigendian),
+    )
+
+
+def _compressed(record: Any) -> CompressedImageMessage:
+    return CompressedImageMessage(
+        _stamp_ns(record.header.stamp),
+        record.header.frame_id,
+        record.format,
+        record.data.tobytes(),
+    )
+
+
+def _foxglove_compressed(record: Any) -> CompressedImageMessage:
+    return CompressedImageMessage(
+        _stamp_ns(record.timestamp), record.frame_id, record.format, record.data.tobytes()
+    )
+
+
+def _video(record: Any) -> CompressedVideoMessage:
+    return CompressedVideoMessage(
+        _stamp_ns(record.timestamp), record.frame_id, record.format, record.data.tobytes()
+    )
+
+
+def _calibration(record: Any) -> CalibrationMessage:
+    upper = hasattr(record, "K")  # as ROS 1 names them
+    d, k, r, p = (getattr(record, n if upper else n.lower()) for n in "DKRP")
+    return calibration_message(
+        RawCalibration(
+            stamp_ns=_stamp_ns(record.header.stamp),
+            frame=record.header.frame_id,
+            size=(record.width, record.height),
+            model=record.distortion_model,
+            d=d,
+            k=k,
+            r=r,
+            p=p,
+            binning=(record.binning_x, record.binning_y),
+            corner=(record.roi.x_offset, record.roi.y_offset),
+        )
+    )
+
+
+def _transforms(record: Any) -> TransformsMessage:
+    stamps = [_stamp_ns(each.header.stamp) for each in record.transforms]
+    return TransformsMessage(min(stamps, default=0), tuple(map(_transform, record.transforms)))
+
+
+def _transform(record: Any) -> FrameTransform:
+    return FrameTransform(
+        record.header.frame_id.lstrip("/"),
+        record.child_frame_id.lstrip("/"),
+        rigid_transform(record.transform.translation, record.transform.rotation),
+    )
+
+
+def _transform_as_pose(record: Any) -> PoseMessage:
+    each = _transform(record)
+    stamp_ns = _stamp_ns(record.header.stamp)
+    return PoseMessage(stamp_ns, each.parent, each.parent_from_child, each.child)
+
+
+def _pose(record: Any) -> PoseMessage:
+    """Of PoseStamped, PoseWithCovarianceStamped and Odometry."""
+    pose = getattr(record.pose, "pose", record.pose)
+    return PoseMessage(
+        _stamp_ns(record.header.stamp),
+        record.header.frame_id.lstrip("/"),
+        rigid_transform(pose.position, pose.orientation),
+        getattr(record, "child_frame_id", "").lstrip("/"),
+    )
+
+
+_CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] = {
+    "sensor_msgs/msg/Image": (ImageMessage, _image),
+    "sensor_msgs/msg/CompressedImage": (CompressedImageMessage, _compressed),
+    "sensor_msgs/msg/CameraInfo": (CalibrationMessage, _calibration),
+    "foxglove_msgs/msg/CompressedImage": (CompressedImageMessage, _foxglove_compressed),
+    "foxglove_msgs/msg/CompressedVideo": (CompressedVideoMessage, _video),
+    "tf2_msgs/msg/TFMessage": (TransformsMessage, _transforms),
+    "tf/msg/tfMessage": (TransformsMessage, _transforms),
+    "geometry_msgs/msg/PoseStamped": (PoseMessage, _pose),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (PoseMessage, _pose),
+    "geometry_msgs/msg/TransformStamped": (PoseMessage, _transform_as_pose),
+    "nav_msgs/msg/Odometry": (PoseMessage, _pose),
+}
+KNOWN_NAMES = frozenset(_CONVERTERS)

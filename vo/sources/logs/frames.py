@@ -1,0 +1,90 @@
+"""Where frames of a log are towards each other, as far as they never move."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from vo.errors import VoError
+from vo.formats.messages import TransformsMessage
+from vo.geometry.transforms import inverse
+from vo.sources.logs.log import Entry, Log, Topic
+from vo.types import Floats
+
+_log = logging.getLogger(__name__)
+
+_MOST_LOOKED_AT = 200
+_STILL = 1e-6
+"""Metres and radians; what is written as a constant is repeated to the last bit or nearly so."""
+
+
+class FrameTree:
+    """The transforms between frames that are fixed to each other."""
+
+    def __init__(self) -> None:
+        self._parent_from_child: dict[tuple[str, str], Floats] = {}
+        self._moving: set[tuple[str, str]] = set()
+
+    def add(self, message: TransformsMessage) -> None:
+        """Take in transforms; one that is seen to change is no longer used."""
+        for each in message.transforms:
+            pair = (each.parent, each.child)
+            known = self._parent_from_child.setdefault(pair, each.parent_from_child)
+            if np.abs(known - each.parent_from_child).max() > _STILL:
+                self._moving.add(pair)
+
+    def between(self, a: str, b: str) -> Floats | None:
+        """The (4, 4) transform `a_from_b`, or None where no chain of fixed frames leads there."""
+        a_from_frame = {a: np.eye(4)}
+        waiting = deque([a])
+        while waiting:
+            frame = waiting.popleft()
+            if frame == b:
+                return a_from_frame[frame]
+            for other, frame_from_other in self._neighbours(frame):
+                if other not in a_from_frame:
+                    a_from_frame[other] = a_from_frame[frame] @ frame_from_other
+                    waiting.append(other)
+        return None
+
+    def root(self, frame: str) -> str:
+        """The frame furthest up that a frame is fixed to; itself if to none."""
+        seen = {frame}
+        while True:
+            parents = [p for p, c in self._fixed() if c == frame and p not in seen]
+            if not parents:
+                return frame
+            frame = parents[0]
+            seen.add(frame)
+
+    def _fixed(self) -> list[tuple[str, str]]:
+        return [pair for pair in self._parent_from_child if pair not in self._moving]
+
+    def _neighbours(self, frame: str) -> list[tuple[str, Floats]]:
+        found = []
+        for parent, child in self._fixed():
+            parent_from_child = self._parent_from_child[parent, child]
+            if parent == frame:
+                found.append((child, parent_from_child))
+            elif child == frame:
+                found.append((parent, inverse(parent_from_child)))
+        return found
+
+
+def read_frames(log: Log, listed: Sequence[tuple[Topic, Sequence[Entry]]]) -> FrameTree:
+    """The fixed frames of a log; of a topic with very many messages some, spread evenly."""
+    tree = FrameTree()
+    for topic, entries in listed:
+        step = 1 if topic.name.endswith("_static") else max(1, len(entries) // _MOST_LOOKED_AT)
+        for entry in entries[::step]:
+            try:
+                message = topic.codec.decode(log.read(entry))
+            except VoError as error:
+                _log.warning("%s: a message is left out: %s", topic.name, error)
+                continue
+            if isinstance(message, TransformsMessage):
+                tree.add(message)
+    return tree

@@ -1,0 +1,88 @@
+"""Images in the messages of a log, listed with their stamps."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from vo.errors import SourceError, VoError
+from vo.formats.messages import CompressedImageMessage, ImageMessage
+from vo.formats.pixels import grey_pixels
+from vo.sources.images import Pixels, decode_image
+from vo.sources.listing import LARGEST_NS, Shot
+from vo.sources.logs.log import Entry, Log, Topic
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class MessageImage:
+    """A `StoredImage` in a message."""
+
+    log: Log
+    topic: Topic
+    entry: Entry
+
+    @property
+    def name(self) -> str:
+        """Topic and time of logging, as other tools show it."""
+        return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
+
+    def read(self) -> Pixels:
+        """The image as `StoredImage.read` has it; also raises as that does."""
+        try:
+            message = self.topic.codec.decode(self.log.read(self.entry))
+            if isinstance(message, ImageMessage):
+                return grey_pixels(message)
+        except SourceError as error:
+            raise SourceError(f"image {self.name}: {error}") from error
+        assert isinstance(message, CompressedImageMessage)
+        return decode_image(message.data, self.name)
+
+
+def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
+    """The images of a topic in the order of their stamps.
+
+    Stamps are those of the messages' headers; of messages without one the time of logging, with a
+    warning. Of several messages with one stamp the first is taken.
+
+    Raises:
+        SourceError: there is no image.
+    """
+    stamped = [(_stamp_ns(log, topic, entry), entry) for entry in entries]
+    unstamped = sum(not stamp_ns for stamp_ns, _ in stamped)
+    if unstamped:
+        _log.warning(
+            "%s: %d of %d messages have no stamp; the time when they were logged is taken",
+            topic.name,
+            unstamped,
+            len(entries),
+        )
+    in_order = sorted(
+        ((stamp_ns or entry.log_ns, entry) for stamp_ns, entry in stamped),
+        key=lambda pair: pair[0],
+    )
+    shots: list[Shot] = []
+    for stamp_ns, entry in in_order:
+        if shots and stamp_ns == shots[-1].stamp_ns:
+            continue
+        image = MessageImage(log, topic, entry)
+        shots.append(Shot(stamp_ns, image, f"{log.path}: {topic.name}"))
+    if not shots:
+        raise SourceError(f"{log.path}: no message of {topic.name} can be read")
+    if len(shots) < len(in_order):
+        repeated = len(in_order) - len(shots)
+        _log.warning("%s: %d images repeat a stamp and are not used", topic.name, repeated)
+    return shots
+
+
+def _stamp_ns(log: Log, topic: Topic, entry: Entry) -> int:
+    """The stamp in the header; 0 where there is none."""
+    stamp_ns = entry.stamp_ns
+    if stamp_ns is None:
+        try:
+            stamp_ns = topic.codec.decode(log.read(entry)).stamp_ns
+        except VoError:
+            return 0
+    return stamp_ns if 0 < stamp_ns <= LARGEST_NS else 0

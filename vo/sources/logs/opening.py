@@ -1,0 +1,123 @@
+"""From a log to a source."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from vo.errors import CalibrationError, VoError
+from vo.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.formats.messages import CalibrationMessage, TransformsMessage
+from vo.sources.assembly import Gathered, assemble
+from vo.sources.logs.choice import Choice, choose_topics
+from vo.sources.logs.frames import FrameTree, read_frames
+from vo.sources.logs.images import list_images
+from vo.sources.logs.log import Entry, Log, Topic
+from vo.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
+from vo.sources.logs.truth import find_truth_topic, read_truth
+from vo.sources.sequence import ImageSequence
+from vo.types import Mode, Rig, Trajectory
+
+_log = logging.getLogger(__name__)
+
+
+def open_log(
+    log: Log,
+    format: str,
+    calibration: Path | None,
+    mode: Mode,
+    wishes: Sequence[str] = (),
+) -> ImageSequence:
+    """Make a source of a log.
+
+    Args:
+        log: the messages.
+        format: name of the container in the registry.
+        calibration: file that overrides what the log says.
+        mode: as in `open_source`.
+        wishes: as given with `--topic`.
+
+    Raises:
+        SourceError: there are no images, or it cannot be told which.
+        CalibrationError: the calibration is missing or cannot be true.
+    """
+    choice = choose_topics(log.topics, wishes, mode)
+    opened = _Opened(log, choice)
+    left = list_images(log, choice.left, opened.entries[choice.left.name])
+    known = opened.calibration_of_log(mode) if calibration is None else None
+    right = None
+    if choice.right is not None and mode != "mono" and (known is None or known.rig.is_stereo):
+        right = list_images(log, choice.right, opened.entries[choice.right.name])
+
+    def calibrate(size: ImageSize) -> Calibration:
+        if calibration is not None:
+            return read_calibration(calibration, size)
+        assert known is not None
+        return known
+
+    gathered = Gathered(
+        name=log.path.resolve().stem,
+        format=format,
+        left=left,
+        right=right,
+        calibrate=calibrate,
+        read_truth=opened.truth,
+    )
+    return assemble(gathered, mode)
+
+
+class _Opened:
+    """The messages of a log that are needed to open it."""
+
+    def __init__(self, log: Log, choice: Choice) -> None:
+        self._log = log
+        self._choice = choice
+        self._calibrations = _of_kind(log.topics, CalibrationMessage)
+        transforms = _of_kind(log.topics, TransformsMessage)
+        self._truth = find_truth_topic(log.topics, choice.truth)
+        topics = [choice.left, choice.right, self._truth, *self._calibrations, *transforms]
+        names = dict.fromkeys(topic.name for topic in topics if topic is not None)
+        self.entries: dict[str, list[Entry]] = log.entries(list(names))
+        listed = [(topic, self.entries[topic.name]) for topic in transforms]
+        self._frames: FrameTree = read_frames(log, listed)
+
+    def calibration_of_log(self, mode: Mode) -> Calibration:
+        """One camera or two; without the second, if that is not known and need not be."""
+        left = self._camera(self._choice.left)
+        if self._choice.right is None or mode == "mono":
+            return Calibration(Rig(left.camera))
+        try:
+            right = self._camera(self._choice.right)
+            transform = cam1_from_cam0(left, right, self._frames)
+        except CalibrationError as error:
+            if mode == "stereo":
+                raise
+            _log.warning("only the left camera is used: %s", error)
+            return Calibration(Rig(left.camera))
+        return Calibration(Rig(left.camera, right.camera, transform))
+
+    def truth(self, calibration: Calibration) -> Trajectory | None:
+        """The poses of cam0, if there are any."""
+        if self._truth is None:
+            return None
+        entries = self.entries[self._truth.name]
+        frame = self._frame(self._choice.left)
+        return read_truth(self._log, self._truth, entries, frame, self._frames, calibration)
+
+    def _camera(self, image: Topic) -> LogCamera:
+        return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
+
+    def _frame(self, image: Topic) -> str:
+        """The frame of the first image that can be read."""
+        for entry in self.entries[image.name]:
+            try:
+                message = image.codec.decode(self._log.read(entry))
+            except VoError:
+                continue
+            return str(getattr(message, "frame", "")).lstrip("/")
+        return ""
+
+
+def _of_kind(topics: Sequence[Topic], kind: type) -> list[Topic]:
+    return [topic for topic in topics if issubclass(topic.codec.kind, kind)]

@@ -1,0 +1,76 @@
+"""True poses in a log."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from vo.errors import SourceError
+from vo.formats.calibration import Calibration
+from vo.formats.messages import PoseMessage
+from vo.sources.logs.frames import FrameTree
+from vo.sources.logs.log import Entry, Log, Topic
+from vo.types import Floats, Trajectory
+
+_log = logging.getLogger(__name__)
+
+_NAMED_LIKE_TRUTH = re.compile(
+    r"truth|(?<![a-z])gt(?![a-z])|mocap|vicon|optitrack|qualisys|leica", re.IGNORECASE
+)
+
+
+def find_truth_topic(topics: Sequence[Topic], named: str | None) -> Topic | None:
+    """The topic that the user named, or the first with poses whose name speaks of truth."""
+    poses = [topic for topic in topics if issubclass(topic.codec.kind, PoseMessage)]
+    if named is not None:
+        return next((t for t in poses if t.name.strip("/") == named.strip("/")), None)
+    return next((topic for topic in poses if _NAMED_LIKE_TRUTH.search(topic.name)), None)
+
+
+def read_truth(
+    log: Log,
+    topic: Topic,
+    entries: Sequence[Entry],
+    cam0: str,
+    frames: FrameTree,
+    calibration: Calibration,
+) -> Trajectory:
+    """The poses of cam0 in the world.
+
+    Poses that do not say whose they are count as those of the frame furthest up that cam0 is fixed
+    to: the robot's.
+
+    Args:
+        log: where all is.
+        topic: of the poses.
+        entries: its messages.
+        cam0: frame of the left camera.
+        frames: the fixed frames.
+        calibration: may say where cam0 is on the body.
+
+    Raises:
+        SourceError: nothing says where the camera is on what the poses are of.
+    """
+    poses: dict[int, Floats] = {}
+    child = ""
+    for entry in entries:
+        message = topic.codec.decode(log.read(entry))
+        if isinstance(message, PoseMessage):
+            poses.setdefault(message.stamp_ns or entry.log_ns, message.pose)
+            child = child or message.child
+    body = child or frames.root(cam0)
+    body_from_cam0 = calibration.body_from_cam0
+    # A camera that is fixed to nothing is not known to be what the poses are of.
+    if body_from_cam0 is None and (child or body != cam0):
+        body_from_cam0 = frames.between(body, cam0)
+    if body_from_cam0 is None:
+        raise SourceError(
+            f"{topic.name} has poses of {f'frame {child!r}' if child else 'the body'}, but no "
+            f"transforms say where the camera (frame '{cam0}') is on it"
+        )
+    stamps_ns = np.array(sorted(poses), dtype=np.int64)
+    world_from_body = np.array([poses[int(stamp)] for stamp in stamps_ns]).reshape(-1, 4, 4)
+    return Trajectory(stamps_ns, world_from_body @ body_from_cam0)
