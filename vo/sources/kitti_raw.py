@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import SourceError
-from vo.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.formats.calibration import Calibration, ImageSize, kitti_raw
+from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
 from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
 from vo.sources.images import ImageFile
@@ -34,14 +35,15 @@ def open_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Source:
     """
     path = path.resolve()
     left, right = next((pair for pair in _PAIRS if (path / pair[0]).is_dir()), _PAIRS[0])
+    cameras = (left[-2:], right[-2:])
     shots = _shots(path / left)
     gathered = Gathered(
         name=path.name,
         format="kitti_raw",
         left=shots,
         right=_shots(path / right) if (path / right / "data").is_dir() else None,
-        calibrate=lambda size: _calibration(path, calibration, left[-2:], size),
-        read_truth=lambda known: _truth(path, known, shots),
+        calibrate=lambda size: _calibration(path, calibration, cameras, size),
+        read_truth=lambda known: _truth(path, known, cameras, shots),
     )
     return assemble(gathered, mode)
 
@@ -91,24 +93,34 @@ def _stamps(table: Path) -> list[int]:
     return stamps
 
 
-def _calibration(path: Path, chosen: Path | None, camera: str, size: ImageSize) -> Calibration:
-    raw = first_existing([path / _CALIBRATION, path.parent / _CALIBRATION])
-    if chosen is None and raw is not None:
-        return read_calibration(raw, size)
-    candidates = [path.parent / _CALIBRATION, path / "calibration.yaml"]
+def _calibration(
+    path: Path, chosen: Path | None, cameras: tuple[str, str], size: ImageSize
+) -> Calibration:
+    candidates = [path / _CALIBRATION, path.parent / _CALIBRATION, path / "calibration.yaml"]
+    file = chosen or first_existing(candidates)
+    if file is not None:
+        document = load_document(file)
+        if kitti_raw.recognises(document):
+            return kitti_raw.read(document, size, cameras)
     return find_calibration(chosen, candidates)(size)
 
 
-def _truth(path: Path, calibration: Calibration, shots: Sequence[Shot]) -> Trajectory | None:
+def _truth(
+    path: Path, calibration: Calibration, cameras: tuple[str, str], shots: Sequence[Shot]
+) -> Trajectory | None:
     """Poses of cam0 at the stamps of its images, from those of the GPS/INS unit."""
     folder = path / "oxts"
     if not folder.is_dir():
         return None
     velo_from_imu = read_rigid(_beside(path, "calib_imu_to_velo.txt"))
-    cam_from_velo = read_rigid(_beside(path, "calib_velo_to_cam.txt"))
-    if calibration.body_from_cam0 is None:
-        raise SourceError(f"the calibration does not say where cam0 is; put {_CALIBRATION} there")
-    imu_from_cam0 = inverse(cam_from_velo @ velo_from_imu) @ calibration.body_from_cam0
+    body_from_velo = read_rigid(_beside(path, "calib_velo_to_cam.txt"))
+    body_from_cam0 = calibration.body_from_cam0
+    if body_from_cam0 is None:  # as a chosen calibration need not say
+        size = (calibration.rig.cam0.width, calibration.rig.cam0.height)
+        document = load_document(_beside(path, _CALIBRATION))
+        body_from_cam0 = kitti_raw.read(document, size, cameras).body_from_cam0
+    assert body_from_cam0 is not None
+    imu_from_cam0 = inverse(body_from_velo @ velo_from_imu) @ body_from_cam0
     truth = read_oxts(folder, _stamps(folder / "timestamps.txt"))
     truth = replace(truth, world_from_cam=truth.world_from_cam @ imu_from_cam0)
     stamps_ns = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
