@@ -19,6 +19,7 @@ from vo.pipeline.history import Untracked
 from vo.pipeline.pose_log import PoseLog
 from vo.pipeline.stopwatch import Stopwatch
 from vo.progress import NullProgress, Progress
+from vo.recording.exports import Exports, with_exports
 from vo.recording.recorder import NullRecorder, Recorder
 from vo.results.account import Account
 from vo.results.covariance import covariance_line
@@ -50,6 +51,7 @@ def run(
     format: str | None = None,
     topics: Sequence[str] = (),
     recorder: Recorder | None = None,
+    exports: Exports | None = None,
     progress: Progress | None = None,
     profile_since: float | None = None,
 ) -> Summary:
@@ -73,6 +75,7 @@ def run(
         format: of the recording; by default found out from the path.
         topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
         recorder: what to record with instead of `rrd`.
+        exports: files for other programs.
         progress: what watches the run.
         profile_since: write a profile; it begins at this time of `time.perf_counter`.
 
@@ -89,7 +92,7 @@ def run(
         if every > 1:
             odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
         folder = RunFolder(Path(output), dump_config(config))
-        recorder = recorder or _make_recorder(rrd)
+        recorder = with_exports(recorder or _make_recorder(rrd), exports or Exports())
         job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
         job.profile_since = profile_since
         try:

@@ -244,6 +244,21 @@ class KeyframePose:
 
 
 @dataclass(frozen=True, eq=False)
+class Sightings:
+    """Where a keyframe of the map sees landmarks.
+
+    Attributes:
+        frame_index: number of its frame in the source.
+        ids: (n,) of the landmarks.
+        xy: (n, 2) pixels in the keyframe's `View.image0`.
+    """
+
+    frame_index: int
+    ids: Ints
+    xy: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Landmarks:
     """Points of the map; row i of each belongs together.
 
@@ -252,12 +267,14 @@ class Landmarks:
         xyz: (M, 3) in the world.
         grey: (M,) grey level in the image of the keyframe whose patch stands for the point.
         sigma: (M,) standard deviation of the position, all axes together, poses taken for exact.
+        sightings: of every keyframe in the map, in time order.
     """
 
     ids: Ints
     xyz: Floats
     grey: Bytes | None = None
     sigma: Floats | None = None
+    sightings: tuple[Sightings, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

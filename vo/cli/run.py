@@ -57,6 +57,14 @@ def run_command(
     rrd: Annotated[
         Path | None, typer.Option(help="Record for the rerun viewer into this file.")
     ] = None,
+    mcap: Annotated[
+        Path | None, typer.Option(help="Record for Foxglove into this MCAP file.")
+    ] = None,
+    colmap: Annotated[
+        Path | None,
+        typer.Option(help="Write keyframes, their images and points as a COLMAP model here."),
+    ] = None,
+    ply: Annotated[Path | None, typer.Option(help="Write the map's points into this file.")] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(help="Calibration file instead of the recording's own."),
@@ -121,6 +129,7 @@ def run_command(
 
         from vo.cli.progress import make_progress, warnings_on
         from vo.config import load_config
+        from vo.recording.exports import Exports
         from vo.run import run
 
         settings = list(overrides or ())
@@ -137,6 +146,7 @@ def run_command(
                 end=end,
                 stride=stride,
                 rrd=rrd,
+                exports=Exports(mcap=mcap, colmap=colmap, ply=ply),
                 calibration=calibration,
                 format=format,
                 topics=topic or (),

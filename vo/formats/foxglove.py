@@ -79,7 +79,7 @@ def schema(kind: type[Message]) -> Schema:
 
 def encode(message: Message) -> bytes:
     """A message as protobuf bytes."""
-    return _protobuf(message).SerializeToString(deterministic=True)
+    return as_protobuf(message).SerializeToString(deterministic=True)
 
 
 def _class_of(kind: type[Message]) -> type[PbMessage]:
@@ -94,8 +94,9 @@ def _class_of(kind: type[Message]) -> type[PbMessage]:
     return classes[kind]
 
 
-def _protobuf(message: Message) -> PbMessage:
-    stamp = _timestamp(message.stamp_ns)
+def as_protobuf(message: Message) -> PbMessage:
+    """A message as an object of its protobuf class."""
+    stamp = timestamp(message.stamp_ns)
     match message:
         case ImageMessage():
             return RawImage(
@@ -120,13 +121,11 @@ def _protobuf(message: Message) -> PbMessage:
             return imu_class()(
                 timestamp=stamp,
                 frame_id=message.frame,
-                angular_velocity=_vector(message.gyro),
-                linear_acceleration=_vector(message.accel),
+                angular_velocity=vector(message.gyro),
+                linear_acceleration=vector(message.accel),
             )
         case PoseMessage():
-            pose = Pose(
-                position=_vector(message.pose[:3, 3]), orientation=_quaternion(message.pose)
-            )
+            pose = Pose(position=vector(message.pose[:3, 3]), orientation=quaternion(message.pose))
             return PoseInFrame(timestamp=stamp, frame_id=message.frame, pose=pose)
         case TransformsMessage():
             return _transforms(message, stamp)
@@ -155,25 +154,28 @@ def _transforms(message: TransformsMessage, stamp: Timestamp) -> FrameTransforms
                 timestamp=stamp,
                 parent_frame_id=each.parent,
                 child_frame_id=each.child,
-                translation=_vector(each.parent_from_child[:3, 3]),
-                rotation=_quaternion(each.parent_from_child),
+                translation=vector(each.parent_from_child[:3, 3]),
+                rotation=quaternion(each.parent_from_child),
             )
             for each in message.transforms
         ]
     )
 
 
-def _timestamp(stamp_ns: int) -> Timestamp:
+def timestamp(stamp_ns: int) -> Timestamp:
+    """A stamp as protobuf has it."""
     seconds, nanos = divmod(stamp_ns, _NS_PER_S)
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
-def _vector(xyz: Floats) -> Vector3:
+def vector(xyz: Floats) -> Vector3:
+    """Coordinates (3,)."""
     x, y, z = xyz.tolist()
     return Vector3(x=x, y=y, z=z)
 
 
-def _quaternion(transform: Floats) -> Quaternion:
+def quaternion(transform: Floats) -> Quaternion:
+    """The rotation of a transform (4, 4)."""
     x, y, z, w = quat_xyzw_from_rotation(transform[:3, :3]).tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 

@@ -13,7 +13,7 @@ from vo.mapping.map import Keyframe, Map
 from vo.pipeline.grow import far_from
 from vo.pipeline.place import Tracked
 from vo.pipeline.working_frame import WorkingFrame
-from vo.types import FeatureState, Floats, Floats32, Ints, Landmarks, View
+from vo.types import FeatureState, Floats, Floats32, Ints, Landmarks, Sightings, View
 
 
 class Seen(NamedTuple):
@@ -85,6 +85,8 @@ def landmarks_of(world: Map, rig: WorkingRig, sigma_disparity_px: float) -> Land
         xyz=transform_points(rig.cam0_from_working, world.xyz),
         grey=world.images[slots, v.clip(0, height - 1), u.clip(0, width - 1)],
         sigma=sigma,
+        # A keyframe's arrays are replaced, never changed, so that they need no copy.
+        sightings=tuple(Sightings(k.frame_index, k.landmark, k.image_xy) for k in keyframes),
     )
 
 

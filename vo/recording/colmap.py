@@ -1,0 +1,122 @@
+"""Records keyframes and points as a COLMAP model, with the images it belongs to."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.errors import OutputError
+from vo.formats.colmap import MODEL_FILES, knows_lens, write_model
+from vo.geometry import cameras
+from vo.recording.reconstruction import Model, Reconstruction, camera_of, pinhole_of
+from vo.types import Bytes, Camera, Estimate, Floats32, Rig, Trajectory, View
+
+_IMAGES, _MODELS = "images", "sparse"
+
+
+class ColmapRecorder:
+    """Writes `images/` as the run goes on, and `sparse/0`, `sparse/1`, … when it ends.
+
+    A model for each segment, the one with most keyframes first: where one lies against another is
+    not known. Images are as the odometry saw them: rectified in stereo, as recorded in mono, and
+    free of distortion where COLMAP does not know the lens.
+
+    Args:
+        folder: made if it is missing; models of an earlier run in it are removed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._reconstruction = Reconstruction()
+        self._names: dict[int, str] = {}
+        self._camera: Camera | None = None
+        self._maps: tuple[Floats32, Floats32] | None = None
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """Make the folder.
+
+        Raises:
+            OutputError: it cannot be written to.
+        """
+        try:
+            (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
+            for old in (self._folder / _MODELS).glob("[0-9]*"):
+                if {each.name for each in old.iterdir()} <= set(MODEL_FILES):
+                    shutil.rmtree(old)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write to folder {self._folder}: {error.strerror or error}; "
+                "choose another --colmap"
+            ) from error
+
+    def record(self, estimate: Estimate) -> None:
+        """Take in a frame; a keyframe's image is written.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        self._reconstruction.add(estimate)
+        if self._camera is None:
+            self._camera, self._maps = _output_camera(estimate.view)
+        if estimate.is_keyframe:
+            self._names[estimate.frame_index] = self._write_image(estimate)
+
+    def _write_image(self, estimate: Estimate) -> str:
+        image = estimate.view.image0
+        if self._maps is not None:
+            undistorted = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
+            image = np.asarray(undistorted, dtype=np.uint8)
+        name = f"frame_{estimate.frame_index:06d}.png"
+        (self._folder / _IMAGES / name).write_bytes(_png(image))
+        return name
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Write the models, without keyframes that were not shown, as the first of a mono map.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        for number, model in enumerate(self._reconstruction.models(smoothed, self._names)):
+            self._write(self._folder / _MODELS / str(number), model)
+
+    def _write(self, folder: Path, model: Model) -> None:
+        assert self._camera is not None
+        is_pinhole = self._maps is not None
+        write_model(
+            folder,
+            camera=self._camera,
+            names=[self._names[int(frame)] for frame in model.frame_index],
+            world_from_cam=model.world_from_image0,
+            xyz=model.xyz,
+            grey=model.grey,
+            error_px=model.error_px,
+            image=model.keyframe,
+            point=model.point,
+            xy=_undistorted(model.camera, self._camera, model.xy) if is_pinhole else model.xy,
+        )
+
+
+def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None]:
+    """The camera of the written images, and OpenCV's maps that undistort them if it must be."""
+    camera, pinhole = camera_of(view), pinhole_of(view)
+    if knows_lens(camera):
+        return camera, None
+    u, v = np.meshgrid(np.arange(pinhole.width), np.arange(pinhole.height))
+    rays = cameras.normalise(pinhole, np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
+    maps: NDArray[np.float32] = cameras.distort(camera, rays).astype(np.float32)
+    maps = np.nan_to_num(maps, nan=-1.0).reshape(pinhole.height, pinhole.width, 2)
+    return pinhole, (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
+
+
+def _undistorted(lens: Camera, pinhole: Camera, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return cameras.distort(pinhole, cameras.normalise(lens, xy))
+
+
+def _png(image: Bytes) -> bytes:
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert done
+    return bytes(data.tobytes())

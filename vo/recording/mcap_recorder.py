@@ -1,0 +1,136 @@
+"""Records a run as an MCAP file for Foxglove.
+
+Topics: `/tf` (world, cam0 and the camera of the shown images), `/pose` as known at the time,
+`/path` so far and, in the end, smoothed; `/map`, the landmarks of the local map; `/image`,
+`/calibration` and `/features` of each frame.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO
+
+import cv2
+import numpy as np
+from google.protobuf.message import Message as PbMessage
+from mcap_protobuf.writer import Writer
+
+from vo.errors import OutputError
+from vo.formats.foxglove import as_protobuf
+from vo.formats.foxglove_scene import Colour, cloud_message, marks_message, path_message
+from vo.formats.messages import (
+    CalibrationMessage,
+    CompressedImageMessage,
+    FrameTransform,
+    Message,
+    PoseMessage,
+    TransformsMessage,
+)
+from vo.recording.reconstruction import camera_of
+from vo.types import Estimate, FeatureState, Floats, Rig, Trajectory, View
+
+_WORLD, _CAM0, _SHOWN = "world", "cam0", "cam0_image"
+_JPEG_QUALITY = 80
+_MARK_PX = 3.0
+_GROWTH = 1.05  # the whole path is written again when it is so much longer
+_MID_GREY = 128
+# Okabe and Ito's colours, as in the other pictures.
+_COLOURS = {
+    FeatureState.NEW: Colour(0.34, 0.71, 0.91),
+    FeatureState.TRACKED: Colour(0.0, 0.62, 0.45),
+    FeatureState.REJECTED: Colour(0.84, 0.37, 0.0),
+}
+
+
+class McapRecorder:
+    """Writes a run with Foxglove's protobuf messages, in chunks packed with zstd.
+
+    Args:
+        path: the file; one that exists is replaced.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._poses: list[Floats] = []
+        self._poses_written = 0
+        self._stamp_ns = 0
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """Open the file.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: IO[bytes] = self._path.open("wb")
+            self._writer = Writer(self._file)
+        except OSError as error:
+            raise OutputError(
+                f"recording {self._path} cannot be written: {error.strerror or error}; "
+                "choose another --mcap"
+            ) from error
+        self._writer.add_metadata("recording", {"name": name, "library": "vo"})
+
+    def record(self, estimate: Estimate) -> None:
+        """Write one frame.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        self._stamp_ns = estimate.stamp_ns
+        pose = estimate.world_from_cam0
+        self._write_transforms(estimate.view, pose)
+        if pose is not None:
+            self._write("/pose", PoseMessage(self._stamp_ns, _WORLD, pose))
+            self._poses.append(pose)
+        self._write_image(estimate.view)
+        if estimate.landmarks is not None:
+            found = estimate.landmarks
+            grey = found.grey
+            if grey is None:
+                grey = np.full(len(found.ids), _MID_GREY, dtype=np.uint8)
+            self._send("/map", cloud_message(self._stamp_ns, _WORLD, found.xyz, grey))
+        if len(self._poses) > _GROWTH * self._poses_written:
+            self._write_path(np.stack(self._poses))
+            self._poses_written = len(self._poses)
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Write the smoothed path and close the file.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        try:
+            if len(smoothed):
+                self._write_path(smoothed.world_from_cam)
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
+
+    def _write_transforms(self, view: View, pose: Floats | None) -> None:
+        turn = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
+        transforms = [FrameTransform(_CAM0, _SHOWN, turn)]
+        if pose is not None:
+            transforms.append(FrameTransform(_WORLD, _CAM0, pose))
+        self._write("/tf", TransformsMessage(self._stamp_ns, tuple(transforms)))
+
+    def _write_image(self, view: View) -> None:
+        stamp_ns, camera = self._stamp_ns, camera_of(view)
+        done, data = cv2.imencode(".jpg", view.image0, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        assert done
+        self._write("/image", CompressedImageMessage(stamp_ns, _SHOWN, "jpeg", data.tobytes()))
+        projection = np.column_stack([view.camera_matrix, np.zeros(3)])
+        calibration = CalibrationMessage(stamp_ns, _SHOWN, camera, np.eye(3), projection)
+        self._write("/calibration", calibration)
+        marks = {colour: view.xy[view.feature_state == state] for state, colour in _COLOURS.items()}
+        self._send("/features", marks_message(stamp_ns, marks, _MARK_PX))
+
+    def _write_path(self, poses: Floats) -> None:
+        self._send("/path", path_message(self._stamp_ns, _WORLD, poses))
+
+    def _write(self, topic: str, message: Message) -> None:
+        self._send(topic, as_protobuf(message))
+
+    def _send(self, topic: str, message: PbMessage) -> None:
+        self._writer.write_message(topic, message, self._stamp_ns, self._stamp_ns)

@@ -1,0 +1,55 @@
+"""Records the map's points as a PLY file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vo.errors import OutputError
+from vo.formats.ply import write_ply
+from vo.recording.reconstruction import Reconstruction
+from vo.types import Estimate, Rig, Trajectory
+
+
+class PlyRecorder:
+    """Writes all points that were ever in the map, when the run ends.
+
+    Args:
+        path: the file; one that exists is replaced.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._reconstruction = Reconstruction()
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """See that the file can be written.
+
+        Raises:
+            OutputError: it cannot.
+        """
+        self._name = name
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            write_ply(self._path, np.empty((0, 3)), np.empty(0, np.uint8), name)
+        except OSError as error:
+            raise OutputError(
+                f"points {self._path} cannot be written: {error.strerror or error}; "
+                "choose another --ply"
+            ) from error
+
+    def record(self, estimate: Estimate) -> None:
+        """Take in a frame."""
+        self._reconstruction.add(estimate)
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Write the points.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        models = self._reconstruction.models(smoothed)
+        xyz = np.concatenate([np.empty((0, 3)), *(model.xyz for model in models)])
+        grey = np.concatenate([np.empty(0, np.uint8), *(model.grey for model in models)])
+        write_ply(self._path, xyz, grey, self._name)

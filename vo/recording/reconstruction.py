@@ -1,0 +1,194 @@
+"""Keeps what leaves the map, so that the whole of it can be written in the end.
+
+The map holds the newest keyframes only. A keyframe that leaves keeps what it saw last, and a
+landmark where it was last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.geometry import cameras
+from vo.geometry.transforms import inverse
+from vo.types import (
+    Bytes,
+    Camera,
+    Estimate,
+    Floats,
+    Ints,
+    KeyframePose,
+    Landmarks,
+    Sightings,
+    Trajectory,
+    View,
+)
+
+_GATE_PX = 3.0  # observations further off are left out
+_LEAST_SIGHTINGS = 2
+_MID_GREY = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Keyframes and points of one segment; K keyframes, M points, N observations.
+
+    Attributes:
+        camera: of `View.image0`.
+        frame_index: (K,) numbers of the keyframes' frames.
+        world_from_image0: (K, 4, 4) poses of the camera of `View.image0`.
+        xyz: (M, 3) in the world.
+        grey: (M,) grey levels.
+        error_px: (M,) mean distance between projection and observations.
+        keyframe: (N,) row in frame_index of each observation, increasing.
+        point: (N,) row in xyz of each observation.
+        xy: (N, 2) pixels in the keyframe's `View.image0`.
+    """
+
+    camera: Camera
+    frame_index: Ints
+    world_from_image0: Floats
+    xyz: Floats
+    grey: Bytes
+    error_px: Floats
+    keyframe: Ints
+    point: Ints
+    xy: Floats
+
+
+class Reconstruction:
+    """Everything that was ever in the map."""
+
+    def __init__(self) -> None:
+        self._keyframes: dict[int, KeyframePose] = {}
+        self._sightings: dict[int, Sightings] = {}
+        self._xyz = np.full((1024, 3), np.nan)  # rows are ids
+        self._grey = np.full(1024, _MID_GREY, dtype=np.uint8)
+        self._camera: Camera | None = None
+        self._cam0_from_image0 = np.eye(4)
+
+    def add(self, estimate: Estimate) -> None:
+        """Take in a frame."""
+        self._camera = camera_of(estimate.view)
+        if estimate.view.cam0_from_image0 is not None:
+            self._cam0_from_image0 = estimate.view.cam0_from_image0
+        for keyframe in estimate.keyframes:
+            self._keyframes[keyframe.frame_index] = keyframe
+        if estimate.landmarks is not None:
+            self._take_in(estimate.landmarks)
+
+    def _take_in(self, landmarks: Landmarks) -> None:
+        for sightings in landmarks.sightings:
+            self._sightings[sightings.frame_index] = sightings
+        if not len(landmarks.ids):
+            return
+        missing = int(landmarks.ids[-1]) + 1 - len(self._xyz)
+        if missing > 0:
+            missing = max(missing, len(self._xyz))
+            self._xyz = np.concatenate([self._xyz, np.full((missing, 3), np.nan)])
+            grey = np.full(missing, _MID_GREY, dtype=np.uint8)
+            self._grey = np.concatenate([self._grey, grey])
+        self._xyz[landmarks.ids] = landmarks.xyz
+        if landmarks.grey is not None:
+            self._grey[landmarks.ids] = landmarks.grey
+
+    def models(self, smoothed: Trajectory, frames: Container[int] | None = None) -> list[Model]:
+        """A model for each segment, the one with most keyframes first.
+
+        Args:
+            smoothed: the final path; points move with the last keyframe that saw them.
+            frames: only keyframes of these frames take part.
+        """
+        if self._camera is None:
+            return []
+        known = [k for k in sorted(self._keyframes) if k in self._sightings]
+        known = [k for k in known if frames is None or k in frames]
+        segments = [self._keyframes[k].segment for k in known]
+        models = [
+            self._model([k for k, s in zip(known, segments, strict=True) if s == segment], smoothed)
+            for segment in sorted(set(segments))
+        ]
+        return sorted(models, key=lambda model: -len(model.frame_index))
+
+    def _model(self, frames: list[int], smoothed: Trajectory) -> Model:
+        assert self._camera is not None
+        before = np.stack([self._keyframes[frame].world_from_cam0 for frame in frames])
+        stamps = np.array([self._keyframes[frame].stamp_ns for frame in frames])
+        after = _poses_at(stamps, smoothed, before)
+        sightings = [self._sightings[frame] for frame in frames]
+        ids = np.concatenate([each.ids for each in sightings])
+        keyframe = np.repeat(np.arange(len(frames)), [len(each.ids) for each in sightings])
+        xy = np.concatenate([each.xy for each in sightings])
+        carrier = np.full(len(self._xyz), -1)
+        carrier[ids] = keyframe  # the last one stays
+        moved = (after @ inverse(before))[carrier[ids]]
+        points = np.einsum("nij,nj->ni", moved[:, :3, :3], self._xyz[ids]) + moved[:, :3, 3]
+        world_from_image0 = after @ self._cam0_from_image0
+        errors = _errors(self._camera, points, world_from_image0, keyframe, xy)
+        return _gated(
+            self._camera, self._grey, frames, world_from_image0, ids, points, errors, keyframe, xy
+        )
+
+
+def _gated(
+    camera: Camera,
+    grey: Bytes,
+    frames: list[int],
+    world_from_image0: Floats,
+    ids: Ints,
+    points: Floats,
+    errors: Floats,
+    keyframe: Ints,
+    xy: Floats,
+) -> Model:
+    """Observations that agree with their point, and points that have enough of them."""
+    good = errors < _GATE_PX
+    seen = np.bincount(ids[good], minlength=1)
+    good &= np.isin(ids, np.flatnonzero(seen >= _LEAST_SIGHTINGS))
+    kept, first, point = np.unique(ids[good], return_index=True, return_inverse=True)
+    count = np.maximum(np.bincount(point, minlength=len(kept)), 1)
+    return Model(
+        camera=camera,
+        frame_index=np.array(frames, dtype=np.int64),
+        world_from_image0=world_from_image0,
+        xyz=points[good][first],
+        grey=grey[kept],
+        error_px=np.bincount(point, weights=errors[good], minlength=len(kept)) / count,
+        keyframe=keyframe[good].astype(np.int64),
+        point=point.astype(np.int64),
+        xy=xy[good],
+    )
+
+
+def _errors(
+    camera: Camera, points: Floats, world_from_image0: Floats, keyframe: Ints, xy: Floats
+) -> Floats:
+    """Pixels (N,) between projection and observation; infinite where there is no projection."""
+    image0_from_world = inverse(world_from_image0)[keyframe]
+    local = np.einsum("nij,nj->ni", image0_from_world[:, :3, :3], points)
+    projected = cameras.project(camera, local + image0_from_world[:, :3, 3])
+    errors = np.linalg.norm(projected - xy, axis=1)
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def _poses_at(stamps_ns: Ints, path: Trajectory, otherwise: Floats) -> Floats:
+    """The path's poses (K, 4, 4) at stamps that it has, and `otherwise` at others."""
+    if not len(path):
+        return otherwise
+    rows = np.minimum(np.searchsorted(path.stamps_ns, stamps_ns), len(path) - 1)
+    is_there = path.stamps_ns[rows] == stamps_ns
+    return np.where(is_there[:, None, None], path.world_from_cam[rows], otherwise)
+
+
+def camera_of(view: View) -> Camera:
+    """The camera of `view.image0`, with its lens if the image is as recorded."""
+    return view.lens if view.lens is not None else pinhole_of(view)
+
+
+def pinhole_of(view: View) -> Camera:
+    """The ideal pinhole camera of `view`."""
+    height, width = view.image0.shape
+    k = view.camera_matrix
+    return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
