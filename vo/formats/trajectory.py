@@ -18,6 +18,7 @@ TrajectoryFormat = Literal["tum", "kitti", "euroc"]
 _log = logging.getLogger(__name__)
 _NS_PER_S = 1_000_000_000
 _MAX_S = 9_000_000_000
+_LARGEST = 1e12
 _TUM_COLUMNS = 8
 _KITTI_COLUMNS = 12
 _EUROC_COLUMNS = 8
@@ -231,15 +232,16 @@ def _need_columns(rows: list[_Row], columns: int, *, exactly: bool) -> None:
 
 
 def _numbers(rows: list[_Row], start: int, stop: int) -> Floats:
-    """Columns start..stop-1 as (N, stop - start) finite numbers."""
+    """Columns start..stop-1 as (N, stop - start) finite numbers, none beyond all reason."""
     values = np.empty((len(rows), stop - start))
     for i, row in enumerate(rows):
         try:
             values[i] = [float(field) for field in row.fields[start:stop]]
         except ValueError as error:
             raise SourceError(f"{row.place}: {error}; every column must be a number") from error
-    if not np.isfinite(values).all():
-        i, j = np.argwhere(~np.isfinite(values))[0]
+    impossible = ~(np.abs(values) <= _LARGEST)
+    if impossible.any():
+        i, j = np.argwhere(impossible)[0]
         found = rows[i].fields[start + j]
         raise SourceError(f"{rows[i].place}: column {start + j + 1} is {found}; remove the line")
     return values
