@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg
@@ -88,6 +89,7 @@ def _full_name(schema: str) -> str:
     return f"{package.removesuffix('/msg')}/msg/{name}"
 
 
+@lru_cache(maxsize=64)
 def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typestore:
     try:
         text = definition.decode()

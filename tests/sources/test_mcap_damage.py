@@ -1,0 +1,196 @@
+"""Files that were cut off or damaged: what comes before is read, and nothing else goes wrong."""
+
+from __future__ import annotations
+
+import logging
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import layouts
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from mcap_logs import write_log
+
+from vo.errors import SourceError, VoError
+from vo.formats.messages import ImageMessage
+from vo.sources.logs.log import Entry
+from vo.sources.mcap.book import IN_FILE
+from vo.sources.mcap.file import McapFile
+from vo.sources.registry import open_source
+
+KINDS = {
+    "zstd": (CompressionType.ZSTD, True),
+    "lz4": (CompressionType.LZ4, True),
+    "plain": (CompressionType.NONE, True),
+    "unchunked": (CompressionType.NONE, False),
+}
+TRIES = 50
+"""For each kind of file."""
+
+LONGEST_S = 5.0
+
+
+@pytest.fixture(params=KINDS)
+def whole(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    compression, chunked = KINDS[request.param]
+    return write_log(
+        tmp_path / f"{request.param}.mcap",
+        layouts.log_messages(),
+        compression=compression,
+        use_chunking=chunked,
+        chunk_size=8_000,
+    )
+
+
+def contents(file: McapFile) -> dict[tuple[str, int], bytes]:
+    """What can be read, by topic and time of logging."""
+    found = {}
+    for topic, entries in file.entries([topic.name for topic in file.topics]).items():
+        for entry in entries:
+            try:
+                found[topic, entry.log_ns] = file.read(entry)
+            except SourceError:
+                continue
+    return found
+
+
+def ends(file: McapFile, by_message: bool) -> dict[tuple[str, int], int]:
+    """Up to which byte the file must be sound for each message."""
+
+    def end(entry: Entry) -> int:
+        chunk, start, length = entry.place
+        if chunk == IN_FILE:
+            return int(start + length)
+        holder = file._survey.chunks[chunk]
+        if by_message and not holder.is_packed:
+            return int(holder.head.start + start + length)
+        return int(holder.head.start + holder.head.size)
+
+    return {
+        (topic, entry.log_ns): end(entry)
+        for topic, entries in file.entries([topic.name for topic in file.topics]).items()
+        for entry in entries
+    }
+
+
+def check(damaged: Path, expected: dict[tuple[str, int], bytes]) -> None:
+    """All that is expected is there, and a run would get frames or an error in one line."""
+    begun = time.monotonic()
+    try:
+        found = contents(McapFile(damaged))
+    except SourceError:
+        found = {}
+    for key, data in expected.items():
+        assert found.get(key) == data, key
+    try:
+        for frame in open_source(damaged).frames():
+            assert frame.image0.shape == (layouts.HEIGHT, layouts.WIDTH)
+    except VoError as error:
+        assert str(error)
+    assert time.monotonic() - begun < LONGEST_S
+
+
+def test_every_message_before_a_cut_is_read(whole: Path, tmp_path: Path) -> None:
+    file = McapFile(whole)
+    messages, sound = contents(file), ends(file, by_message=True)
+    data = whole.read_bytes()
+    damaged = tmp_path / "cut.mcap"
+    for at in np.random.default_rng(1).integers(0, len(data), TRIES):
+        damaged.write_bytes(data[:at])
+        check(damaged, {key: messages[key] for key in messages if sound[key] <= at})
+
+
+def test_every_message_before_a_wrong_byte_is_read(whole: Path, tmp_path: Path) -> None:
+    file = McapFile(whole)
+    messages, sound = contents(file), ends(file, by_message=False)
+    data = whole.read_bytes()
+    damaged = tmp_path / "flipped.mcap"
+    rng = np.random.default_rng(2)
+    for at in rng.integers(8, len(data), TRIES):
+        wrong = bytearray(data)
+        wrong[at] ^= 1 << int(rng.integers(8))
+        damaged.write_bytes(wrong)
+        check(damaged, {key: messages[key] for key in messages if sound[key] <= at})
+
+
+@pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
+def test_a_wrong_byte_in_a_chunk_costs_no_more_than_the_chunk(kind: str, tmp_path: Path) -> None:
+    path = write_log(
+        tmp_path / "log.mcap",
+        layouts.log_messages(),
+        compression=KINDS[kind][0],
+        chunk_size=8_000,
+    )
+    file = McapFile(path)
+    before, chunks = contents(file), file._survey.chunks
+    victim = chunks[len(chunks) // 2].head
+    data = bytearray(path.read_bytes())
+    data[victim.start + victim.size // 2] ^= 4
+    path.write_bytes(data)
+    after = contents(McapFile(path))
+    lost = {key for key in before if after.get(key) != before[key]}
+    assert len(lost) > 0
+    assert all(victim.first_ns <= log_ns <= victim.last_ns for _, log_ns in lost)
+    assert all(after[key] == before[key] for key in after)
+
+
+def test_says_how_much_of_a_cut_file_is_used(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_log(tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.6 * len(data))])
+    source = open_source(path)
+    assert 1 < len(source) < layouts.COUNT
+    assert len(caplog.records) == 1
+    message = caplog.records[0].getMessage()
+    assert "is cut off or damaged" in message
+    assert f"of {int(0.6 * len(data))}" in message
+    span_s = (len(source) - 1) * 0.1
+    assert f"in {span_s:.1f} s" in message
+
+
+@pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
+def test_most_of_a_chunk_that_is_cut_off_is_used(kind: str, tmp_path: Path) -> None:
+    noise = np.random.default_rng(3).integers(0, 256, (200, 48, 64), dtype=np.uint8)
+    path = write_log(
+        tmp_path / "log.mcap",
+        (
+            ("/image", ImageMessage(i + 1, "cam0", 64, 48, "mono8", pixels.tobytes()))
+            for i, pixels in enumerate(noise)
+        ),
+        compression=KINDS[kind][0],
+        chunk_size=10**7,
+    )
+    whole = contents(McapFile(path))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    found = contents(McapFile(path))
+    # A compressor packs up to 128 KiB at a time; what is left of a pack is lost.
+    assert 100 - 45 <= len(found) <= 100
+    assert all(whole[key] == found[key] for key in found)
+
+
+def test_a_sound_file_is_read_without_a_word(whole: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        assert len(list(open_source(whole).frames())) == layouts.COUNT
+    assert caplog.records == []
+
+
+def test_messages_are_in_the_order_of_their_stamps(tmp_path: Path) -> None:
+    messages = list(layouts.log_messages())
+    path = write_log(tmp_path / "log.mcap", messages[:1] + messages[:0:-1])
+    source = open_source(path)
+    stamps = [frame.stamp_ns for frame in source.frames()]
+    assert stamps == layouts.STAMPS_NS
+    assert all(b > a for a, b in pairwise(stamps))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 2, b"#!/bin/sh\n"])
+def test_no_mcap_file(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match="does not begin like|no topic has messages"):
+        open_source(path)
