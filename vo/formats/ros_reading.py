@@ -165,7 +165,7 @@ def _calibration(record: Any) -> CalibrationMessage:
         RawCalibration(
             stamp_ns=_stamp_ns(record.header.stamp),
             frame=record.header.frame_id,
-            size=(record.width, record.height),
+            size=(record.roi.width or record.width, record.roi.height or record.height),
             model=record.distortion_model,
             d=d,
             k=k,
