@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vo.errors import CalibrationError, OutputError
-from vo.formats.calibration import read_calibration, write_calibration
+from vo.formats.calibration import FORMATS, read_calibration, write_calibration
 from vo.formats.calibration.lenses import COUNTS, DISTORTION_NAMES
+from vo.geometry.rectification import working_rig
 from vo.geometry.transforms import se3_exp
 from vo.types import Camera, Rig
 
@@ -342,11 +343,20 @@ def test_kitti_without_the_left_camera(tmp_path: Path) -> None:
 
 
 def test_documented_examples_can_be_read(tmp_path: Path) -> None:
+    """Every block is a whole file; those of other programs stand under the name of their kind."""
     text = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
-    examples = [part.split("```")[0] for part in text.split("```yaml\n")[1:]]
-    assert len(examples) >= 3
-    rigs = [read_calibration(_file(tmp_path, e, f"{i}.yaml")).rig for i, e in enumerate(examples)]
-    assert [rig.is_stereo for rig in rigs[:3]] == [False, True, True]
+    kinds, pairs = [], []
+    for part in text.split("\n## ")[1:]:
+        for section in ("\n" + part).split("\n### "):
+            title = section.split("\n")[0] or "vo"
+            for block in section.split("```")[1::2]:
+                file = _file(tmp_path, block.split("\n", 1)[1], f"{len(kinds)}.txt")
+                calibration = read_calibration(file, (1226, 370))
+                kinds.append(title)
+                assert calibration.kind == title
+                pairs.append(working_rig(calibration.rig).is_stereo)
+    assert (kinds[:3], pairs[:3]) == (["vo"] * 3, [False, True, True])
+    assert set(kinds) == set(FORMATS)
 
 
 def test_a_baseline_in_millimetres_is_warned_of(
