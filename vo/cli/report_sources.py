@@ -28,15 +28,14 @@ class Judged(NamedTuple):
 
 
 def open_recording(run: RunRecord) -> tuple[Source | None, str]:
-    """The recording that a run was made of, or why it cannot be read any more."""
+    """The recording that a run was made of, or None; and why there is no truth if there is none."""
     path = Path(str(run.summary["source"]))
-    if not path.exists():
-        return None, f"the recording {path} is not there any more"
     mode: Mode = "mono" if run.summary["mode"] == "mono" else "auto"
     try:
-        return open_source(path, format=str(run.summary["format"]), mode=mode), ""
+        source = open_source(path, format=str(run.summary["format"]), mode=mode)
     except VoError as error:
-        return None, f"the recording cannot be read as it is: {error}"
+        return None, f"the recording cannot be read any more: {error}"
+    return source, "the recording has none"
 
 
 def judge(run: RunRecord, truth: Path | None, source: Source | None, why_not: str) -> Judged:
@@ -50,28 +49,34 @@ def judge(run: RunRecord, truth: Path | None, source: Source | None, why_not: st
         return Judged(None, None, "nothing to compare: no frame has a pose")
     if truth is not None:
         return _compared(_inputs_asked(run, truth))
-    if source is None:
-        return Judged(None, None, f"no truth: {why_not}")
-    if source.ground_truth is None:
-        return Judged(None, None, "no truth: the recording has none")
     path = Path(str(run.summary["source"]))
     try:
-        return _compared(inputs_against(run.path, source.ground_truth, path))
+        inputs = _inputs_found(run, path, source)
+        return Judged(None, None, f"no truth: {why_not}") if inputs is None else _compared(inputs)
     except EvaluationError as error:
         return Judged(None, None, f"not compared with the recording's truth: {error}")
 
 
 def _inputs_asked(run: RunRecord, truth: Path) -> Inputs:
     """A file or folder that `vo eval` knows, or any recording that has a truth."""
-    try:
+    if truth.is_file():
         return load_inputs(run.path, truth)
-    except SourceError:
-        if truth.is_file():
-            raise
-    found = open_source(truth).ground_truth
-    if found is None:
+    inputs = _inputs_found(run, truth, open_source(truth))
+    if inputs is None:
         raise SourceError(f"{truth} has no ground truth; give its file")
-    return inputs_against(run.path, found, truth)
+    return inputs
+
+
+def _inputs_found(run: RunRecord, path: Path, source: Source | None) -> Inputs | None:
+    """The truth that `vo eval` would take from a recording, or that the source brings along."""
+    if path.is_dir():
+        try:
+            return load_inputs(run.path, path)
+        except SourceError:
+            pass
+    if source is None or source.ground_truth is None:
+        return None
+    return inputs_against(run.path, source.ground_truth, path)
 
 
 def _compared(inputs: Inputs) -> Judged:

@@ -1,0 +1,212 @@
+"""What stands in the page of `vo report`, also for runs that are not as they should be."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections import Counter
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from run_changes import change_summary
+from typer.testing import CliRunner
+
+from vo.cli.app import app
+from vo.evaluation.inputs import load_inputs
+from vo.evaluation.report import evaluate
+from vo.formats.trajectory import read_tum, write_tum
+from vo.report.quantities import duration, length, number, share
+
+
+class Page(HTMLParser):
+    """Text of a page outside of its figures and style, its ids, and what it would load."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.source = path.read_text(encoding="utf-8")
+        self.ids: list[str] = []
+        self.loads: list[str] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.images = 0
+        self.feed(self.source)
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.open.append(tag)
+        self.images += tag == "img"
+        for name, value in attributes:
+            if name == "id" and value:
+                self.ids.append(value)
+            if name in ("src", "href", "xlink:href", "srcset") and value:
+                self.loads.append(value)
+
+    def handle_endtag(self, tag: str) -> None:
+        while self.open and self.open.pop() != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        if not {"svg", "style", "script"} & set(self.open):
+            self.words.append(data)
+
+
+def make(*arguments: str | Path, expect: int = 0) -> str:
+    result = CliRunner().invoke(app, ["report", *map(str, arguments)])
+    assert result.exit_code == expect, result.output
+    return " ".join(result.output.split())
+
+
+def page_of(tmp_path: Path, *arguments: str | Path) -> Page:
+    make(*arguments, "-o", tmp_path / "report.html")
+    return Page(tmp_path / "report.html")
+
+
+def test_a_page_holds_the_numbers_of_its_run(
+    report_runs: list[Path], synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    page = page_of(tmp_path, report_runs[0])
+    inputs = load_inputs(report_runs[0], synthetic_stereo / "groundtruth.tum")
+    found = evaluate(inputs.estimate, inputs.reference, mode="stereo")
+    summary = json.loads((report_runs[0] / "summary.json").read_text(encoding="utf-8"))
+    assert f"All {summary['frames']} frames have a pose" in page.text
+    assert f"ATE {length(found.ate.translation.rmse)}" in page.text
+    assert found.rpe_frames is not None
+    assert f"RPE {length(found.rpe_frames.translation.rmse)}" in page.text
+    assert f"keyframes {summary['keyframes']}" in page.text
+    assert f"memory {summary['peak_rss_mb']:.0f} MB" in page.text
+    assert "features.count" in page.text  # `fast` is not as by default
+    assert page.images >= 2
+    for name in ("path", "error_time", "error_distance", "rpe", "uncertainty", "counts", "stages"):
+        assert f"plot-{name}" in page.ids
+
+
+def test_a_page_needs_nothing_else(report_runs: list[Path], tmp_path: Path) -> None:
+    page = page_of(tmp_path, *report_runs)
+    assert page.loads
+    assert all(value.startswith(("#", "data:")) for value in page.loads)
+    assert "url(http" not in page.source and "@import" not in page.source
+    assert [name for name, count in Counter(page.ids).items() if count > 1] == []
+    references = set(re.findall(r'(?:url\(|href=")#([^")]+)', page.source))
+    assert references <= set(page.ids)
+    assert len(page.source) < 1_500_000
+
+
+def test_several_runs_stand_in_one_table(report_runs: list[Path], tmp_path: Path) -> None:
+    page = page_of(tmp_path, *report_runs)
+    assert "2 runs compared" in page.text
+    rows = re.findall(r"<tr>.*?</tr>", page.source)
+    ate = next(row for row in rows if 'scope="row">ATE' in row)
+    assert "se3" in ate and "sim3" in ate
+    assert {"plot-inliers", "plot-times", "plot-counts_1", "plot-counts_2"} <= set(page.ids)
+
+
+def test_names_are_escaped(report_runs: list[Path], tmp_path: Path) -> None:
+    odd = tmp_path / '<img src=x onerror=alert(1)> & "quotes" $x_1$ 中'
+    shutil.copytree(report_runs[0], odd)
+    change_summary(odd, source="<script>alert(2)</script>", warnings=["<b>x</b>"])
+    page = page_of(tmp_path, odd, report_runs[1])
+    assert "<script" not in page.source and "<b>x" not in page.source
+    assert "<img src=x" not in page.source
+    assert odd.name in page.text
+
+
+def test_a_lost_stretch_is_shaded(own_run: Path, tmp_path: Path) -> None:
+    whole = page_of(tmp_path, own_run)
+    rows = (own_run / "frames.csv").read_text(encoding="utf-8").splitlines()
+    rows[6:9] = [row.replace(",tracking,", ",lost,") for row in rows[6:9]]
+    (own_run / "frames.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    lost = {"first": 5, "last": 7, "frames": 3, "state": "lost", "reason": "a <dark> tunnel"}
+    change_summary(own_run, tracked=11, lost=3, without_pose=[lost])
+    page = page_of(tmp_path, own_run)
+    assert "11 of 14 frames have a pose (78.5 %)" in page.text
+    assert "with gaps" in page.text and "a <dark> tunnel" in page.text
+    assert "lost: frame 5" in page.text and "recovered: frame 8" in page.text
+    assert page.source.count("var(--lost)") > whole.source.count("var(--lost)")
+    assert ">no pose</text>" in page.source
+
+
+def test_a_killed_run_is_shown(own_run: Path, tmp_path: Path) -> None:
+    for name in ("trajectory.tum", "causal.tum", "covariance.csv", "frames.csv"):
+        (own_run / name).rename(own_run / f"{name}.partial")
+    change_summary(own_run, status="interrupted")
+    page = page_of(tmp_path, own_run)
+    assert "interrupted" in page.text
+    assert "plot-counts" in page.ids
+
+
+def test_a_run_without_frames_or_covariances_is_shown(own_run: Path, tmp_path: Path) -> None:
+    for name in ("frames.csv", "covariance.csv", "config.yaml", "causal.tum"):
+        (own_run / name).unlink()
+    page = page_of(tmp_path, own_run)
+    assert {"plot-path", "plot-error_time"} <= set(page.ids)
+    assert not {"plot-counts", "plot-uncertainty"} & set(page.ids)
+
+
+def test_a_run_without_a_pose_is_shown(own_run: Path, tmp_path: Path) -> None:
+    for name in ("trajectory.tum", "causal.tum"):
+        (own_run / name).write_text("", encoding="utf-8")
+    changed = {"tracked": 0, "segments": [], "path_m": 0.0, "median_inliers": None}
+    change_summary(own_run, **changed)
+    page = page_of(tmp_path, own_run)
+    assert "None of the 14 frames has a pose" in page.text
+    assert "plot-path" not in page.ids
+
+
+def test_truth_may_be_given_or_be_missing(
+    own_run: Path, synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    change_summary(own_run, source=str(tmp_path / "gone"))
+    page = page_of(tmp_path, own_run)
+    assert "cannot be read any more" in page.text and "ATE" not in page.text
+    assert page.images == 0
+    true = read_tum(synthetic_stereo / "groundtruth.tum")
+    write_tum(tmp_path / "mine.txt", true)
+    assert "ATE" in page_of(tmp_path, own_run, "--truth", tmp_path / "mine.txt").text
+    assert "ATE" in page_of(tmp_path, own_run, "--truth", synthetic_stereo).text
+    assert "does not exist" in make(own_run, "--truth", tmp_path / "no.txt", expect=1)
+
+
+def test_plots_are_written_for_papers(report_runs: list[Path], tmp_path: Path) -> None:
+    output, plots = tmp_path / "deep" / "a.html", tmp_path / "plots"
+    make(report_runs[0], "-o", output, "--plots", plots, "--no-images")
+    assert Page(output).images == 0
+    names = {path.stem for path in plots.glob("*.pdf")}
+    assert names == {path.stem for path in plots.glob("*.png")}
+    assert {"path", "error_time", "rpe", "counts", "stages"} <= names
+    assert all(path.stat().st_size > 3000 for path in plots.iterdir())
+
+
+@pytest.mark.parametrize("content", [None, "no json", "[]", '{"frames": 1}'])
+def test_what_is_no_run_is_refused(content: str | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "summary.json").write_text(content, encoding="utf-8")
+    assert "error: " in make(tmp_path, "-o", tmp_path / "r.html", expect=1)
+
+
+def test_damaged_files_are_named(own_run: Path, tmp_path: Path) -> None:
+    rows = (own_run / "frames.csv").read_text(encoding="utf-8").replace("tracking,0", "tracking")
+    (own_run / "frames.csv").write_text(rows, encoding="utf-8")
+    assert "frames.csv is damaged" in make(own_run, "-o", tmp_path / "r.html", expect=1)
+
+
+def test_a_report_that_cannot_be_written_is_an_error(own_run: Path, tmp_path: Path) -> None:
+    assert "cannot be written" in make(own_run, "-o", tmp_path, expect=1)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (1234.5, "1234"), (12.345, "12.3"), (-0.0123, "−0.0123"), (float("nan"), "–")],
+)
+def test_numbers_are_short(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_quantities_have_fitting_units() -> None:
+    assert [length(v) for v in (12.34, 0.1234, 0.00123)] == ["12.3 m", "12.3 cm", "1.23 mm"]
+    assert length(0.5, "map units") == "0.500 map units"
+    assert [duration(v) for v in (5.0, 300.0, 7200.0)] == ["5.00 s", "5.00 min", "2.00 h"]
+    assert [share(p, 2000) for p in (2000, 1999, 0)] == ["100 %", "99.9 %", "0 %"]
+    assert np.isclose(float(number(3.14159)), 3.14)
