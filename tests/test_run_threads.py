@@ -17,7 +17,7 @@ from vo.run import run
 from vo.smoothing.process import SmootherProcess
 from vo.types import Estimate, WindowProblem
 
-FILES = ("trajectory.tum", "causal.tum", "covariance.csv")
+FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 
 
 def _run(source: Path, output: Path, threads: int) -> list[bytes]:
@@ -31,6 +31,17 @@ def test_any_number_of_threads_writes_the_same_bytes(
     alone = _run(synthetic_stereo, tmp_path / "1", 1)
     assert _run(synthetic_stereo, tmp_path / "2", 2) == alone
     assert _run(synthetic_stereo, tmp_path / "4", 4) == alone
+
+
+def test_a_busy_machine_makes_no_difference(synthetic_stereo: Path, tmp_path: Path) -> None:
+    alone = _run(synthetic_stereo, tmp_path / "1", 1)
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
+    try:
+        assert _run(synthetic_stereo, tmp_path / "2", 2) == alone
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
 
 
 def test_a_smoother_killed_in_every_window_makes_no_difference(
