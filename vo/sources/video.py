@@ -23,6 +23,7 @@ from vo.sources.source import Source
 from vo.types import Bytes, Mode
 
 _log = logging.getLogger(__name__)
+_THREADS = 2
 
 
 class _Index(NamedTuple):
@@ -102,11 +103,10 @@ class _Decoder:
         except StopIteration:
             raise SourceError(f"frame {index} of {self.path} is missing: the video ends") from None
         except (av.FFmpegError, OSError) as error:
-            # What follows can be decoded again from the next key frame on.
             self.close()
             raise SourceError(f"frame {index} of {self.path} is damaged: {error}") from error
         if frame.pts != wanted:
-            raise SourceError(f"frame {index} of {self.path} cannot be decoded")
+            raise SourceError(f"frame {index} of {self.path} is damaged")
         # Phones record upright pictures lying down, and note by how much to turn them.
         grey = frame.to_ndarray(format="gray")
         return np.ascontiguousarray(np.rot90(grey, round(frame.rotation / 90)), dtype=np.uint8)
@@ -127,11 +127,22 @@ class _Decoder:
             return
         if self._container is None:
             self._container = av.open(str(self.path))
+            _video_stream(self.path, self._container).codec_context.thread_count = _THREADS
             _video_stream(self.path, self._container).thread_type = "AUTO"
         stream = _video_stream(self.path, self._container)
         self._container.seek(key, stream=stream)
         self._newest, self._reached = None, None
-        self._frames = self._container.decode(stream)
+        self._frames = _decoded(self._container, stream)
+
+
+def _decoded(container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
+    """The frames from here on, without those that damage has reached."""
+    for packet in container.demux(stream):
+        try:
+            frames = packet.decode()
+        except av.InvalidDataError:
+            continue
+        yield from (frame for frame in frames if not frame.is_corrupt)
 
 
 def _list_frames(path: Path) -> _Index:

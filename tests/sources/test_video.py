@@ -1,0 +1,204 @@
+"""Videos: times from the container, jumps, turned pictures, damage."""
+
+from __future__ import annotations
+
+import os
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import layouts
+import numpy as np
+import pytest
+
+from vo.errors import CalibrationError, SourceError
+from vo.sources.registry import open_source
+from vo.types import Bytes
+
+COUNT = 40
+# At 90 kHz: a camera that is now slower, now faster.
+TICKS = np.cumsum([0] + [3003, 3003, 3750, 9000, 300] * 8)[:COUNT].tolist()
+
+
+def picture(index: int) -> Bytes:
+    """Grey levels that tell the number of the frame whatever a codec does to them."""
+    image = np.full((layouts.HEIGHT, layouts.WIDTH), 20 + 5 * index, np.uint8)
+    image[:, :8] = 250  # a bright edge on the left, to see how it is turned
+    return image
+
+
+def number(image: Bytes) -> int:
+    return round((float(np.median(image)) - 20) / 5)
+
+
+def write(
+    path: Path,
+    codec: str,
+    pixels: str = "yuv420p",
+    ticks: list[int] = TICKS,
+    **options: str,
+) -> Path:
+    unit = Fraction(1, 90000)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=30, options=options)
+        stream.codec_context.thread_count = 1
+        stream.width, stream.height, stream.pix_fmt = layouts.WIDTH, layouts.HEIGHT, pixels
+        stream.time_base = stream.codec_context.time_base = unit
+        for i, tick in enumerate(ticks):
+            frame = av.VideoFrame.from_ndarray(picture(i), format="gray").reformat(format=pixels)
+            frame.pts, frame.time_base = tick, unit
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    layouts.write_text(path.parent / "calibration.yaml", layouts.CALIBRATION)
+    return path
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    """H.264 with B-frames and a key frame every ten, at a varying rate."""
+    return write(tmp_path / "clip.mp4", "libx264", g="10", bf="3")
+
+
+def expected_ns(ticks: list[int] = TICKS) -> list[int]:
+    return [round(Fraction(tick, 90000) * 10**9) for tick in ticks]
+
+
+def test_varying_rates_are_exact(clip: Path) -> None:
+    source = open_source(clip)
+    frames = list(source.frames())
+    assert (source.name, source.format, len(source)) == ("clip", "video", COUNT)
+    assert [f.stamp_ns for f in frames] == source.stamps_ns.tolist() == expected_ns()
+    assert [number(f.image0) for f in frames] == list(range(COUNT))
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels", "unit_ns"),
+    [
+        ("a.mkv", "libx264", "yuv420p", 1_000_000),  # Matroska's unit is a millisecond
+        ("a.webm", "libvpx", "yuv420p", 1_000_000),
+        ("a.mov", "mjpeg", "yuvj420p", 1),
+        ("a.mkv", "ffv1", "gray", 1_000_000),
+        ("a.mp4", "libx265", "yuv420p", 1),
+    ],
+)
+def test_reads_other_containers_and_codecs(
+    tmp_path: Path, name: str, codec: str, pixels: str, unit_ns: int
+) -> None:
+    frames = list(open_source(write(tmp_path / name, codec, pixels)).frames())
+    assert [number(f.image0) for f in frames] == list(range(COUNT))
+    stamps = np.array([f.stamp_ns for f in frames])
+    np.testing.assert_allclose(stamps, expected_ns(), rtol=0, atol=unit_ns / 2)
+
+
+def test_reads_avi_at_its_steady_rate(tmp_path: Path) -> None:
+    path = tmp_path / "a.avi"
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (layouts.WIDTH, layouts.HEIGHT)
+    )
+    for i in range(COUNT):
+        writer.write(cv2.cvtColor(picture(i), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    layouts.write_text(tmp_path / "a.yaml", layouts.CALIBRATION)
+    frames = list(open_source(path).frames())
+    assert [f.stamp_ns for f in frames] == [i * 40_000_000 for i in range(COUNT)]
+    assert [number(f.image0) for f in frames] == list(range(COUNT))
+
+
+@pytest.mark.parametrize(
+    "chosen", [(0, None, 1), (3, 6, 1), (17, None, 1), (5, 40, 13), (39, 40, 1)]
+)
+def test_jumps_to_the_very_frame(clip: Path, chosen: tuple[int, int | None, int]) -> None:
+    source = open_source(clip)
+    wanted = list(range(COUNT))[slice(*chosen)]
+    for _ in range(2):
+        frames = list(source.frames(*chosen))
+        assert [number(f.image0) for f in frames] == [f.index for f in frames] == wanted
+
+
+def test_closes_the_file_whenever_reading_ends(clip: Path) -> None:
+    def is_open() -> bool:
+        handles = [Path(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd")]
+        return any(handle.exists() and handle.resolve() == clip.resolve() for handle in handles)
+
+    source = open_source(clip)
+    frames = source.frames()
+    next(frames)
+    assert is_open()
+    frames.close()  # type: ignore[attr-defined]
+    assert not is_open()
+    list(source.frames())
+    assert not is_open()
+
+
+def test_pictures_that_lie_down_are_turned_up(clip: Path) -> None:
+    """The matrix of a phone held upright, as it stands in the file, and OpenCV's reading of it."""
+    data = bytearray(clip.read_bytes())
+    matrix = data.index(b"tkhd") + 4 + 40
+    turned = [0, 1 << 16, 0, -(1 << 16) % 2**32, 0, 0, 0, 0, 1 << 30]
+    data[matrix : matrix + 36] = b"".join(value.to_bytes(4, "big") for value in turned)
+    clip.write_bytes(data)
+    size = f"[{layouts.HEIGHT}, {layouts.WIDTH}]"
+    text = layouts.CALIBRATION.replace(f"[{layouts.WIDTH}, {layouts.HEIGHT}]", size)
+    layouts.write_text(clip.with_suffix(".yaml"), text)
+    image = next(iter(open_source(clip).frames())).image0
+    capture = cv2.VideoCapture(str(clip))
+    reference = cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2GRAY)
+    capture.release()
+    assert image.shape == reference.shape == (layouts.WIDTH, layouts.HEIGHT)
+    assert np.abs(image.astype(int) - reference).max() <= 3
+
+
+def test_the_calibration_of_its_name_comes_first(clip: Path) -> None:
+    text = layouts.CALIBRATION.replace("intrinsics: [50.0", "intrinsics: [77.0")
+    layouts.write_text(clip.with_suffix(".yaml"), text)
+    assert open_source(clip).rig.cam0.fx == 77.0
+    for path in clip.parent.glob("*.yaml"):
+        path.unlink()
+    with pytest.raises(CalibrationError, match="looked for .*clip.yaml"):
+        open_source(clip)
+
+
+def test_stereo_is_not_to_be_had(clip: Path) -> None:
+    with pytest.raises(SourceError, match="no images of a right camera"):
+        open_source(clip, mode="stereo")
+
+
+@pytest.mark.parametrize("content", [b"", b"no video", b"\x00\x00\x00\x20ftypisom" + bytes(90)])
+def test_says_when_it_is_no_video(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.mp4").write_bytes(content)
+    with pytest.raises(SourceError, match="cannot be opened as a video"):
+        open_source(tmp_path / "a.mp4")
+
+
+def test_an_mp4_without_its_end_is_lost(clip: Path) -> None:
+    clip.write_bytes(clip.read_bytes()[:-200])
+    with pytest.raises(SourceError, match="if it was cut off, an MP4 is lost"):
+        open_source(clip)
+
+
+def test_a_matroska_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mkv", "ffv1", "gray")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    source = open_source(path)
+    frames = list(source.frames())
+    assert 10 < len(frames) < 30
+    assert [number(f.image0) for f in frames] == list(range(len(frames)))
+    assert len(source) - len(frames) == len(source.skipped) <= 1
+
+
+def test_damage_in_the_middle_costs_some_frames(
+    clip: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(clip.read_bytes())
+    start = data.index(b"mdat") + 4
+    size = int.from_bytes(data[start - 8 : start - 4], "big")
+    for position in range(start + size // 3, start + size * 2 // 3, 7):
+        data[position] ^= 255
+    clip.write_bytes(data)
+    source = open_source(clip)
+    frames = list(source.frames())
+    assert len(frames) + len(source.skipped) == COUNT
+    assert 10 <= len(frames) < COUNT
+    assert number(frames[-1].image0) == frames[-1].index == COUNT - 1
+    assert capfd.readouterr() == ("", "")
