@@ -8,11 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
 from vo.config import Config, dump_config
-from vo.errors import OutputError, SourceError
+from vo.errors import ConfigError, OutputError, SourceError
 from vo.formats.trajectory import tum_line
 from vo.odometry import Odometry
 from vo.pipeline.history import Untracked
@@ -20,7 +21,7 @@ from vo.pipeline.pose_log import PoseLog
 from vo.pipeline.stopwatch import Stopwatch
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
-from vo.recording.recorder import NullRecorder, Recorder
+from vo.recording.recorder import ImageChoice, NullRecorder, Recorder
 from vo.results.account import Account
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
@@ -47,9 +48,12 @@ def run(
     end: int | None = None,
     stride: int = 1,
     rrd: Path | None = None,
+    rrd_images: ImageChoice = "half",
+    viewer: str | None = None,
     calibration: Path | None = None,
     format: str | None = None,
     topics: Sequence[str] = (),
+    follow: bool = False,
     recorder: Recorder | None = None,
     exports: Exports | None = None,
     progress: Progress | None = None,
@@ -71,10 +75,13 @@ def run(
         end: frame to stop before.
         stride: take every so many frames.
         rrd: file to record for the rerun viewer.
+        rrd_images: size of the images in it, and of those that are streamed to `viewer`.
+        viewer: URL of a rerun viewer to stream to, besides the file or instead.
         calibration: file that overrides the recording's own.
         format: of the recording; by default found out from the path.
         topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
-        recorder: what to record with instead of `rrd`.
+        follow: whether the log is still being written; frames are taken as they come.
+        recorder: what to record with instead of `rrd` and `viewer`.
         exports: files for other programs.
         progress: what watches the run.
         profile_since: write a profile; it begins at this time of `time.perf_counter`.
@@ -82,17 +89,23 @@ def run(
     Raises:
         SourceError: the recording is missing, damaged, or holds no frame that can be read.
         CalibrationError: its calibration is missing or cannot be true.
-        OutputError: the folder or the recording cannot be written.
+        ConfigError: a log that is followed is to be tracked in part.
+        OutputError: the folder or the recording cannot be written, or no viewer answers.
     """
-    opened = open_source(source, format=format, calibration=calibration, mode=mode, topics=topics)
-    facts = _facts(opened, source, config, start, end, stride)
     every = config.tracking.every
+    if follow and every > 1:
+        raise ConfigError(f"tracking.every is {every}; a log that is followed needs 1")
+    opened = open_source(
+        source, format=format, calibration=calibration, mode=mode, topics=topics, follow=follow
+    )
+    facts = partial(_facts, opened, source, config, start, end, stride)
     frames = opened.frames(start, end, stride * every)
     with closing(Odometry(opened.rig, config)) as odometry:
         if every > 1:
             odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
         folder = RunFolder(Path(output), dump_config(config))
-        recorder = with_exports(recorder or _make_recorder(rrd), exports or Exports())
+        recorder = recorder or _make_recorder(rrd, rrd_images, viewer)
+        recorder = with_exports(recorder, exports or Exports())
         job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
         job.profile_since = profile_since
         try:
@@ -110,14 +123,15 @@ class _Run:
     def __init__(
         self,
         source: Source,
-        facts: RunFacts,
+        facts: Callable[[], RunFacts],
         odometry: Odometry,
         folder: RunFolder,
         recorder: Recorder,
         progress: Progress,
     ) -> None:
         self._source = source
-        self._facts = facts
+        self._make_facts = facts
+        self._facts = facts()
         self._odometry = odometry
         self._folder = folder
         self._recorder = recorder
@@ -231,6 +245,7 @@ class _Run:
         self._refresh_took = self._refreshed - now
 
     def _summarise(self, status: Status, error: str | None = None) -> Summary:
+        self._facts = self._make_facts()  # a log that is followed has grown
         summary = summarise(
             self._facts,
             status,
@@ -273,13 +288,13 @@ def _facts(
     )
 
 
-def _make_recorder(rrd: Path | None) -> Recorder:
-    if rrd is None:
+def _make_recorder(rrd: Path | None, images: ImageChoice, viewer: str | None) -> Recorder:
+    if rrd is None and viewer is None:
         return NullRecorder()
     from vo.recording.background import BackgroundRecorder
     from vo.recording.rerun_recorder import RerunRecorder  # rerun takes long to import
 
-    return BackgroundRecorder(RerunRecorder(rrd))
+    return BackgroundRecorder(RerunRecorder(rrd, images=images, viewer=viewer))
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from vo.cli.eval import eval_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import EPILOG, synth_command
+from vo.cli.view import view_command
 from vo.errors import VoError
 
 
@@ -42,6 +43,7 @@ def _vo() -> None:
 
 app.command("run")(run_command)
 app.command("eval")(eval_command)
+app.command("view")(view_command)
 app.command("report")(report_command)
 app.command("demo")(demo_command)
 app.command("synth", epilog=EPILOG)(synth_command)

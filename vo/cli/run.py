@@ -10,6 +10,14 @@ from typing import Annotated
 import typer
 
 
+class ImageSize(StrEnum):
+    """Choices of `--rrd-images`."""
+
+    FULL = "full"
+    HALF = "half"
+    NONE = "none"
+
+
 class ModeChoice(StrEnum):
     """Choices of `--mode`."""
 
@@ -57,6 +65,19 @@ def run_command(
     rrd: Annotated[
         Path | None, typer.Option(help="Record for the rerun viewer into this file.")
     ] = None,
+    rrd_images: Annotated[
+        ImageSize, typer.Option(help="Size of the images in the recording.")
+    ] = ImageSize.HALF,
+    connect: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Stream to the rerun viewer that runs there."),
+    ] = None,
+    spawn: Annotated[
+        bool, typer.Option("--spawn", help="Open a rerun viewer and stream to it.")
+    ] = False,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Stream to a page for the browser of this machine.")
+    ] = False,
     mcap: Annotated[
         Path | None, typer.Option(help="Record for Foxglove into this MCAP file.")
     ] = None,
@@ -84,6 +105,14 @@ def run_command(
             show_default="found out",
         ),
     ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow",
+            help="The MCAP file is still being written: take frames as they come, until it is "
+            "closed or has not grown for 10 s.",
+        ),
+    ] = False,
     threads: Annotated[
         int | None,
         typer.Option(
@@ -127,7 +156,9 @@ def run_command(
     try:
         from rich.console import Console
 
+        from vo.cli.live import live_viewer
         from vo.cli.progress import make_progress, warnings_on
+        from vo.cli.run_table import print_summary
         from vo.config import load_config
         from vo.recording.exports import Exports
         from vo.run import run
@@ -136,7 +167,8 @@ def run_command(
         if threads is not None:
             settings.append(f"threads={threads}")
         console = Console(stderr=True, highlight=False)
-        with warnings_on(console):
+        watched = live_viewer(connect, spawn=spawn, serve=serve)
+        with warnings_on(console), watched as viewer:
             summary = run(
                 source,
                 output,
@@ -147,19 +179,20 @@ def run_command(
                 stride=stride,
                 rrd=rrd,
                 exports=Exports(mcap=mcap, colmap=colmap, ply=ply),
+                rrd_images=rrd_images.value,
+                viewer=viewer,
                 calibration=calibration,
                 format=format,
                 topics=topic or (),
+                follow=follow,
                 progress=make_progress(console, quiet=quiet),
                 profile_since=begun if profile else None,
             )
+            if not quiet:
+                print_summary(summary, output, rrd)
     except KeyboardInterrupt:
         typer.echo(f"interrupted; what was computed until now is in {output}", err=True)
         raise typer.Exit(130) from None
-    if not quiet:
-        from vo.cli.run_table import print_summary
-
-        print_summary(summary, output, rrd)
 
 
 def _process_begun() -> float:

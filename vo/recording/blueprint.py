@@ -92,9 +92,9 @@ def _plot(name: str, origin: str, legend: rrb.Corner2D) -> rrb.TimeSeriesView:
 
 
 def _event_columns() -> rrb.TextLogColumns:
-    """All but the entity path, which is the same in each row."""
+    """No entity path, which is the same in each row, and one time: text needs the room."""
     return rrb.TextLogColumns(
-        timeline_columns=[entities.FRAME_TIMELINE, entities.SENSOR_TIMELINE],
+        timeline_columns=[entities.FRAME_TIMELINE],
         text_log_columns=["LogLevel", "Body"],
     )
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol
 
 from vo.types import Estimate, Rig, Trajectory
+
+ImageChoice = Literal["full", "half", "none"]
 
 
 class Recorder(Protocol):

@@ -13,12 +13,13 @@ from vo.recording.blueprint import make_blueprint
 from vo.recording.map_layer import MapLayer
 from vo.recording.outlet import Outlet, open_file, open_viewer
 from vo.recording.plot_layer import PlotLayer
+from vo.recording.recorder import ImageChoice
 from vo.recording.tally import Tally
 from vo.recording.tape import Tape
 from vo.recording.timelines import Timelines
 from vo.recording.trajectories import RunIndex, add_trajectory
 from vo.recording.truth import errors_along, laid_onto_path, laid_onto_pose
-from vo.recording.view_layer import ImageChoice, ViewLayer
+from vo.recording.view_layer import ViewLayer
 from vo.types import Estimate, Floats, Rig, Trajectory
 
 _FRAMES_PER_BATCH = 25

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import cv2
 import numpy as np
 import rerun as rr
@@ -11,11 +9,10 @@ import rerun as rr
 from vo.geometry.transforms import make_transform, quat_xyzw_from_rotation
 from vo.recording import entities
 from vo.recording.epipolar import epipolar_lines
+from vo.recording.recorder import ImageChoice
 from vo.recording.tape import Strips, Tape
 from vo.recording.timelines import Moment
 from vo.types import Bools, Bytes, Estimate, FeatureState, Floats, Floats32, View
-
-ImageChoice = Literal["full", "half", "none"]
 
 _LEFT_QUALITY, _RIGHT_QUALITY = 60, 50  # of JPEG; the right one is there for comparison only
 _MOST_LINES = 150  # of each kind: more of them hide the image

@@ -64,12 +64,14 @@ class ViewerProcess:
 
     Attributes:
         url: where data can be streamed to.
+        port: of that.
         page: address for the browser; None of a native viewer.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], url: str, page: str | None) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], port: int, page: str | None) -> None:
         self._process = process
-        self.url = url
+        self.url = f"rerun+http://{_LOCALHOST}:{port}/proxy"
+        self.port = port
         self.page = page
 
     def wait(self) -> int:
@@ -100,7 +102,7 @@ def start_native(*files: Path) -> ViewerProcess:
     shown = [str(file) for file in files] or ["--expect-data-soon"]
     arguments = [*shown, "--port", str(port), "--bind", _LOCALHOST, "--hide-welcome-screen"]
     process = _start(arguments, (port,), "a viewer cannot be opened here", "use --serve or --web")
-    return ViewerProcess(process, f"rerun+http://{_LOCALHOST}:{port}/proxy", None)
+    return ViewerProcess(process, port, None)
 
 
 def start_web(*files: Path, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
@@ -121,7 +123,7 @@ def start_web(*files: Path, port: int = 0, bind: str = _LOCALHOST) -> ViewerProc
     host = socket.gethostname() if bind in ("0.0.0.0", "::") else bind
     proxy = f"rerun+http://{host}:{data}/proxy"
     page = f"http://{host}:{web}/?url={quote(proxy, safe='')}"
-    return ViewerProcess(process, f"rerun+http://{_LOCALHOST}:{data}/proxy", page)
+    return ViewerProcess(process, data, page)
 
 
 def _start(
@@ -165,7 +167,10 @@ def _answers(port: int) -> bool:
 
 def _last_words(said: bytes) -> str:
     lines = [line.strip() for line in said.decode(errors="replace").splitlines() if line.strip()]
-    return " ".join(lines[-1].split())[:200] if lines else "it ended without a word"
+    if not lines:
+        return "it ended without a word"
+    reason = lines[-1].rpartition(": ")[2]  # where in the code it happened comes before
+    return " ".join(reason.split()).rstrip(".")[:200]
 
 
 def _program() -> str:
