@@ -1,0 +1,263 @@
+"""What other programs read: COLMAP models, PLY, MCAP; read back with their own readers."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import orbit
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from vo.config import load_config
+from vo.errors import OutputError
+from vo.formats.trajectory import read_tum
+from vo.geometry.transforms import make_transform, so3_exp
+from vo.recording.colmap import ColmapRecorder
+from vo.recording.exports import Exports, SeveralRecorders
+from vo.recording.mcap_recorder import McapRecorder
+from vo.recording.ply import PlyRecorder
+from vo.recording.reconstruction import Reconstruction
+from vo.recording.recorder import Recorder
+from vo.run import run
+from vo.types import Camera, Rig, Trajectory
+
+RIG = Rig(orbit.PINHOLE)
+RUN_FRAMES = 12
+
+
+def record(recorder: Recorder, camera: Camera = orbit.PINHOLE) -> None:
+    recorder.begin("a name", RIG, None)
+    for frame in range(orbit.FRAMES):
+        recorder.record(orbit.estimate(frame, camera))
+    recorder.finish(orbit.smoothed(), orbit.smoothed())
+
+
+def colmap_errors(model: Any) -> np.ndarray:
+    errors = []
+    for image in model.images.values():
+        camera, cam_from_world = model.cameras[image.camera_id], image.cam_from_world()
+        for seen in image.points2D:
+            assert seen.has_point3D()
+            xyz = cam_from_world * model.points3D[seen.point3D_id].xyz
+            errors.append(np.linalg.norm(camera.img_from_cam(xyz) - seen.xy))
+    return np.array(errors)
+
+
+def read_ply(path: Path) -> np.ndarray:
+    header, _, body = path.read_bytes().partition(b"end_header\n")
+    assert header.startswith(b"ply\nformat binary_little_endian 1.0\n")
+    rows = np.frombuffer(body, dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    assert f"element vertex {len(rows)}\n".encode() in header
+    return rows
+
+
+def read_mcap(path: Path) -> dict[str, list[Any]]:
+    messages = defaultdict(list)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert schema is not None and channel.message_encoding == "protobuf"
+            messages[channel.topic].append((message.log_time, decoded))
+    return messages
+
+
+@pytest.mark.parametrize("lens", orbit.LENSES)
+def test_colmap_reads_an_exact_model(lens: str, tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    record(ColmapRecorder(tmp_path), orbit.LENSES[lens])
+    model = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
+    expected = {
+        "pinhole": "PINHOLE",
+        "radtan4": "OPENCV",
+        "radtan5": "FULL_OPENCV",
+        "equidistant": "OPENCV_FISHEYE",
+        "double_sphere": "PINHOLE",
+    }
+    assert [camera.model_name for camera in model.cameras.values()] == [expected[lens]]
+    assert model.num_images() == orbit.FRAMES
+    errors = colmap_errors(model)
+    assert len(errors) > 1000
+    assert errors.max() < 0.002  # pixels are written with three decimals
+    found = np.array([point.xyz for point in model.points3D.values()])
+    true = orbit.points()
+    nearest = np.abs(found[:, None] - true[None]).max(axis=2).min(axis=1)
+    assert nearest.max() < 1e-9
+    for image in model.images.values():
+        number = int(image.name.removeprefix("frame_").removesuffix(".png"))
+        expected_centre = orbit.pose(number)[:3, 3]
+        np.testing.assert_allclose(image.projection_center(), expected_centre, atol=1e-9)
+        picture = cv2.imread(str(tmp_path / "images" / image.name), cv2.IMREAD_GRAYSCALE)
+        if lens != "double_sphere":
+            shown = orbit.view(number, orbit.LENSES[lens]).image0
+            np.testing.assert_array_equal(picture, shown)
+
+
+def test_what_left_the_map_is_kept_and_what_was_wrong_is_not() -> None:
+    reconstruction = Reconstruction()
+    for frame in range(orbit.FRAMES):
+        estimate = orbit.estimate(frame)
+        assert estimate.landmarks is not None
+        xyz = estimate.landmarks.xyz.copy()
+        xyz[estimate.landmarks.ids == 200] += 1.0  # a landmark that no observation agrees with
+        reconstruction.add(replace(estimate, landmarks=replace(estimate.landmarks, xyz=xyz)))
+    (model,) = reconstruction.models(orbit.smoothed())
+    seen = np.bincount(
+        np.concatenate([orbit.sightings(k, orbit.PINHOLE).ids for k in range(orbit.FRAMES)]),
+        minlength=orbit.POINTS,
+    )
+    expected = np.setdiff1d(np.flatnonzero(seen >= 2), [200])
+    np.testing.assert_allclose(model.xyz, orbit.points()[expected], atol=1e-9)
+    np.testing.assert_array_equal(model.grey, expected % 256)
+    assert model.error_px.max() < 1e-9
+
+
+def test_points_move_with_the_final_path() -> None:
+    reconstruction = Reconstruction()
+    for frame in range(orbit.FRAMES):
+        reconstruction.add(orbit.estimate(frame))
+    move = make_transform(so3_exp(np.array([0.1, 0.4, -0.2])), np.array([3.0, -1.0, 2.0]))
+    path = orbit.smoothed()
+    (before,) = reconstruction.models(path)
+    (after,) = reconstruction.models(Trajectory(path.stamps_ns, move @ path.world_from_cam))
+    moved = before.xyz @ move[:3, :3].T + move[:3, 3]
+    np.testing.assert_allclose(after.xyz, moved, atol=1e-9)
+
+
+def test_each_segment_is_a_model_of_its_own(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    (tmp_path / "sparse" / "7").mkdir(parents=True)
+    (tmp_path / "sparse" / "7" / "images.txt").write_text("of an earlier run")
+    (tmp_path / "sparse" / "8").mkdir()
+    (tmp_path / "sparse" / "8" / "mine.txt").write_text("somebody's")
+    recorder = ColmapRecorder(tmp_path)
+    recorder.begin("a", RIG, None)
+    for frame in range(3):
+        estimate = orbit.estimate(frame)
+        recorder.record(estimate)
+    for frame in range(8, orbit.FRAMES):  # the map is a new one
+        estimate = orbit.estimate(frame, segment=1)
+        assert estimate.landmarks is not None
+        kept = tuple(s for s in estimate.landmarks.sightings if s.frame_index >= 8)
+        keyframes = tuple(k for k in estimate.keyframes if k.frame_index >= 8)
+        landmarks = replace(estimate.landmarks, sightings=kept)
+        recorder.record(replace(estimate, keyframes=keyframes, landmarks=landmarks))
+    recorder.finish(orbit.smoothed(), orbit.smoothed())
+    names = [path.name for path in sorted((tmp_path / "sparse").iterdir())]
+    assert names == ["0", "1", "8"]
+    lines = (tmp_path / "sparse" / "0" / "images.txt").read_text().splitlines()
+    assert [line.split()[-1] for line in lines[::2]] == [
+        f"frame_{frame:06d}.png" for frame in range(8, orbit.FRAMES)
+    ]
+
+
+def test_ply_holds_the_points_in_grey(tmp_path: Path) -> None:
+    record(PlyRecorder(tmp_path / "new" / "map.ply"))
+    rows = read_ply(tmp_path / "new" / "map.ply")
+    assert len(rows) > 250
+    ids = np.argmin(np.linalg.norm(rows["xyz"][:, None] - orbit.points()[None], axis=2), axis=1)
+    np.testing.assert_allclose(rows["xyz"], orbit.points()[ids], atol=1e-5)
+    np.testing.assert_array_equal(rows["rgb"], np.repeat((ids % 256)[:, None], 3, axis=1))
+
+
+def test_mcap_opens_with_the_official_decoders(tmp_path: Path) -> None:
+    record(McapRecorder(tmp_path / "a.mcap"), orbit.LENSES["radtan4"])
+    messages = read_mcap(tmp_path / "a.mcap")
+    for topic in ("/tf", "/pose", "/image", "/calibration", "/features", "/map"):
+        assert [time for time, _ in messages[topic]] == orbit.smoothed().stamps_ns.tolist(), topic
+    last = messages["/pose"][-1][1]
+    np.testing.assert_allclose(
+        [last.pose.position.x, last.pose.position.y, last.pose.position.z],
+        orbit.pose(orbit.FRAMES - 1)[:3, 3],
+    )
+    frames = [(t.parent_frame_id, t.child_frame_id) for t in messages["/tf"][3][1].transforms]
+    assert frames == [("cam0", "cam0_image"), ("world", "cam0")]
+    assert len(messages["/path"][-1][1].poses) == orbit.FRAMES
+    image = np.frombuffer(messages["/image"][2][1].data, dtype=np.uint8)
+    assert cv2.imdecode(image, cv2.IMREAD_GRAYSCALE).shape == (120, 160)
+    cloud = messages["/map"][4][1]
+    points = np.frombuffer(cloud.data, dtype=np.uint8).reshape(-1, cloud.point_stride)
+    xyz = np.ascontiguousarray(points[:, :12]).view("<f4")
+    expected = orbit.estimate(4, orbit.LENSES["radtan4"]).landmarks
+    assert expected is not None
+    np.testing.assert_allclose(xyz, expected.xyz, atol=1e-5)
+    tracked = messages["/features"][5][1].points[1]
+    marks = np.array([(point.x, point.y) for point in tracked.points])
+    seen = orbit.sightings(5, orbit.LENSES["radtan4"]).xy
+    np.testing.assert_allclose(marks, seen, atol=1e-3)
+    assert messages["/calibration"][0][1].distortion_model == "plumb_bob"
+
+
+@pytest.mark.parametrize("kind", [PlyRecorder, McapRecorder])
+def test_a_full_disk_ends_the_output_and_not_the_run(
+    kind: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("there is no /dev/full here")
+    link = tmp_path / "full"
+    link.symlink_to("/dev/full")
+    recorder, other = kind(link), ColmapRecorder(tmp_path / "model")
+    both = SeveralRecorders([recorder, other])
+    with caplog.at_level(logging.WARNING):
+        try:
+            record(both)
+        except OutputError as error:  # found out before the run
+            assert "No space left" in str(error)
+            return
+    assert [r.getMessage() for r in caplog.records if "stopped" in r.getMessage()] == [
+        "the Mcap output stopped and is not complete: No space left on device"
+    ]
+    assert (tmp_path / "model" / "sparse" / "0" / "images.txt").is_file()
+
+
+@pytest.mark.parametrize("kind", [PlyRecorder, McapRecorder, ColmapRecorder])
+def test_what_cannot_be_written_is_said_before_the_run(kind: Any, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match="choose another"):
+        kind(tmp_path / "file" / "below").begin("a", RIG, None)
+
+
+@pytest.fixture(scope="module")
+def exported(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("exported")
+    exports = Exports(folder / "a.mcap", folder / "model", folder / "map.ply")
+    run(
+        synthetic_stereo,
+        folder / "run",
+        config=load_config("fast"),
+        end=RUN_FRAMES,
+        exports=exports,
+    )
+    return folder
+
+
+def test_a_run_is_exported_whole(exported: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    summary = json.loads((exported / "run" / "summary.json").read_text(encoding="utf-8"))
+    model = pycolmap.Reconstruction(str(exported / "model" / "sparse" / "0"))
+    assert model.num_images() == summary["keyframes"]
+    assert model.num_points3D() > 300
+    assert colmap_errors(model).mean() < 1.0
+    path = read_tum(exported / "run" / "trajectory.tum")
+    for image in model.images.values():
+        frame = int(image.name.removeprefix("frame_").removesuffix(".png"))
+        np.testing.assert_allclose(image.projection_center(), path.positions[frame], atol=1e-6)
+    assert len(read_ply(exported / "map.ply")) == model.num_points3D()
+    messages = read_mcap(exported / "a.mcap")
+    assert len(messages["/image"]) == RUN_FRAMES
+    causal = read_tum(exported / "run" / "causal.tum")
+    poses = [each.pose.position for _, each in messages["/pose"]]
+    np.testing.assert_allclose([(p.x, p.y, p.z) for p in poses], causal.positions, atol=1e-6)
+
+
+def test_exports_change_nothing(exported: Path, synthetic_stereo: Path, tmp_path: Path) -> None:
+    run(synthetic_stereo, tmp_path, config=load_config("fast"), end=RUN_FRAMES)
+    for name in ("trajectory.tum", "causal.tum", "covariance.csv"):
+        assert (tmp_path / name).read_bytes() == (exported / "run" / name).read_bytes()
