@@ -42,7 +42,7 @@ class BarProgress:
 
     def begin(self, name: str, total: int) -> None:
         """Show the bar."""
-        self._task = self._bar.add_task("", total=total, title=escape(name), note=_WAITING)
+        self._task = self._bar.add_task("", total=total or None, title=escape(name), note=_WAITING)
         self._clock = _Clock()
         self._bar.start()
 
@@ -66,14 +66,15 @@ class LineProgress:
         """Say what is to come."""
         self._total, self._next = total, 0.0
         self._clock = _Clock()
-        self._say(f"{name}: {total} frames; {_WAITING}")
+        self._say(f"{name}: {total or 'growing'} frames; {_WAITING}")
 
     def step(self, done: int, estimate: Estimate) -> None:
         """Say how far it is if the last time is long ago."""
         speed = self._clock.frames_per_s()
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + _LINE_EVERY_S
-            self._say(f"frame {done}/{self._total}  {speed:.1f} frames/s  {_state(estimate)}")
+            of_all = f"/{self._total}" if self._total else ""
+            self._say(f"frame {done}{of_all}  {speed:.1f} frames/s  {_state(estimate)}")
 
     def finish(self) -> None:
         """Do nothing: the table that follows says it."""

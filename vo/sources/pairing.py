@@ -15,7 +15,7 @@ from vo.types import Ints
 
 _log = logging.getLogger(__name__)
 
-_LARGEST_TOLERANCE_NS = 5_000_000
+LARGEST_TOLERANCE_NS = 5_000_000
 """A car at 30 m/s moves 15 cm in 5 ms; images further apart in time are no stereo pair."""
 
 
@@ -49,7 +49,7 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredIma
 def tolerance_ns(stamps_left: Ints) -> int:
     """How far apart in time two images may be and still be a pair, in nanoseconds."""
     interval = median_interval_ns(stamps_left.tolist())
-    return min(interval // 2, _LARGEST_TOLERANCE_NS) if interval else _LARGEST_TOLERANCE_NS
+    return min(interval // 2, LARGEST_TOLERANCE_NS) if interval else LARGEST_TOLERANCE_NS
 
 
 def stamped_like(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:

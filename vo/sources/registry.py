@@ -26,18 +26,22 @@ class Format(NamedTuple):
         inside: names or patterns of which a folder of this format holds at least one.
         suffixes: of single files of this format.
         has_topics: whether it is a log, of which topics can be chosen.
+        can_grow: whether it can be followed while it is being written.
     """
 
     opener: str
     inside: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
     has_topics: bool = False
+    can_grow: bool = False
 
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
 
 FORMATS: dict[str, Format] = {
-    "mcap": Format("vo.sources.mcap.source:open_mcap", suffixes=(".mcap",), has_topics=True),
+    "mcap": Format(
+        "vo.sources.mcap.source:open_mcap", suffixes=(".mcap",), has_topics=True, can_grow=True
+    ),
     "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
     "kitti_raw": Format("vo.sources.kitti_raw:open_kitti_raw", ("image_00", "image_02")),
     "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
@@ -56,6 +60,7 @@ def open_source(
     calibration: Path | str | None = None,
     mode: Mode = "auto",
     topics: Sequence[str] = (),
+    follow: bool = False,
 ) -> Source:
     """Open a recording.
 
@@ -66,6 +71,7 @@ def open_source(
         mode: `mono` ignores the right camera, `stereo` insists on it, `auto` uses it if there is
             one with a calibration.
         topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
+        follow: whether it is still being written; frames are then handed out as they come.
 
     Raises:
         SourceError: the recording is missing, empty, damaged or of no known format.
@@ -79,6 +85,11 @@ def open_source(
         raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")
     chosen = None if calibration is None else Path(calibration)
     open_it = _load(FORMATS[name].opener)
+    if follow:
+        if not FORMATS[name].can_grow:
+            growing = ", ".join(n for n, known in FORMATS.items() if known.can_grow)
+            raise SourceError(f"{path} ({name}) cannot be followed; what can is {growing}")
+        return open_it(path, chosen, mode, topics, follow=True)
     if FORMATS[name].has_topics:
         return open_it(path, chosen, mode, topics)
     if topics:

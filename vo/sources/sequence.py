@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import TypeVar
@@ -27,6 +27,9 @@ _Image = Future[Bytes]
 _Depth = Future[Floats32]
 _Pixels = TypeVar("_Pixels")
 _FRAMES_AHEAD = 2
+
+FrameImages = tuple[Shot, StoredImage | None]
+"""The left image of a frame and the right one, if there is one."""
 
 
 class ImageSequence:
@@ -78,6 +81,7 @@ class ImageSequence:
         self._depth_bits = depth_bits
         self._depth = depth
         self._close = close
+        self._more: Callable[[], list[FrameImages] | None] | None = None
 
     def __len__(self) -> int:
         """Number of frames before slicing, those that cannot be read included."""
@@ -96,10 +100,38 @@ class ImageSequence:
         Raises:
             SourceError: the numbers choose no frame.
         """
+        if self._more is not None:
+            choose_frames(start + 1, start, end, stride)
+            return self._read(self._arriving(self._more, start, end, stride))
         numbers = choose_frames(len(self), start, end, stride)
         return self._read(numbers)
 
-    def _read(self, numbers: range) -> Iterator[Frame]:
+    def begin_anew(self, more: Callable[[], list[FrameImages] | None]) -> None:
+        """Drop all frames and take those that come while they are read.
+
+        Args:
+            more: waits for the next frames; None when there will be no more.
+        """
+        self._left, self._depth = [], None
+        self._right = [] if self.rig.is_stereo else None
+        self._more = more
+
+    def _arriving(
+        self, more: Callable[[], list[FrameImages] | None], start: int, end: int | None, stride: int
+    ) -> Iterator[int]:
+        index = start
+        while end is None or index < end:
+            while index >= len(self._left):
+                new = more()
+                if new is None:
+                    return
+                self._left.extend(shot for shot, _ in new)
+                if self._right is not None:
+                    self._right.extend(partner for _, partner in new)
+            yield index
+            index += stride
+
+    def _read(self, numbers: Iterable[int]) -> Iterator[Frame]:
         self.skipped = []
         self.unpaired = 0
         with ExitStack() as stack:
@@ -120,7 +152,7 @@ class ImageSequence:
                 yield Frame(index, shot.stamp_ns, left, right, depth)
 
     def _ahead(
-        self, cam0: ThreadPoolExecutor, cam1: ThreadPoolExecutor, numbers: range
+        self, cam0: ThreadPoolExecutor, cam1: ThreadPoolExecutor, numbers: Iterable[int]
     ) -> Iterator[tuple[int, _Image, _Image | None, _Depth | None]]:
         """Decode the next frames while this one is worked on: OpenCV leaves Python's lock free."""
         waiting: deque[tuple[int, _Image, _Image | None, _Depth | None]] = deque()

@@ -21,17 +21,21 @@ _log = logging.getLogger(__name__)
 class McapFile:
     """A `Log` in an MCAP file, chunked or not, with an index or without, whole or damaged."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, found: Survey | None = None) -> None:
         """Find out what is where; a file without a sound index is gone through once.
+
+        Args:
+            path: the file.
+            found: what is where, of a file that is still growing.
 
         Raises:
             SourceError: it is no MCAP file, or it cannot be read.
         """
         self.path = path
         try:
-            self._survey = survey(path)
+            self._survey = found or survey(path)
         except OSError as error:
-            raise _unreadable(path, error) from error
+            raise unreadable(path, error) from error
         self._cache = ChunkCache(path, self._survey.chunks)
         self._channels_of = _channels_by_topic(self._survey.book)
         self.topics = [
@@ -39,7 +43,8 @@ class McapFile:
             for name in sorted(self._channels_of)
             if (topic := _topic(name, self._channels_of[name], self._survey.book)) is not None
         ]
-        _warn_of_damage(path, self._survey)
+        if found is None:
+            warn_of_damage(path, self._survey)
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """The messages of some topics, in the order of the file."""
@@ -65,7 +70,7 @@ class McapFile:
                 whole = self._cache.get(place.chunk)
                 data = whole[place.start : place.start + place.length]
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
         except Damaged as damage:
             raise SourceError(f"{self.path}: {damage} (at byte {damage.offset})") from damage
         if len(data) < place.length:
@@ -83,7 +88,7 @@ class McapFile:
                     if chunk.channels is None or chunk.channels & wanted:
                         self._list_chunk(book, stream, number, chunk)
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
         return book
 
     def _list_chunk(self, book: Book, stream: BinaryIO, number: int, chunk: Chunk) -> None:
@@ -136,7 +141,8 @@ def _merged(lists: list[list[Entry]]) -> list[Entry]:
     return sorted((entry for entries in lists for entry in entries), key=lambda e: e.log_ns)
 
 
-def _warn_of_damage(path: Path, found: Survey) -> None:
+def warn_of_damage(path: Path, found: Survey) -> None:
+    """Say how much of a file is used, if not all of it."""
     if found.damage is not None:
         size = path.stat().st_size
         tallies = found.book.tallies.values()
@@ -168,5 +174,6 @@ def _seconds(stamp_ns: int) -> str:
     return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d} s"
 
 
-def _unreadable(path: Path, error: OSError) -> SourceError:
+def unreadable(path: Path, error: OSError) -> SourceError:
+    """What is said of a file that the system does not hand out."""
     return SourceError(f"{path} cannot be read: {error.strerror or error}")

@@ -139,18 +139,29 @@ def _indexed_chunk(stream: BinaryIO, index: ChunkIndex, data_end: int) -> Chunk:
 
 def go_through_file(stream: BinaryIO, size: int) -> Survey:
     """Note every message of the file up to its end or to where it is damaged."""
-    found = Survey(Book(), [], is_listed=True, end=len(MAGIC))
+    found = begin()
+    go_on(found, stream, size)
+    salvage(found, stream, size)
+    return found
+
+
+def begin() -> Survey:
+    """A survey that has seen no more than the file's first bytes."""
+    return Survey(Book(), [], is_listed=True, end=len(MAGIC))
+
+
+def go_on(found: Survey, stream: BinaryIO, size: int) -> None:
+    """Note what has come since; `damage` then says why it goes no further, None at the end."""
     try:
-        for record in records_between(stream, len(MAGIC), size):
+        for record in records_between(stream, found.end, size):
             if record.opcode in (DATA_END, FOOTER):
-                return found
+                found.damage = None
+                return
             _take_in(found, stream, record)
             found.end = record.start + record.length
         found.damage = Damaged(size, "it was never closed")
     except Damaged as damage:
         found.damage = damage
-        _salvage_last_chunk(found, stream, size)
-    return found
 
 
 def _take_in(found: Survey, stream: BinaryIO, record: Record) -> None:
@@ -180,8 +191,10 @@ def _note_chunk(found: Survey, stream: BinaryIO, chunk: Chunk) -> None:
             _log.debug("chunk at byte %d is damaged: %s", chunk.head.start, damage)
 
 
-def _salvage_last_chunk(found: Survey, stream: BinaryIO, size: int) -> None:
-    """Take what there is of a chunk in which the file ends."""
+def salvage(found: Survey, stream: BinaryIO, size: int) -> None:
+    """Take what there is of a chunk in which the file ends, if it does."""
+    if found.damage is None:
+        return
     stream.seek(found.end)
     start = stream.read(HEAD.size)
     if len(start) < HEAD.size or HEAD.unpack(start)[0] != CHUNK:
