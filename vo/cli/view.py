@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import signal
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from vo.recording.viewer import ViewerProcess
 
 _MAGIC = b"RRF"  # what every .rrd file begins with
 _LOCALHOST = "127.0.0.1"
@@ -43,14 +46,30 @@ def view_command(
 
     Exit status: 0 done, 1 error, 2 wrong use.
     """
-    from vo.recording.viewer import start_native, start_web
+    from vo.recording.viewer import start_native
 
     file = find_recording(recording)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the viewer must end with us
-    viewer = start_web(file, port=port, bind=bind) if web else start_native(file)
-    if viewer.page is not None:
-        typer.echo(f"{file} is at {viewer.page}")
-        typer.echo(f"data come from port {viewer.port}; Ctrl-C ends both")
+    if web:
+        _serve(file, port, bind)
+    else:
+        _wait(start_native(file))
+
+
+def _serve(file: Path, port: int, bind: str) -> None:
+    from vo.recording.file_server import NAME, FileServer
+    from vo.recording.viewer import host_of, start_web
+
+    with FileServer(file, bind) as server:
+        viewer = start_web(port=port, bind=bind)
+        page, _, _ = str(viewer.page).partition("?")
+        data = f"http://{host_of(bind)}:{server.port}/{NAME}"
+        typer.echo(f"{file} is at {page}?url={data}")
+        typer.echo(f"the data come from port {server.port}; Ctrl-C ends both")
+        _wait(viewer)
+
+
+def _wait(viewer: ViewerProcess) -> None:
     try:
         with contextlib.suppress(KeyboardInterrupt):
             viewer.wait()

@@ -64,14 +64,12 @@ class ViewerProcess:
 
     Attributes:
         url: where data can be streamed to.
-        port: of that.
         page: address for the browser; None of a native viewer.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], port: int, page: str | None) -> None:
         self._process = process
         self.url = f"rerun+http://{_LOCALHOST}:{port}/proxy"
-        self.port = port
         self.page = page
 
     def wait(self) -> int:
@@ -90,8 +88,8 @@ class ViewerProcess:
                 self._process.wait()
 
 
-def start_native(*files: Path) -> ViewerProcess:
-    """Open the native viewer on a port of its own, showing these files.
+def start_native(file: Path | None = None) -> ViewerProcess:
+    """Open the native viewer on a port of its own, showing a file if one is given.
 
     It is not a part of this process: it stays when `vo` ends.
 
@@ -99,17 +97,16 @@ def start_native(*files: Path) -> ViewerProcess:
         OutputError: it does not start, most often because there is no display.
     """
     port = _free_port()
-    shown = [str(file) for file in files] or ["--expect-data-soon"]
-    arguments = [*shown, "--port", str(port), "--bind", _LOCALHOST, "--hide-welcome-screen"]
+    shown = "--expect-data-soon" if file is None else str(file)
+    arguments = [shown, "--port", str(port), "--bind", _LOCALHOST, "--hide-welcome-screen"]
     process = _start(arguments, (port,), "a viewer cannot be opened here", "use --serve or --web")
     return ViewerProcess(process, port, None)
 
 
-def start_web(*files: Path, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
-    """Serve the web viewer, showing these files or what will be streamed to it.
+def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
+    """Serve the web viewer, showing what will be streamed to it.
 
     Args:
-        files: recordings to be shown.
         port: of the web page; 0 takes a free one.
         bind: address to listen on; other machines reach `0.0.0.0` only.
 
@@ -118,12 +115,16 @@ def start_web(*files: Path, port: int = 0, bind: str = _LOCALHOST) -> ViewerProc
     """
     web, data = port or _free_port(), _free_port()
     ports = ["--web-viewer-port", str(web), "--port", str(data), "--bind", bind]
-    arguments = [*map(str, files), "--serve-web", *ports, "--hide-welcome-screen"]
+    arguments = ["--serve-web", *ports, "--hide-welcome-screen"]
     process = _start(arguments, (web, data), "the viewer cannot be served", "try another --port")
-    host = socket.gethostname() if bind in ("0.0.0.0", "::") else bind
-    proxy = f"rerun+http://{host}:{data}/proxy"
-    page = f"http://{host}:{web}/?url={quote(proxy, safe='')}"
-    return ViewerProcess(process, data, page)
+    page = f"http://{host_of(bind)}:{web}/"
+    proxy = f"rerun+http://{host_of(bind)}:{data}/proxy"
+    return ViewerProcess(process, data, f"{page}?url={quote(proxy, safe='')}")
+
+
+def host_of(bind: str) -> str:
+    """The name under which an address that is listened on can be reached."""
+    return socket.gethostname() if bind in ("0.0.0.0", "::") else bind
 
 
 def _start(
