@@ -1,0 +1,139 @@
+"""ROS 2 bags: a folder with metadata.yaml and SQLite or MCAP files, or one of these files."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+import zstandard
+
+from vo.errors import SourceError
+from vo.sources.bags.sqlite_file import SqliteFile
+from vo.sources.listing import natural_key
+from vo.sources.logs.log import Entry, Log, Topic
+from vo.sources.logs.opening import open_log
+from vo.sources.mcap.file import McapFile
+from vo.sources.source import Source
+from vo.types import Mode
+
+_log = logging.getLogger(__name__)
+
+
+def open_rosbag2(
+    path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
+) -> Source:
+    """Open a bag; without its metadata.yaml, as after a crash, its files tell all that is needed.
+
+    Raises:
+        SourceError: it is no bag, holds no images, or it cannot be told which.
+        CalibrationError: the calibration is missing or cannot be true.
+    """
+    return open_log(Bag(path), "rosbag2", calibration, mode, topics)
+
+
+class _Metadata(NamedTuple):
+    files: list[Path]
+    compression: str  # of files, of messages, or none
+
+
+class Bag:
+    """A `Log` in one or more files."""
+
+    def __init__(self, path: Path) -> None:
+        """Open all files that exist.
+
+        Raises:
+            SourceError: there is none, or one is no part of a bag.
+        """
+        self.path = path
+        self._unpacked: tempfile.TemporaryDirectory[str] | None = None
+        found = _metadata(path)
+        self._parts: list[Log] = [self._open(file, found.compression) for file in found.files]
+        names = sorted({topic.name for part in self._parts for topic in part.topics})
+        self.topics = [_joined(name, self._parts) for name in names]
+
+    def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
+        """The messages of some topics, in the order of the files."""
+        joined: dict[str, list[Entry]] = {name: [] for name in names}
+        for number, part in enumerate(self._parts):
+            own = [topic.name for topic in part.topics if topic.name in joined]
+            for name, entries in part.entries(own).items():
+                joined[name] += [entry._replace(place=(number, entry)) for entry in entries]
+        return joined
+
+    def read(self, entry: Entry) -> bytes:
+        """The bytes of a message.
+
+        Raises:
+            SourceError: they are damaged.
+        """
+        place: tuple[int, Entry] = entry.place
+        return self._parts[place[0]].read(place[1])
+
+    def _open(self, file: Path, compression: str) -> Log:
+        if file.suffix == ".zstd":
+            file = self._unpack(file)
+        if file.suffix == ".mcap":
+            if compression == "message":
+                raise SourceError(
+                    f"{file} holds messages that are compressed one by one, which is not read in "
+                    "MCAP; MCAP's own compression of chunks is"
+                )
+            return McapFile(file)
+        return SqliteFile(file, packed=compression == "message")
+
+    def _unpack(self, file: Path) -> Path:
+        """Unpack a file that was compressed as a whole to a temporary folder."""
+        self._unpacked = self._unpacked or tempfile.TemporaryDirectory(prefix="vo-bag-")
+        unpacked = Path(self._unpacked.name) / file.stem
+        try:
+            with file.open("rb") as packed, unpacked.open("wb") as stream:
+                zstandard.ZstdDecompressor().copy_stream(packed, stream)
+        except (OSError, zstandard.ZstdError) as error:
+            raise SourceError(f"{file} cannot be unpacked: {error}") from error
+        return unpacked
+
+
+def _metadata(path: Path) -> _Metadata:
+    if path.is_file():
+        return _Metadata([path], "none")
+    table = path / "metadata.yaml"
+    listed, compression = _read_metadata(table) if table.is_file() else ([], "none")
+    files = [file for file in listed if file.is_file()]
+    if listed and len(files) < len(listed):
+        _log.warning("%s: %d of %d files are missing", path, len(listed) - len(files), len(listed))
+    if not files:
+        kinds = ("*.db3", "*.mcap", "*.db3.zstd", "*.mcap.zstd")
+        files = sorted((f for kind in kinds for f in path.glob(kind)), key=natural_key)
+        if files and not listed:
+            _log.warning("%s has no metadata.yaml, as after a crash: all its files are read", path)
+    if not files:
+        raise SourceError(f"{path} holds no .db3 and no .mcap file; a ROS 2 bag has one or more")
+    return _Metadata(files, compression)
+
+
+def _read_metadata(table: Path) -> tuple[list[Path], str]:
+    """The files, and what is compressed: `file`, `message` or `none`."""
+    try:
+        data: Any = yaml.safe_load(table.read_text(encoding="utf-8"))
+        about = data["rosbag2_bagfile_information"]
+        files = [table.parent / Path(str(name)).name for name in about["relative_file_paths"]]
+        packer = str(about.get("compression_format") or "zstd").lower()
+        compression = str(about.get("compression_mode") or "none").lower()
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        _log.warning("%s cannot be read; all files beside it are", table)
+        return [], "none"
+    if compression != "none" and packer != "zstd":
+        raise SourceError(f"{table}: compressed with '{packer}'; zstd is known")
+    return files, compression
+
+
+def _joined(name: str, parts: Sequence[Log]) -> Topic:
+    own = [topic for part in parts for topic in part.topics if topic.name == name]
+    first = own[0]
+    count, span_ns = sum(t.count for t in own), sum(t.span_ns for t in own)
+    return Topic(name, first.schema, first.codec, count, span_ns)

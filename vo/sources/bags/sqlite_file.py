@@ -1,0 +1,133 @@
+"""Messages in an SQLite file, as rosbag2 writes them by default."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+from collections.abc import Collection, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import zstandard
+
+from vo.errors import SourceError
+from vo.formats.codecs import find_codec
+from vo.formats.messages import HEAD_BYTES
+from vo.sources.logs.log import Entry, Topic
+
+_log = logging.getLogger(__name__)
+
+
+class SqliteFile:
+    """A `Log` in an SQLite file; it is open only while something is read from it."""
+
+    def __init__(self, path: Path, *, packed: bool = False) -> None:
+        """Find out which topics there are.
+
+        Args:
+            path: the file.
+            packed: whether each message is compressed (zstd).
+
+        Raises:
+            SourceError: it is no such file, or it is damaged from the start.
+        """
+        self.path = path
+        self._packed = packed
+        self._number: dict[str, int] = {}
+        self.topics: list[Topic] = []
+        with self._opened() as database:
+            definitions = _definitions(database)
+            spans = _spans(path, database)
+            rows = database.execute("SELECT id, name, type, serialization_format FROM topics")
+            for number, name, kind, encoding in sorted(rows, key=lambda row: str(row[1])):
+                language, text = definitions.get(kind, ("ros2msg", ""))
+                codec = find_codec(str(encoding), str(kind), language, text.encode())
+                if codec is not None and number in spans:
+                    count, span_ns = spans[number]
+                    self._number[name] = number
+                    self.topics.append(Topic(name, kind, codec, count, span_ns))
+
+    def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
+        """The messages of some topics, in the order of the file."""
+        with self._opened() as database:
+            return {name: self._entries(database, name) for name in names if name in self._number}
+
+    def read(self, entry: Entry) -> bytes:
+        """The bytes of a message.
+
+        Raises:
+            SourceError: they are damaged, or the file cannot be read.
+        """
+        with self._opened() as database:
+            row = database.execute("SELECT data FROM messages WHERE id = ?", (entry.place,))
+            found = row.fetchone()
+        if found is None:
+            raise SourceError(f"{self.path} has no message {entry.place} any more")
+        return self._unpacked(found[0])
+
+    def _entries(self, database: sqlite3.Connection, name: str) -> list[Entry]:
+        codec = next(topic.codec for topic in self.topics if topic.name == name)
+        head = "data" if self._packed else f"substr(data, 1, {HEAD_BYTES})"
+        rows = database.execute(
+            f"SELECT id, timestamp, {head} FROM messages WHERE topic_id = ? ORDER BY id",
+            (self._number[name],),
+        )
+        entries = []
+        try:
+            for place, log_ns, data in rows:
+                try:
+                    stamp_ns = codec.peek_stamp_ns(self._unpacked(data))
+                except SourceError:
+                    stamp_ns = None
+                entries.append(Entry(log_ns, stamp_ns, place))
+        except sqlite3.DatabaseError as error:
+            _log.warning(
+                "%s is damaged (%s): %s ends after %d messages",
+                self.path,
+                error,
+                name,
+                len(entries),
+            )
+        return entries
+
+    def _unpacked(self, data: bytes) -> bytes:
+        if not self._packed:
+            return data
+        try:
+            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        except zstandard.ZstdError as error:
+            raise SourceError(f"{self.path}: a message cannot be unpacked: {error}") from error
+
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        try:
+            where = f"{self.path.resolve().as_uri()}?mode=ro"
+            with closing(sqlite3.connect(where, uri=True)) as database:
+                yield database
+        except sqlite3.Error as error:
+            raise SourceError(f"{self.path} cannot be read as a ROS 2 bag: {error}") from error
+
+
+def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    """Language and text of the definition of each kind of message; newer bags have them."""
+    query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+    try:
+        rows = database.execute(query).fetchall()
+    except sqlite3.OperationalError:
+        return {}
+    return {kind: (language, text) for kind, language, text in rows if text}
+
+
+def _spans(path: Path, database: sqlite3.Connection) -> dict[int, tuple[int, int]]:
+    """Count and time from the first to the last message of each topic that has any."""
+    times: dict[int, tuple[int, int, int]] = {}
+    try:
+        for number, log_ns in database.execute("SELECT topic_id, timestamp FROM messages"):
+            count, first, last = times.get(number, (0, log_ns, log_ns))
+            times[number] = (count + 1, min(first, log_ns), max(last, log_ns))
+    except sqlite3.DatabaseError as error:
+        if not times:
+            raise
+        total = sum(count for count, _, _ in times.values())
+        _log.warning("%s is damaged (%s) after %d messages", path, error, total)
+    return {number: (count, last - first) for number, (count, first, last) in times.items()}
