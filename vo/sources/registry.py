@@ -42,10 +42,19 @@ FORMATS: dict[str, Format] = {
     "mcap": Format(
         "vo.sources.mcap.source:open_mcap", suffixes=(".mcap",), has_topics=True, can_grow=True
     ),
+    "rosbag1": Format(
+        "vo.sources.bags.ros1:open_rosbag1", suffixes=(".bag", ".active"), has_topics=True
+    ),
     "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
     "kitti_raw": Format("vo.sources.kitti_raw:open_kitti_raw", ("image_00", "image_02")),
     "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
     "tum": Format("vo.sources.tum:open_tum", ("rgb.txt",)),
+    "rosbag2": Format(
+        "vo.sources.bags.ros2:open_rosbag2",
+        ("metadata.yaml", "*.db3", "*.db3.zstd", "*_0.mcap"),
+        suffixes=(".db3",),
+        has_topics=True,
+    ),
     "glob": Format("vo.sources.glob:open_glob"),
     "video": Format("vo.sources.video:open_video", suffixes=VIDEO_SUFFIXES),
     "folder": Format("vo.sources.folder:open_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))),
