@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vo.geometry.cameras import distort, normalise, project
@@ -154,6 +154,7 @@ def test_agrees_with_opencv(name: str) -> None:
     np.testing.assert_allclose(distort(camera, rays), expected.reshape(-1, 2), atol=1e-9)
 
 
+@settings(deadline=None)
 @given(
     k1=st.floats(-0.4, 0.4),
     k2=st.floats(-0.2, 0.2),
@@ -172,6 +173,7 @@ def test_any_plausible_radtan_lens_can_be_inverted(
     np.testing.assert_allclose(normalise(camera, distort(camera, rays)), rays, atol=1e-8)
 
 
+@settings(deadline=None)
 @given(k=st.tuples(*[st.floats(-0.02, 0.02)] * 4))
 def test_any_plausible_fisheye_can_be_inverted(k: tuple[float, float, float, float]) -> None:
     camera = Camera(1000, 1000, 300.0, 300.0, 500.0, 500.0, "equidistant", k)
@@ -255,6 +257,7 @@ def test_agrees_with_the_published_formulas(name: str) -> None:
     np.testing.assert_allclose(project(camera, points), expected, rtol=0, atol=1e-9)
 
 
+@settings(deadline=None)
 @given(
     xi=st.floats(-0.6, 0.9),
     alpha=st.floats(0.0, 1.0),
@@ -276,6 +279,7 @@ def test_any_double_sphere_is_inverted_or_outside(
         assert np.abs(distort(camera, normalise(camera, pixel)) - pixel).max() < 1e-9
 
 
+@settings(deadline=None)
 @given(alpha=st.floats(0.0, 1.0), beta=st.floats(0.2, 3.0), angle=st.floats(0.0, 1.55))
 def test_any_extended_unified_camera_is_inverted(alpha: float, beta: float, angle: float) -> None:
     camera = Camera(800, 800, 300.0, 301.0, 400.0, 399.0, "extended_unified", (alpha, beta))
@@ -283,6 +287,7 @@ def test_any_extended_unified_camera_is_inverted(alpha: float, beta: float, angl
     assert np.abs(distort(camera, normalise(camera, pixel)) - pixel).max() < 1e-9
 
 
+@settings(deadline=None)
 @given(
     xi=st.floats(0.0, 3.0),
     k1=st.floats(-0.3, 0.3),

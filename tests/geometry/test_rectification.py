@@ -93,6 +93,9 @@ PAIRS = [
     pytest.param("radtan", (*RADTAN, 0.01), id="radtan 5"),
     pytest.param("radtan", (0.4, 0.1, 1e-4, 2e-4, 0.01, 0.7, 0.2, 0.03), id="radtan 8"),
     pytest.param("equidistant", EQUIDISTANT, id="equidistant"),
+    pytest.param("double_sphere", (-0.17, 0.59), id="double sphere"),
+    pytest.param("extended_unified", (0.59, 1.13), id="extended unified"),
+    pytest.param("omni", (0.3, -0.05, 0.01, 1e-4, -2e-4), id="omni"),
 ]
 
 
@@ -182,6 +185,43 @@ def test_ideal_pixels_are_those_of_a_pinhole(
     ideal = working.ideal_from_image(cameras.project(camera, points))
     np.testing.assert_allclose(ideal, working.project(points), atol=1e-6)
     np.testing.assert_allclose(working.back_project(ideal, points[:, 2]), points, atol=1e-6)
+
+
+@pytest.mark.parametrize(("model", "coefficients"), PAIRS[1:])
+def test_ideal_pixels_of_a_single_camera_are_as_large_as_recorded_ones_on_the_axis(
+    model: DistortionModel, coefficients: tuple[float, ...]
+) -> None:
+    working = working_rig(Rig(replace(PLAIN, distortion_model=model, distortion=coefficients)))
+    near = np.array([[318.0, 203.0], [319.0, 203.0], [318.0, 204.0]])
+    steps = np.diff(working.ideal_from_image(near), axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps[0]), 1.0, atol=2e-3)
+    np.testing.assert_allclose(working.ideal_from_image(near)[2, 1] - 203.0, 1.0, atol=2e-3)
+
+
+def test_a_pair_of_different_lenses_is_rectified() -> None:
+    spheres = replace(PLAIN, distortion_model="double_sphere", distortion=(-0.17, 0.59))
+    radtan = replace(PLAIN, distortion_model="radtan", distortion=RADTAN)
+    rig = Rig(spheres, radtan, CAM1_FROM_CAM0)
+    working = working_rig(rig)
+    points, xy = _points(working, 3.0)
+    in_cam0 = transform_points(working.cam0_from_working, points)
+    left = working.rectify(_dots(cameras.project(spheres, in_cam0)), 0)
+    in_cam1 = transform_points(CAM1_FROM_CAM0, in_cam0)
+    right = working.rectify(_dots(cameras.project(radtan, in_cam1)), 1)
+    expected = xy - (working.fx * working.baseline_m / 3.0, 0.0)
+    np.testing.assert_allclose([_centroid(left, at) for at in xy], xy, atol=0.15)
+    np.testing.assert_allclose([_centroid(right, at) for at in expected], expected, atol=0.15)
+
+
+def test_what_a_wide_lens_does_not_see_is_black() -> None:
+    # The working image is wider (128 degrees) than what this polynomial reaches (103 degrees).
+    lens = Camera(640, 640, 160.0, 160.0, 320.0, 320.0, "equidistant", (-0.35, -0.05, 0.0, 0.0))
+    working = working_rig(Rig(lens, lens, make_transform(np.eye(3), [-0.1, 0.0, 0.0])))
+    white = working.rectify(np.full((640, 640), 255, np.uint8), 0)
+    rays = np.abs(np.arange(640) - 320.0) / working.fx
+    seen = np.isfinite(cameras.distort(lens, np.column_stack([rays, np.zeros(640)]))).all(axis=1)
+    assert 0.3 < seen.mean() < 0.9
+    np.testing.assert_array_equal(white[320] > 127, seen)
 
 
 def test_mono_images_stay_as_recorded() -> None:
