@@ -135,7 +135,7 @@ class SmoothingConfig(Section):
     gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
     covariance_scale: float = Field(
-        9.0, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
+        14.0, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
     )
 
 

@@ -2,6 +2,8 @@
 
 What has left the window is kept as fixed poses with their observations, so that neither scale nor
 heading can wander at the window's edge (Mur-Artal 2015, sec. VI-D).
+
+Keys are numbers: poses from 0 on, after them the points.
 """
 
 from __future__ import annotations
@@ -51,13 +53,12 @@ def _solve(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> 
     parameters.setRelativeErrorTol(config.relative_error_tolerance)
     parameters.setlambdaInitial(1e-4)
     parameters.setLinearSolverType("SEQUENTIAL_CHOLESKY")
-    parameters.setOrdering(_points_first(graph, problem, point_ok))
+    parameters.setOrdering(_points_first(problem, point_ok))
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     keyframes = len(problem.world_from_cam)
-    world_from_cam = np.stack([result.atPose3(_pose(k)).matrix() for k in range(keyframes)])
+    world_from_cam = np.stack([result.atPose3(k).matrix() for k in range(keyframes)])
     points = problem.points.copy()
-    for m in np.flatnonzero(point_ok).tolist():
-        points[m] = result.atPoint3(_point(m))
+    points[point_ok] = gtsam.utilities.extractPoint3(result)  # in the order of their keys
     _, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
     if not np.isfinite(world_from_cam).all():
         raise RuntimeError("poses are not finite")
@@ -71,45 +72,63 @@ def _build(
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k, start in enumerate(problem.world_from_cam):
-        values.insert(_pose(k), gtsam.Pose3(start))
+        values.insert(k, gtsam.Pose3(start))
+    first = len(problem.world_from_cam)
+    # A name of its own spares looking through some thirty overloads of insert.
     for m in np.flatnonzero(point_ok).tolist():
-        values.insert(_point(m), problem.points[m])
+        values.insertPoint3(first + m, problem.points[m])
     _anchor(graph, problem)
     noise = _NoiseModels(config)
+    measured = ~np.isnan(problem.disparity[used])
+    _add_stereo(graph, problem, used[measured], noise)
+    _add_mono(graph, problem, used[~measured], noise)
+    return graph, values
+
+
+def _add_stereo(
+    graph: gtsam.NonlinearFactorGraph, problem: WindowProblem, used: Ints, noise: _NoiseModels
+) -> None:
     fx, fy, cx, cy = problem.intrinsics
-    mono = gtsam.Cal3_S2(fx, fy, 0.0, cx, cy)
-    stereo = gtsam.Cal3_S2Stereo(fx, fy, 0.0, cx, cy, max(problem.baseline_m, 1e-9))
-    # Keys made once: there are thousands of observations, and each call into GTSAM costs.
-    pose_keys = [_pose(k) for k in range(len(problem.world_from_cam))]
-    point_keys = [_point(m) for m in range(len(problem.points))]
+    camera = gtsam.Cal3_S2Stereo(fx, fy, 0.0, cx, cy, max(problem.baseline_m, 1e-9))
     rows = zip(
-        [pose_keys[k] for k in problem.keyframe[used].tolist()],
-        [point_keys[m] for m in problem.point[used].tolist()],
-        problem.xy[used],
-        problem.xy[used].tolist(),
-        problem.disparity[used].tolist(),
+        problem.keyframe[used].tolist(),
+        (len(problem.world_from_cam) + problem.point[used]).tolist(),
+        problem.xy[used, 0].tolist(),
+        (problem.xy[used, 0] - problem.disparity[used]).tolist(),
+        problem.xy[used, 1].tolist(),
         problem.sigma_px[used].tolist(),
         strict=True,
     )
-    mono_factor, stereo_factor = gtsam.GenericProjectionFactorCal3_S2, gtsam.GenericStereoFactor3D
-    for pose, point, xy, (u, v), d, sigma in rows:
-        if d == d:  # not NaN
-            measured = gtsam.StereoPoint2(u, u - d, v)
-            model = noise.stereo(sigma)
-            graph.add(stereo_factor(measured, model, pose, point, stereo, False, False))
-        else:
-            graph.add(mono_factor(xy, noise.mono(sigma), pose, point, mono, False, False))
-    return graph, values
+    # There are thousands of observations, and each call into GTSAM costs a microsecond.
+    factor, pixels = gtsam.GenericStereoFactor3D, gtsam.StereoPoint2
+    model, add = noise.stereo, graph.add
+    for pose, point, left, right, v, sigma in rows:
+        add(factor(pixels(left, right, v), model(sigma), pose, point, camera, False, False))
+
+
+def _add_mono(
+    graph: gtsam.NonlinearFactorGraph, problem: WindowProblem, used: Ints, noise: _NoiseModels
+) -> None:
+    fx, fy, cx, cy = problem.intrinsics
+    camera = gtsam.Cal3_S2(fx, fy, 0.0, cx, cy)
+    keyframe, sigma_px = problem.keyframe[used], problem.sigma_px[used]
+    for k in np.unique(keyframe).tolist():
+        for sigma in np.unique(sigma_px[keyframe == k]).tolist():
+            rows = used[(keyframe == k) & (sigma_px == sigma)]
+            points = (len(problem.world_from_cam) + problem.point[rows]).astype(np.float64)
+            gtsam.utilities.insertProjectionFactors(
+                graph, k, points, problem.xy[rows].T, noise.mono(sigma), camera
+            )
 
 
 def _anchor(graph: gtsam.NonlinearFactorGraph, problem: WindowProblem) -> None:
     held, scaled, sigmas = anchors(problem)
     hold = gtsam.noiseModel.Diagonal.Sigmas(_ANCHOR_SIGMAS)
     for k in np.flatnonzero(held).tolist():
-        graph.add(gtsam.PriorFactorPose3(_pose(k), gtsam.Pose3(problem.world_from_cam[k]), hold))
+        graph.add(gtsam.PriorFactorPose3(k, gtsam.Pose3(problem.world_from_cam[k]), hold))
     if scaled is not None:
         pose, noise = problem.world_from_cam[scaled], gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        graph.add(gtsam.PriorFactorPose3(_pose(scaled), gtsam.Pose3(pose), noise))
+        graph.add(gtsam.PriorFactorPose3(scaled, gtsam.Pose3(pose), noise))
 
 
 class _NoiseModels:
@@ -138,15 +157,12 @@ class _NoiseModels:
         return gtsam.noiseModel.Robust.Create(kernel, base)
 
 
-def _points_first(
-    graph: gtsam.NonlinearFactorGraph, problem: WindowProblem, point_ok: Bools
-) -> gtsam.Ordering:
+def _points_first(problem: WindowProblem, point_ok: Bools) -> gtsam.Ordering:
     """Eliminating every point before any pose is the Schur complement of bundle adjustment."""
     ordering = gtsam.Ordering()
-    for m in np.flatnonzero(point_ok).tolist():
-        ordering.push_back(_point(m))
-    for k in range(len(problem.world_from_cam)):
-        ordering.push_back(_pose(k))
+    first = len(problem.world_from_cam)
+    for key in [*(first + np.flatnonzero(point_ok)).tolist(), *range(first)]:
+        ordering.push_back(key)
     return ordering
 
 
@@ -172,11 +188,3 @@ def _weak_points(problem: WindowProblem, point_ok: Bools) -> Bools:
         return point_ok.copy()
     limit = np.quantile(spread[point_ok], 0.2)
     return np.asarray(point_ok & (spread <= limit))
-
-
-def _pose(k: int) -> int:
-    return int(gtsam.symbol("x", int(k)))
-
-
-def _point(m: int) -> int:
-    return int(gtsam.symbol("l", int(m)))
