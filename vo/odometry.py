@@ -21,7 +21,8 @@ from vo.pipeline.adjust import Window, cull, make_window, take_in
 from vo.pipeline.cores import available_cores
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
-from vo.pipeline.grow import grow_mono, grow_stereo, look_back, looks_swapped
+from vo.pipeline.grow import grow_stereo, look_back, looks_swapped
+from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.history import History
 from vo.pipeline.keyframe import add_keyframe, add_tracked, wants_keyframe
 from vo.pipeline.later import Later

@@ -10,7 +10,8 @@ from vo.config import Config
 from vo.geometry.rectification import WorkingRig, working_rig
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.grow import far_from, grow_mono, grow_stereo, look_back, stereo_disparity
+from vo.pipeline.grow import far_from, grow_stereo, look_back, stereo_disparity
+from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.start import add_keyframe
 from vo.pipeline.working_frame import Preparation, WorkingFrame
 from vo.types import Bytes, Camera, Floats, Frame, Rig
@@ -199,6 +200,18 @@ def test_mono_landmarks_lie_on_the_wall(texture: Bytes) -> None:
     rows = scene.map.rows(second.landmark)
     seen = scene.rig.project(transform_points(inverse(SIDEWAYS), scene.map.xyz[rows]))
     assert np.linalg.norm(second.xy - seen, axis=1).max() < 2.0
+
+
+def test_a_thin_map_grows_from_a_keyframe_far_behind(texture: Bytes) -> None:
+    scene = Scene(texture, Rig(CAMERA))
+    first = scene.keyframe(scene.frame(np.eye(4)), np.eye(4))
+    _seed(scene, first)
+    before = len(scene.map)
+    ahead = make_transform(np.eye(3), np.array([0.2, 0.0, 0.9]))  # depth is 5 and more
+    frame = scene.frame(ahead)
+    second = scene.keyframe(frame, ahead)
+    assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) > 50
+    assert np.mean(np.abs(scene.depth_errors()[before:]) > 0.05) < 0.05
 
 
 def test_no_feature_makes_two_landmarks(texture: Bytes) -> None:

@@ -1,4 +1,4 @@
-"""New landmarks: from left and right of one keyframe, or from two keyframes of a single camera."""
+"""New landmarks from left and right of one keyframe, and where else they were seen."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from vo.config import Config
-from vo.features.alignment import align_patches
-from vo.features.matching import agree_in_rotation, match_epipolar
+from vo.features.matching import match_epipolar
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.transforms import inverse, transform_points
-from vo.geometry.triangulation import in_front, triangulate
+from vo.geometry.transforms import transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.later import Later
@@ -56,7 +54,7 @@ def grow_stereo(
     disparity = disparity[rows]
     xy = keyframe.ideal_xy[rows]
     in_cam = rig.back_project(xy, rig.fx * rig.baseline_m / disparity)
-    _add(
+    add_new(
         world,
         keyframe,
         rows,
@@ -140,19 +138,6 @@ def _filled_from_neighbours(
     return filled
 
 
-def grow_mono(
-    world: Map, keyframe: Keyframe, image: np.ndarray, rig: WorkingRig, config: Config
-) -> int:
-    """Landmarks from features that a keyframe shares with some keyframes before it."""
-    added = 0
-    others = world.keyframes[:-1][-config.mapping.neighbours :]
-    for other in reversed(others):
-        room = config.mapping.new_per_keyframe - added
-        if room > 0:
-            added += _grow_between(world, keyframe, other, image, rig, config, room)
-    return added
-
-
 def look_back(world: Map, keyframe: Keyframe, rig: WorkingRig, config: Config) -> None:
     """Find the newest landmarks in the keyframes before, which did not know them yet."""
     new = np.flatnonzero((world.last_seen == keyframe.id) & (world.found <= 1))
@@ -176,130 +161,6 @@ def look_back(world: Map, keyframe: Keyframe, rig: WorkingRig, config: Config) -
         )
 
 
-def _grow_between(
-    world: Map,
-    keyframe: Keyframe,
-    other: Keyframe,
-    image: np.ndarray,
-    rig: WorkingRig,
-    config: Config,
-    room: int,
-) -> int:
-    """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`."""
-    now_from_other = inverse(keyframe.world_from_cam) @ other.world_from_cam
-    depth = _median_depth(world, other)
-    baseline = float(np.linalg.norm(now_from_other[:3, 3]))
-    if depth is None or baseline < 0.005 * depth:
-        return 0
-    query, train = np.flatnonzero(other.free), np.flatnonzero(keyframe.free)
-    matches = _match_between(keyframe, other, query, train, now_from_other, depth, rig, config)
-    query, train = matches
-    start = keyframe.keypoints.xy[train].astype(np.float64)
-    found = align_patches(
-        world.images,
-        np.full(len(query), other.slot),
-        other.keypoints.xy[query].astype(np.float64),
-        np.tile(np.eye(2), (len(query), 1, 1)),
-        image,
-        start,
-        half_px=config.tracking.patch_half_px,
-    )
-    size = config.features.scale_factor ** keyframe.keypoints.octave[train]
-    good = found.converged & (found.score >= config.tracking.min_patch_score)
-    good &= np.linalg.norm(found.xy - start, axis=1) <= 1.0 + 1.5 * size
-    query, train, image_xy = query[good], train[good], found.xy[good]
-    xy = rig.ideal_from_image(image_xy)
-    points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
-    query, train = query[good][:room], train[good][:room]
-    xy, image_xy, points = xy[good][:room], image_xy[good][:room], points[good][:room]
-    in_world = transform_points(other.world_from_cam, points)
-    ids = _add(world, other, query, in_world, keyframe)
-    none = np.full(len(ids), np.nan)
-    sigma = np.full(len(ids), config.tracking.sigma_px)
-    other_xy = other.keypoints.xy[query].astype(np.float64)
-    other.add_observations(ids, other.ideal_xy[query], other_xy, none, sigma)
-    keyframe.add_observations(ids, xy, image_xy, none, sigma)
-    other.free[query] = False
-    keyframe.free[train] = False
-    return len(ids)
-
-
-def _match_between(
-    keyframe: Keyframe,
-    other: Keyframe,
-    query: Ints,
-    train: Ints,
-    now_from_other: Floats,
-    depth: float,
-    rig: WorkingRig,
-    config: Config,
-) -> tuple[Ints, Ints]:
-    start, end, possible = _segments(other.ideal_xy[query], now_from_other, depth, rig)
-    query, start, end = query[possible], start[possible], end[possible]
-    keypoints = keyframe.keypoints
-    size = config.features.scale_factor ** keypoints.octave[train].astype(np.float64)
-    matched = match_epipolar(
-        other.ideal_xy[query],
-        other.keypoints.octave[query],
-        other.keypoints.descriptor[query],
-        keyframe.ideal_xy[train],
-        keypoints.octave[train],
-        keypoints.descriptor[train],
-        start,
-        end,
-        tolerance_px=1.5 * size,
-        max_distance=config.tracking.max_hamming,
-        ratio=config.tracking.ratio,
-    )
-    found = np.flatnonzero(matched >= 0)
-    query, train = query[found], train[matched[found]]
-    kept = agree_in_rotation(other.keypoints.angle[query], keypoints.angle[train])
-    return query[kept], train[kept]
-
-
-def _segments(
-    xy: Floats, now_from_other: Floats, depth: float, rig: WorkingRig
-) -> tuple[Floats, Floats, Bools]:
-    """Ideal pixels of features in the other view for the nearest and the farthest depth."""
-    ends = []
-    possible = np.ones(len(xy), dtype=bool)
-    for factor in (0.15, 100.0):
-        points = rig.back_project(xy, np.full(len(xy), factor * depth))
-        moved = transform_points(now_from_other, points)
-        possible &= moved[:, 2] > 0.01 * depth
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends.append(rig.project(moved))
-    return ends[0], ends[1], possible
-
-
-def _points_between(
-    xy_other: Floats, xy_now: Floats, now_from_other: Floats, rig: WorkingRig, config: Config
-) -> tuple[Floats, Bools]:
-    """Points (n, 3) in the other view's frame, and which of them are sound."""
-    focal, centre = np.array([rig.fx, rig.fy]), np.array([rig.cx, rig.cy])
-    points, angle = triangulate(
-        now_from_other, (xy_other - centre) / focal, (xy_now - centre) / focal
-    )
-    good = in_front(points, now_from_other)
-    good &= angle >= np.deg2rad(config.mapping.min_parallax_deg)
-    limit = config.tracking.gate * config.tracking.sigma_px
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = transform_points(now_from_other, points)
-        error_other = np.linalg.norm(rig.project(points) - xy_other, axis=1)
-        error_now = np.linalg.norm(rig.project(moved) - xy_now, axis=1)
-        good &= (error_other < limit) & (error_now < limit)
-    return points, good
-
-
-def _median_depth(world: Map, keyframe: Keyframe) -> float | None:
-    rows = world.rows(keyframe.landmark)
-    rows = rows[rows >= 0]
-    if len(rows) < 8:
-        return None
-    depth = transform_points(inverse(keyframe.world_from_cam), world.xyz[rows])[:, 2]
-    return float(np.median(depth))
-
-
 def _strongest(keyframe: Keyframe, rows: Ints, count: int) -> Ints:
     """At most `count` of some features, the strongest corners (the detector spread them evenly)."""
     if len(rows) <= count:
@@ -308,7 +169,8 @@ def _strongest(keyframe: Keyframe, rows: Ints, count: int) -> Ints:
     return np.sort(rows[order])
 
 
-def _add(world: Map, reference: Keyframe, rows: Ints, xyz: Floats, last_seen: Keyframe) -> Ints:
+def add_new(world: Map, reference: Keyframe, rows: Ints, xyz: Floats, last_seen: Keyframe) -> Ints:
+    """Make landmarks (n, 3) of features of a keyframe, that holds their patches; returns ids."""
     keypoints = reference.keypoints
     return world.add_landmarks(
         xyz,

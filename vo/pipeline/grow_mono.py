@@ -1,0 +1,177 @@
+"""New landmarks from features that two keyframes of a single camera share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.config import Config
+from vo.features.alignment import align_patches
+from vo.features.matching import agree_in_rotation, match_epipolar
+from vo.geometry.rectification import WorkingRig
+from vo.geometry.transforms import inverse, transform_points
+from vo.geometry.triangulation import in_front, triangulate
+from vo.mapping.map import Keyframe, Map
+from vo.pipeline.grow import add_new
+from vo.types import Bools, Floats, Ints
+
+_NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
+_SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
+_THIN = 0.5  # of `keyframes.min_tracked`: with fewer landmarks a map is about to be lost
+
+
+def grow_mono(
+    world: Map, keyframe: Keyframe, image: np.ndarray, rig: WorkingRig, config: Config
+) -> int:
+    """Landmarks from features that a keyframe shares with some keyframes before it.
+
+    With a map as thin as to be lost soon, pairs of keyframes are used too that lie one behind the
+    other, so that what is nearest in the older one is behind the camera in the newer. Their
+    landmarks are worse: used always they cost accuracy.
+    """
+    thin = len(keyframe.landmark) < _THIN * config.keyframes.min_tracked
+    added = 0
+    others = world.keyframes[:-1][-config.mapping.neighbours :]
+    for other in reversed(others):
+        room = config.mapping.new_per_keyframe - added
+        if room > 0:
+            added += _grow_between(world, keyframe, other, image, rig, config, room, thin=thin)
+    return added
+
+
+def _grow_between(
+    world: Map,
+    keyframe: Keyframe,
+    other: Keyframe,
+    image: np.ndarray,
+    rig: WorkingRig,
+    config: Config,
+    room: int,
+    *,
+    thin: bool,
+) -> int:
+    """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`."""
+    now_from_other = inverse(keyframe.world_from_cam) @ other.world_from_cam
+    depth = _median_depth(world, other)
+    baseline = float(np.linalg.norm(now_from_other[:3, 3]))
+    if depth is None or baseline < 0.005 * depth:
+        return 0
+    query, train = np.flatnonzero(other.free), np.flatnonzero(keyframe.free)
+    nearest = np.full(len(query), _NEAREST * depth)
+    if thin:
+        nearest = np.maximum(nearest, _not_too_near(other.ideal_xy[query], now_from_other, rig))
+    segments = _segments(other.ideal_xy[query], now_from_other, nearest, _FARTHEST * depth, rig)
+    query, train = _match_between(keyframe, other, query, train, segments, config)
+    start = keyframe.keypoints.xy[train].astype(np.float64)
+    found = align_patches(
+        world.images,
+        np.full(len(query), other.slot),
+        other.keypoints.xy[query].astype(np.float64),
+        np.tile(np.eye(2), (len(query), 1, 1)),
+        image,
+        start,
+        half_px=config.tracking.patch_half_px,
+    )
+    size = config.features.scale_factor ** keyframe.keypoints.octave[train]
+    good = found.converged & (found.score >= config.tracking.min_patch_score)
+    good &= np.linalg.norm(found.xy - start, axis=1) <= 1.0 + 1.5 * size
+    query, train, image_xy = query[good], train[good], found.xy[good]
+    xy = rig.ideal_from_image(image_xy)
+    points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
+    query, train = query[good][:room], train[good][:room]
+    xy, image_xy, points = xy[good][:room], image_xy[good][:room], points[good][:room]
+    in_world = transform_points(other.world_from_cam, points)
+    ids = add_new(world, other, query, in_world, keyframe)
+    none = np.full(len(ids), np.nan)
+    sigma = np.full(len(ids), config.tracking.sigma_px)
+    other_xy = other.keypoints.xy[query].astype(np.float64)
+    other.add_observations(ids, other.ideal_xy[query], other_xy, none, sigma)
+    keyframe.add_observations(ids, xy, image_xy, none, sigma)
+    other.free[query] = False
+    keyframe.free[train] = False
+    return len(ids)
+
+
+def _match_between(
+    keyframe: Keyframe,
+    other: Keyframe,
+    query: Ints,
+    train: Ints,
+    segments: tuple[Floats, Floats, Bools],
+    config: Config,
+) -> tuple[Ints, Ints]:
+    start, end, possible = segments
+    query, start, end = query[possible], start[possible], end[possible]
+    keypoints = keyframe.keypoints
+    size = config.features.scale_factor ** keypoints.octave[train].astype(np.float64)
+    matched = match_epipolar(
+        other.ideal_xy[query],
+        other.keypoints.octave[query],
+        other.keypoints.descriptor[query],
+        keyframe.ideal_xy[train],
+        keypoints.octave[train],
+        keypoints.descriptor[train],
+        start,
+        end,
+        tolerance_px=1.5 * size,
+        max_distance=config.tracking.max_hamming,
+        ratio=config.tracking.ratio,
+    )
+    found = np.flatnonzero(matched >= 0)
+    query, train = query[found], train[matched[found]]
+    kept = agree_in_rotation(other.keypoints.angle[query], keypoints.angle[train])
+    return query[kept], train[kept]
+
+
+def _segments(
+    xy: Floats, now_from_other: Floats, nearest: Floats, farthest: float, rig: WorkingRig
+) -> tuple[Floats, Floats, Bools]:
+    """Ideal pixels of features in the other view for the nearest and the farthest depth.
+
+    Features (n,) whose nearest (n,) point would be behind the other camera are not possible.
+    """
+    ends = []
+    possible = np.ones(len(xy), dtype=bool)
+    for depth in (nearest, np.full(len(xy), farthest)):
+        moved = transform_points(now_from_other, rig.back_project(xy, depth))
+        possible &= moved[:, 2] > 1e-4 * farthest
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends.append(rig.project(moved))
+    return ends[0], ends[1], possible
+
+
+def _not_too_near(xy: Floats, now_from_other: Floats, rig: WorkingRig) -> Floats:
+    """Depths (n,) of features from which their depth now is at least `_SMALLEST` of it, or 0."""
+    rays = rig.back_project(xy, np.ones(len(xy)))
+    # A point at depth d is at slope * d + shift now.
+    slope, shift = rays @ now_from_other[2, :3], now_from_other[2, 3]
+    margin = slope - _SMALLEST
+    usable = (margin > 0.05) & (shift < 0)
+    return np.where(usable, -shift / np.where(usable, margin, 1.0), 0.0)
+
+
+def _points_between(
+    xy_other: Floats, xy_now: Floats, now_from_other: Floats, rig: WorkingRig, config: Config
+) -> tuple[Floats, Bools]:
+    """Points (n, 3) in the other view's frame, and which of them are sound."""
+    focal, centre = np.array([rig.fx, rig.fy]), np.array([rig.cx, rig.cy])
+    points, angle = triangulate(
+        now_from_other, (xy_other - centre) / focal, (xy_now - centre) / focal
+    )
+    good = in_front(points, now_from_other)
+    good &= angle >= np.deg2rad(config.mapping.min_parallax_deg)
+    limit = config.tracking.gate * config.tracking.sigma_px
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = transform_points(now_from_other, points)
+        error_other = np.linalg.norm(rig.project(points) - xy_other, axis=1)
+        error_now = np.linalg.norm(rig.project(moved) - xy_now, axis=1)
+        good &= (error_other < limit) & (error_now < limit)
+    return points, good
+
+
+def _median_depth(world: Map, keyframe: Keyframe) -> float | None:
+    rows = world.rows(keyframe.landmark)
+    rows = rows[rows >= 0]
+    if len(rows) < 8:
+        return None
+    depth = transform_points(inverse(keyframe.world_from_cam), world.xyz[rows])[:, 2]
+    return float(np.median(depth))
