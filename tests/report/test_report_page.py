@@ -103,11 +103,25 @@ def test_several_runs_stand_in_one_table(report_runs: list[Path], tmp_path: Path
     assert {"plot-inliers", "plot-times", "plot-counts_1", "plot-counts_2"} <= set(page.ids)
 
 
+def test_a_run_keeps_its_colour_also_where_others_are_missing(
+    report_runs: list[Path], own_run: Path, tmp_path: Path
+) -> None:
+    change_summary(own_run, source="gone")
+    (own_run / "covariance.csv").unlink()
+    page = page_of(tmp_path, own_run, report_runs[0])
+    for name in ("error_time", "uncertainty"):
+        figure = page.source[page.source.index(f'id="plot-{name}"') :].partition("</figure>")[0]
+        assert "var(--series-1)" in figure and "var(--series-0)" not in figure
+
+
 def test_names_are_escaped(report_runs: list[Path], tmp_path: Path) -> None:
     odd = tmp_path / '<img src=x onerror=alert(1)> & "quotes" $x_1$ 中'
-    shutil.copytree(report_runs[0], odd)
+    hidden = tmp_path / "_hidden"
+    for copy in (odd, hidden):
+        shutil.copytree(report_runs[0], copy)
     change_summary(odd, source="<script>alert(2)</script>", warnings=["<b>x</b>"])
-    page = page_of(tmp_path, odd, report_runs[1])
+    page = page_of(tmp_path, odd, report_runs[1], hidden)
+    assert "\u2009_hidden</text>" in page.source
     assert "<script" not in page.source and "<b>x" not in page.source
     assert "<img src=x" not in page.source
     assert odd.name in page.text
@@ -126,6 +140,14 @@ def test_a_lost_stretch_is_shaded(own_run: Path, tmp_path: Path) -> None:
     assert "lost: frame 5" in page.text and "recovered: frame 8" in page.text
     assert page.source.count("var(--lost)") > whole.source.count("var(--lost)")
     assert ">no pose</text>" in page.source
+
+
+def test_runs_of_other_recordings_have_paths_of_their_own(own_run: Path, tmp_path: Path) -> None:
+    other = Path(shutil.copytree(own_run, tmp_path / "other"))
+    change_summary(other, source="another/recording")
+    page = page_of(tmp_path, own_run, other)
+    assert {"plot-path_1", "plot-path_2"} <= set(page.ids)
+    assert "another/recording" in page.text
 
 
 def test_a_killed_run_is_shown(own_run: Path, tmp_path: Path) -> None:

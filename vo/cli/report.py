@@ -63,11 +63,16 @@ def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[
     from vo.report.run_folder import read_run
 
     records = [read_run(folder) for folder in folders]
-    described = zip(records, names_of(folders), first_stamps(records), strict=True)
-    return [_entry(run, name, zero, truth, images) for run, name, zero in described]
+    described = zip(names_of(folders), range(len(folders)), records, strict=True)
+    zeros = first_stamps(records)
+    return [
+        _entry(name, number, run, zeros[number], truth, images) for name, number, run in described
+    ]
 
 
-def _entry(run: RunRecord, name: str, zero_ns: int, truth: Path | None, images: bool) -> Entry:
+def _entry(
+    name: str, number: int, run: RunRecord, zero_ns: int, truth: Path | None, images: bool
+) -> Entry:
     from vo.cli.report_sources import judge, open_recording, take_thumbnails
     from vo.report.entry import Entry
 
@@ -75,6 +80,7 @@ def _entry(run: RunRecord, name: str, zero_ns: int, truth: Path | None, images: 
     judged = judge(run, truth, source, why_not)
     return Entry(
         name,
+        number,
         run,
         judged.evaluation,
         judged.truth,

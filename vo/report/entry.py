@@ -13,6 +13,8 @@ from vo.report.run_folder import RunRecord
 from vo.types import Bytes, Floats, Ints, Trajectory
 
 _NS_PER_S = 1e9
+_LABEL_LENGTH = 40
+_GAP_STEPS = 2.5  # a single frame that is missing is no gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,7 @@ class Entry:
 
     Attributes:
         name: short, told apart from the others of the report.
+        number: its place in the report, from 0, which chooses its colour.
         run: what it left behind.
         evaluation: against the truth, None where there is none.
         truth: the whole truth, None where there is none.
@@ -41,6 +44,7 @@ class Entry:
     """
 
     name: str
+    number: int
     run: RunRecord
     evaluation: Evaluation | None = None
     truth: Trajectory | None = None
@@ -48,6 +52,14 @@ class Entry:
     notes: tuple[str, ...] = ()
     thumbnails: tuple[Thumbnail, ...] = ()
     zero_ns: int = 0
+
+    @property
+    def label(self) -> str:
+        """The name for legends: not too long, and not hidden by a leading underscore."""
+        name = self.name
+        if len(name) > _LABEL_LENGTH:
+            name = f"{name[: _LABEL_LENGTH // 2]}…{name[-_LABEL_LENGTH // 2 :]}"
+        return f"\u2009{name}" if name.startswith("_") else name
 
     def seconds(self, stamps_ns: Ints) -> Floats:
         """Stamps on the time axis of the plots."""
@@ -70,6 +82,14 @@ class Entry:
             (float(seconds[max(first - 1, 0)]), float(seconds[min(end, last)]))
             for first, end in zip(edges[::2], edges[1::2], strict=True)
         ]
+
+
+def gaps(stamps_ns: Ints) -> list[int]:
+    """Rows of a path before which poses are missing, so that no line may lead there."""
+    steps = np.diff(stamps_ns)
+    if len(steps) == 0:
+        return []
+    return [int(row) + 1 for row in np.flatnonzero(steps > _GAP_STEPS * np.median(steps))]
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:

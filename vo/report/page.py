@@ -24,13 +24,13 @@ def make_page(entries: Sequence[Entry], plots: Sequence[Plot]) -> str:
     title = f"{len(entries)} runs compared" if several else "Visual odometry report"
     parts = [
         element("header", element("h1", title)),
-        *(sections.opening(entry, i, several) for i, entry in enumerate(entries)),
+        *(sections.opening(entry, several) for entry in entries),
         *([sections.comparison(entries)] if several else []),
-        sections.drawings("Path", _named(plots, "path")),
+        sections.drawings("Path", [plot for plot in plots if plot.name.startswith("path")]),
         sections.drawings("Errors", _named(plots, *_ERRORS)),
         sections.drawings("Uncertainty", _named(plots, "uncertainty")),
         sections.drawings("Tracking and time", _named(plots, "inliers", "times")),
-        *(_of_run(entry, i, plots, several) for i, entry in enumerate(entries)),
+        *(_of_run(entry, plots, several) for entry in entries),
         sections.settings(entries),
         element("section", element("h2", "Details"), *_details(entries)),
     ]
@@ -41,8 +41,8 @@ def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
     return [plot for plot in plots if plot.run is None and plot.name in names]
 
 
-def _of_run(entry: Entry, number: int, plots: Sequence[Plot], several: bool) -> Markup:
-    own = [plot for plot in plots if plot.run == number]
+def _of_run(entry: Entry, plots: Sequence[Plot], several: bool) -> Markup:
+    own = [plot for plot in plots if plot.run == entry.number]
     name = f", {entry.name}" if several else ""
     return join(
         sections.drawings(f"Tracking and time{name}", own),

@@ -21,14 +21,14 @@ _JPEG_QUALITY = 70
 _SIGNS = {"good": "✓", "caution": "!", "bad": "✕"}
 
 
-def opening(entry: Entry, number: int, several: bool) -> Markup:
+def opening(entry: Entry, several: bool) -> Markup:
     """What to know first of a run: verdict, warnings and, of a single one, its numbers."""
     found = verdict(entry)
     summary = entry.run.summary
     sign = element("span", _SIGNS[found.grade], class_="sign", aria_hidden="true")
     chip = element("span", sign, found.word, class_=f"chip {found.grade}")
     about = f"{summary['mode']}, {summary['format']}, from {summary['source']}"
-    title = element("h2", _swatch(number) if several else Markup(), entry.name, chip)
+    title = element("h2", _swatch(entry.number) if several else Markup(), entry.name, chip)
     parts = [title, element("p", *_sentences(found.sentences), class_="verdict")]
     if not several:
         parts.append(_cards(entry))
@@ -81,7 +81,7 @@ def comparison(entries: Sequence[Entry]) -> Markup:
         rows.append(
             [name, *("–" if each is None else _cell(each.value, each.meaning) for each in found)]
         )
-    heading = ["", *(join(_swatch(i), entry.name) for i, entry in enumerate(entries))]
+    heading = ["", *(join(_swatch(entry.number), entry.name) for entry in entries)]
     return element("section", element("h2", "Compared"), table(heading, rows, class_="compared"))
 
 

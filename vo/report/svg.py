@@ -37,7 +37,7 @@ def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
     import matplotlib
 
     stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": prefix, "svg.fonttype": "none"}):
+    with style.drawing(), matplotlib.rc_context({"svg.hashsalt": prefix}):
         figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
     text = stream.getvalue()
     text = text[text.index("<svg") :]

@@ -41,7 +41,7 @@ def verdict(entry: Entry) -> Verdict:
     frames, tracked = summary["frames"], summary["tracked"]
     sentences = [_coverage(entry)]
     if entry.evaluation is not None:
-        sentences.append(_accuracy(entry.evaluation))
+        sentences.append(_accuracy(entry.evaluation, is_whole=len(summary["segments"]) < 2))
     elif tracked:
         sentences.append("There is no truth to compare with: nothing here says how exact it is.")
     if not tracked:
@@ -70,9 +70,10 @@ def _coverage(entry: Entry) -> str:
     return f"{text}, over a path of {length(summary['path_m'], entry.run.unit)}."
 
 
-def _accuracy(evaluation: Evaluation) -> str:
+def _accuracy(evaluation: Evaluation, *, is_whole: bool) -> str:
     ate = evaluation.ate.translation
-    text = f"The path is {length(ate.rmse)} off the truth (root mean square"
+    what = "The path" if is_whole else f"The longest segment ({len(evaluation.matched)} poses)"
+    text = f"{what} is {length(ate.rmse)} off the truth (root mean square"
     text += f", {_ALIGNED[evaluation.alignment.kind]})"
     if evaluation.path_m > 0.0:
         text += f", {number(100.0 * ate.rmse / evaluation.path_m, 2)} % of its length"
@@ -94,7 +95,7 @@ def figures(entry: Entry) -> list[Figure]:
     span_s = _span_s(entry)
     return [
         Figure("frames with a pose", share(tracked, frames), f"{tracked} of {frames}"),
-        *_judged_figures(entry.evaluation),
+        *_judged_figures(entry.evaluation, is_whole=len(summary["segments"]) < 2),
         Figure(
             "path",
             length(summary["path_m"], entry.run.unit),
@@ -115,11 +116,12 @@ def figures(entry: Entry) -> list[Figure]:
     ]
 
 
-def _judged_figures(evaluation: Evaluation | None) -> list[Figure]:
+def _judged_figures(evaluation: Evaluation | None, *, is_whole: bool) -> list[Figure]:
     if evaluation is None:
         return []
     ate, frames, segments = evaluation.ate, evaluation.rpe_frames, evaluation.segments
-    found = [Figure("ATE", length(ate.translation.rmse), f"rmse, {evaluation.alignment.kind}")]
+    meaning = f"rmse, {evaluation.alignment.kind}" + ("" if is_whole else ", longest segment")
+    found = [Figure("ATE", length(ate.translation.rmse), meaning)]
     if segments is not None:
         is_kitti = segments.lengths[0].length_m >= _KITTI_M
         drift = number(100.0 * segments.rotation_deg_per_m)

@@ -21,8 +21,8 @@ class Plot(NamedTuple):
     run: int | None = None
 
 
+_PATH = "Camera path from above and from the side"
 _OF_ALL = (
-    ("path", "Camera path from above and from the side.", paths.draw_paths),
     (
         "error_time",
         "Error of each pose over time, after alignment to the truth.",
@@ -64,6 +64,7 @@ _OF_ONE = (
 def draw_all(entries: Sequence[Entry]) -> Iterator[Plot]:
     """Every figure that there is something to draw for."""
     with style.drawing():
+        yield from _paths(entries)
         for name, caption, draw in _OF_ALL:
             figure = draw(entries)
             if figure is not None:
@@ -78,3 +79,17 @@ def draw_all(entries: Sequence[Entry]) -> Iterator[Plot]:
                 if figure is not None:
                     suffix = f"_{number + 1}" if len(entries) > 1 else ""
                     yield Plot(name + suffix, caption, figure, number)
+
+
+def _paths(entries: Sequence[Entry]) -> Iterator[Plot]:
+    """One figure for the runs of each recording: others are in other worlds."""
+    sources = list(dict.fromkeys(str(entry.run.summary["source"]) for entry in entries))
+    for number, source in enumerate(sources, start=1):
+        together = [entry for entry in entries if str(entry.run.summary["source"]) == source]
+        figure = paths.draw_paths(together)
+        if figure is None:
+            continue
+        if len(sources) == 1:
+            yield Plot("path", f"{_PATH}.", figure)
+        else:
+            yield Plot(f"path_{number}", f"{_PATH}, {source}.", figure)

@@ -9,8 +9,8 @@ import numpy as np
 
 from vo.evaluation.report import Evaluation
 from vo.evaluation.statistics import PoseErrors, path_distances
-from vo.report.entry import Entry
-from vo.report.plots.style import INK, colour, dash, new_figure, shade, thin
+from vo.report.entry import Entry, gaps
+from vo.report.plots.style import INK, broken, colour, dash, new_figure, shade, thin
 from vo.report.quantities import length_scale
 from vo.types import Floats
 
@@ -42,11 +42,12 @@ def _draw_errors(runs: list[Judged], by: Literal["time", "distance"]) -> Figure 
     figure = new_figure(4.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
     factor, unit = _scale([evaluation.ate for _, evaluation in runs])
-    for number, (entry, evaluation) in enumerate(runs):
+    for entry, evaluation in runs:
         x = _abscissa(entry, evaluation, by)
         lengths, angles = factor * evaluation.ate.translation_m, rotation_errors(evaluation)
         for axes, errors in ((upper, lengths), (lower, angles)):
-            axes.plot(*thin(x, errors), color=colour(number), ls=dash(number), label=entry.name)
+            curve = broken(*thin(x, errors), x[gaps(evaluation.matched.stamps_ns)])
+            axes.plot(*curve, color=colour(entry.number), ls=dash(entry.number), label=entry.label)
     if by == "time" and len(runs) == 1:
         for axes in (upper, lower):
             shade(axes, runs[0][0].without_pose_s)
@@ -93,8 +94,9 @@ def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
     grid = np.atleast_2d(figure.subplots(len(rows), 2, sharey=True))
     for axes, (title, errors) in zip(grid, rows, strict=True):
         factor, unit = _scale([each for _, each in errors])
-        for number, (name, each) in enumerate(errors):
-            style = {"color": colour(number), "ls": dash(number), "label": name}
+        for entry, each in errors:
+            number = entry.number
+            style = {"color": colour(number), "ls": dash(number), "label": entry.label}
             _cumulative(axes[0], factor * each.translation_m, style)
             _cumulative(axes[1], each.rotation_deg, style)
         axes[0].set(
@@ -107,16 +109,16 @@ def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
     return figure
 
 
-_Row = tuple[str, list[tuple[str, PoseErrors]]]
+_Row = tuple[str, list[tuple[Entry, PoseErrors]]]
 
 
 def _over_frames(runs: Sequence[Judged]) -> _Row:
-    found = [(entry.name, e.rpe_frames) for entry, e in runs if e.rpe_frames is not None]
+    found = [(entry, e.rpe_frames) for entry, e in runs if e.rpe_frames is not None]
     return "Relative error from pose to pose", found
 
 
 def _over_metres(runs: Sequence[Judged]) -> _Row:
-    found = [(entry.name, e.rpe_metres) for entry, e in runs if e.rpe_metres is not None]
+    found = [(entry, e.rpe_metres) for entry, e in runs if e.rpe_metres is not None]
     lengths = sorted({e.delta_m for _, e in runs if e.rpe_metres is not None})
     return f"Relative error over {' or '.join(f'{each:g}' for each in lengths)} m", found
 
@@ -138,12 +140,13 @@ def draw_drift(entries: Sequence[Entry]) -> Figure | None:
         return None
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
-    for number, (entry, segments) in enumerate(runs):
+    for entry, segments in runs:
+        number = entry.number
         lengths = [each.length_m for each in segments.lengths]
         style = {"color": colour(number), "ls": dash(number), "marker": "o", "ms": 5}
         translation = [each.translation_percent for each in segments.lengths]
         rotation = [100.0 * each.rotation_deg_per_m for each in segments.lengths]
-        left.plot(lengths, translation, label=entry.name, **style)
+        left.plot(lengths, translation, label=entry.label, **style)
         right.plot(lengths, rotation, **style)
     left.set(title="Drift by length of sub-path", ylabel="translation (%)")
     right.set(ylabel="rotation (° per 100 m)")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vo.evaluation.plots import axes_from_above
-from vo.report.entry import Entry
+from vo.report.entry import Entry, gaps
 from vo.report.plots.style import INK, MUTED, colour, dash, new_figure
 from vo.types import Floats
 
@@ -62,24 +62,26 @@ def _draw(axes: Axes, entries: Sequence[Entry], x: int, y: int, flip: float) -> 
         positions = truth.positions
         axes.plot(positions[:, x], flip * positions[:, y], color=MUTED, lw=3.2, alpha=0.45)
         axes.lines[-1].set_label("truth")
-    for number, entry in enumerate(entries):
+    start = None
+    for entry in entries:
         if truth is not None and entry.evaluation is None:
             continue  # its world is another one
         positions = _positions(entry)
-        name = entry.name if len(entries) > 1 else "estimate"
-        style = {"color": colour(number), "ls": dash(number), "label": name}
+        name = entry.label if len(entries) > 1 else "estimate"
+        style = {"color": colour(entry.number), "ls": dash(entry.number), "label": name}
         axes.plot(positions[:, x], flip * positions[:, y], **style)
-        if number == 0:
+        if start is None:
             start = positions[np.isfinite(positions).all(axis=1)][0]
-            axes.plot(start[x], flip * start[y], "o", color=INK, ms=6, zorder=5, label="start")
+    if start is not None:
+        axes.plot(start[x], flip * start[y], "o", color=INK, ms=6, zorder=5, label="start")
     axes.margins(0.08)
 
 
 def _positions(entry: Entry) -> Floats:
-    """Positions (N, 3), with rows of NaN where one segment ends and another begins."""
+    """Positions (N, 3), with rows of NaN where poses are missing and where a segment begins."""
     if entry.evaluation is not None:
         positions, stamps = entry.evaluation.aligned[:, :3, 3], entry.evaluation.matched.stamps_ns
     else:
         positions, stamps = entry.run.trajectory.positions, entry.run.trajectory.stamps_ns
-    cuts = np.flatnonzero(np.diff(entry.run.segment_of(stamps))) + 1
-    return np.insert(positions, cuts, np.nan, axis=0)
+    cuts = {*gaps(stamps), *(np.flatnonzero(np.diff(entry.run.segment_of(stamps))) + 1).tolist()}
+    return np.insert(positions, sorted(cuts), np.nan, axis=0)

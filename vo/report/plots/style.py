@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -49,6 +50,7 @@ _RC: Any = {
     "lines.linewidth": 1.5,
     "lines.solid_joinstyle": "round",
     "path.simplify": True,
+    "text.parse_math": False,  # names may hold dollars
     "svg.fonttype": "none",  # text stays text
     "pdf.fonttype": 42,
 }
@@ -59,7 +61,9 @@ def drawing() -> Iterator[None]:
     """Everything drawn inside has the report's looks, whatever the user's matplotlibrc says."""
     import matplotlib
 
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # A browser finds letters of all scripts; matplotlib's own font does not have them.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_RC)
         yield
@@ -102,6 +106,7 @@ def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return x[kept], y[kept]
 
 
-def broken(x: Floats, y: Floats, cuts: Sequence[int]) -> tuple[Floats, Floats]:
-    """A curve with gaps before these rows."""
-    return np.insert(x, cuts, np.nan), np.insert(y, cuts, np.nan)
+def broken(x: Floats, y: Floats, cuts: Floats) -> tuple[Floats, Floats]:
+    """A curve of increasing x with a gap before each of these x."""
+    rows = np.searchsorted(x, cuts)
+    return np.insert(x, rows, np.nan), np.insert(y, rows, np.nan)

@@ -76,14 +76,19 @@ def draw_total_times(entries: Sequence[Entry]) -> Figure | None:
     runs = [(entry, entry.run.frames) for entry in entries if entry.run.frames is not None]
     if not runs:
         return None
+    from matplotlib.ticker import LogFormatter
+
     figure = new_figure(2.9)
     axes = figure.subplots()
-    for number, (entry, frames) in enumerate(runs):
+    for entry, frames in runs:
+        number = entry.number
         ordered = np.sort(frames.total_ms)
         shares = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)
-        style = {"color": colour(number), "ls": dash(number), "label": entry.name}
+        style = {"color": colour(number), "ls": dash(number), "label": entry.label}
         axes.plot(*thin(ordered, shares), drawstyle="steps-post", **style)
     axes.set_xscale("log")
+    for which in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        which(LogFormatter(minor_thresholds=(1.5, 0.5)))
     axes.set(title="Wall time of a frame", xlabel="ms", ylabel="share of frames (%)")
     axes.set_ylim(0.0, 102.0)
     figure.legend(loc="outside lower center", ncols=min(len(runs), 4))

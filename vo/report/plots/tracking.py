@@ -56,14 +56,22 @@ def draw_inliers(entries: Sequence[Entry]) -> Figure | None:
         return None
     figure = new_figure(2.9)
     axes = figure.subplots()
-    for number, (entry, frames) in enumerate(runs):
+    for entry, frames in runs:
+        number = entry.number
         curve = thin(entry.seconds(frames.stamp_ns), frames.inliers.astype(np.float64))
-        axes.plot(*curve, color=colour(number), ls=dash(number), lw=1.2, label=entry.name)
+        axes.plot(*curve, color=colour(number), ls=dash(number), lw=1.2, label=entry.label)
     axes.set(title="Inliers", ylabel="count", xlabel="time (s)")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
     return figure
+
+
+def metres_per_unit(entry: Entry) -> float:
+    """What brings a run's lengths to the truth's size, if its scale was aligned to that."""
+    if entry.evaluation is None:
+        return 1.0
+    return float(entry.evaluation.alignment.reference_from_estimate.scale)
 
 
 def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
@@ -73,16 +81,18 @@ def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
         return None
     figure = new_figure(3.8)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for number, (entry, sigmas) in enumerate(runs):
+    for entry, sigmas in runs:
+        number = entry.number
         seconds = entry.seconds(sigmas.stamp_ns)
-        cuts = (np.flatnonzero(np.diff(sigmas.segment)) + 1).tolist()
-        style = {"color": colour(number), "ls": dash(number), "label": entry.name}
-        for axes, values in ((upper, sigmas.position), (lower, sigmas.rotation_deg)):
+        cuts = seconds[np.flatnonzero(np.diff(sigmas.segment)) + 1]
+        style = {"color": colour(number), "ls": dash(number), "label": entry.label}
+        position = metres_per_unit(entry) * sigmas.position
+        for axes, values in ((upper, position), (lower, sigmas.rotation_deg)):
             axes.plot(*broken(seconds, values, cuts), **style)
     if len(runs) == 1:
         for axes in (upper, lower):
             shade(axes, runs[0][0].without_pose_s)
-    units = sorted({entry.run.unit for entry, _ in runs})
+    units = sorted({"m" if entry.evaluation else entry.run.unit for entry, _ in runs})
     upper.set(title="Own estimate of uncertainty (1σ)", ylabel=f"position ({' or '.join(units)})")
     lower.set(ylabel="rotation (°)", xlabel="time (s)")
     for axes in (upper, lower):
