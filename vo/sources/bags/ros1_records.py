@@ -19,6 +19,7 @@ _MAGIC = b"#ROSBAG V2.0\n"
 _KEPT_BYTES = 64 * 2**20
 _FEWEST_KEPT = 2  # left and right may be in chunks of their own
 _LONGEST_HEADER = 2**20
+_LONGEST_RECORD = 2**32
 
 
 class Cut(Exception):
@@ -146,7 +147,7 @@ def top_level(path: Path) -> Iterator[Record]:
             at = stream.tell()
             header = stream.read(_length(stream.read(4), at, _LONGEST_HEADER))
             fields = _fields(header, at)
-            length = _length(stream.read(4), at, size)
+            length = _length(stream.read(4), at, _LONGEST_RECORD)
             start = stream.tell()
             record = Record(fields, start, length, b"")
             if start + length > size:

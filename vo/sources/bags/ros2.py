@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import shutil
 import tempfile
+import weakref
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,7 +52,7 @@ class Bag:
             SourceError: there is none, or one is no part of a bag.
         """
         self.path = path
-        self._unpacked: tempfile.TemporaryDirectory[str] | None = None
+        self._unpacked: Path | None = None
         found = _metadata(path)
         self._parts: list[Log] = [self._open(file, found.compression) for file in found.files]
         names = sorted({topic.name for part in self._parts for topic in part.topics})
@@ -88,8 +90,10 @@ class Bag:
 
     def _unpack(self, file: Path) -> Path:
         """Unpack a file that was compressed as a whole to a temporary folder."""
-        self._unpacked = self._unpacked or tempfile.TemporaryDirectory(prefix="vo-bag-")
-        unpacked = Path(self._unpacked.name) / file.stem
+        if self._unpacked is None:
+            self._unpacked = Path(tempfile.mkdtemp(prefix="vo-bag-"))
+            weakref.finalize(self, shutil.rmtree, self._unpacked, ignore_errors=True)
+        unpacked = self._unpacked / file.stem
         try:
             with file.open("rb") as packed, unpacked.open("wb") as stream:
                 zstandard.ZstdDecompressor().copy_stream(packed, stream)
