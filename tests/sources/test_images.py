@@ -32,6 +32,26 @@ def test_reads_grey_images_as_they_are(tmp_path: Path, suffix: str) -> None:
     assert np.array_equal(read(_written(tmp_path / f"a{suffix}", GREY)), GREY)
 
 
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp", ".pgm", ".ppm"])
+def test_reads_every_depth_and_number_of_channels(
+    tmp_path: Path, suffix: str, bits: int, channels: int
+) -> None:
+    if (suffix == ".webp" and bits == 16) or channels not in {".pgm": [1], ".ppm": [3]}.get(
+        suffix, [1, 3, 4]
+    ):
+        pytest.skip("there are no such files")
+    kind = np.dtype(f"uint{bits}")
+    pixels = GREY.astype(kind) << (bits - 8)
+    layers = [pixels] * min(channels, 3) + [np.full_like(pixels, 2**bits - 1)] * (channels - 3)
+    path = tmp_path / f"a{suffix}"
+    lossless = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
+    assert cv2.imwrite(str(path), np.dstack(layers), lossless)
+    assert ImageFile(path).read().dtype == kind
+    np.testing.assert_array_equal(read(path), GREY)
+
+
 def test_reads_jpeg_nearly_as_it_is(tmp_path: Path) -> None:
     smooth = cv2.GaussianBlur(GREY, (0, 0), 3)
     image = read(_written(tmp_path / "a.jpg", smooth))
@@ -73,7 +93,7 @@ def test_depth_is_that_of_the_brightest_of_several_images(tmp_path: Path) -> Non
     assert bits_of([_written(tmp_path / "grey.png", GREY)]) == 8
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm", ".webp"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
 def test_refuses_cut_off_files_without_noise(
     tmp_path: Path, suffix: str, share: float, capfd: pytest.CaptureFixture[str]
