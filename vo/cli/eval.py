@@ -28,7 +28,7 @@ def eval_command(
         Path, typer.Argument(help="Trajectory file (TUM, KITTI or EuRoC) or the folder of a run.")
     ],
     reference: Annotated[
-        Path, typer.Argument(help="Ground truth file, or the folder of a sequence that has one.")
+        Path, typer.Argument(help="Ground truth file, or a recording that has one.")
     ],
     align: Annotated[
         Align,
@@ -82,10 +82,9 @@ def eval_command(
 
       vo eval trajectory.tum groundtruth.txt --align sim3 --json
     """
-    from vo.evaluation.inputs import load_inputs
     from vo.evaluation.report import evaluate
 
-    inputs = load_inputs(estimate, reference, all_segments=all_segments)
+    inputs = _load(estimate, reference, all_segments)
     evaluation = evaluate(
         inputs.estimate,
         inputs.reference,
@@ -106,6 +105,29 @@ def eval_command(
         from vo.cli.eval_table import print_evaluation
 
         print_evaluation(evaluation, inputs, plot)
+
+
+def _load(estimate: Path, reference: Path, all_segments: bool) -> Inputs:
+    """Both sides; the truth from a file, or else from any recording that brings it along."""
+    from vo.errors import SourceError
+    from vo.evaluation.inputs import inputs_against, load_inputs
+    from vo.sources.registry import detect_format, open_source
+
+    try:
+        return load_inputs(estimate, reference, all_segments=all_segments)
+    except SourceError:
+        try:
+            detect_format(reference)
+        except (SourceError, OSError):
+            reference_is_recording = False
+        else:
+            reference_is_recording = True
+        if not reference_is_recording:
+            raise
+    truth = open_source(reference).ground_truth
+    if truth is None:
+        raise SourceError(f"{reference} has no ground truth; give the file of a trajectory")
+    return inputs_against(estimate, truth, reference, all_segments=all_segments)
 
 
 def _title(inputs: Inputs) -> str:

@@ -76,7 +76,9 @@ def load_inputs(
     return inputs if all_segments else _with_longest_segment(inputs, summary)
 
 
-def inputs_against(estimate: Path | str, truth: Trajectory, origin: Path) -> Inputs:
+def inputs_against(
+    estimate: Path | str, truth: Trajectory, origin: Path, *, all_segments: bool = False
+) -> Inputs:
     """As `load_inputs`, with a truth that is known already and came from `origin`.
 
     Raises:
@@ -85,7 +87,7 @@ def inputs_against(estimate: Path | str, truth: Trajectory, origin: Path) -> Inp
     path = _estimate_file(Path(estimate))
     summary = _summary_beside(path)
     inputs = Inputs(path, origin, read_trajectory(path), truth, mode=_mode(summary))
-    return _with_longest_segment(inputs, summary)
+    return inputs if all_segments else _with_longest_segment(inputs, summary)
 
 
 def _estimate_file(path: Path) -> Path:
