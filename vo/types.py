@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -96,6 +97,7 @@ class Frame:
         image1: the same of cam1, or None in mono and where the partner is missing.
         depth: (H, W) float32 metres along cam0's axis at the pixels of image0, 0 where unknown; or
             None where there is no depth camera or no depth image at that time.
+        path: the file that holds image0 as recorded, perhaps in colour; None if none does.
     """
 
     index: int
@@ -103,6 +105,7 @@ class Frame:
     image0: Bytes
     image1: Bytes | None = None
     depth: Floats32 | None = None
+    path: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,7 @@ class View:
         lens: what bends image0 against the ideal pinhole camera, or None.
         baseline_m: distance from image0's camera to image1's, 0 in mono.
         cam0_from_image0: (4, 4) turns the camera of image0 into the recorded cam0.
+        path: the file that holds cam0's image as recorded; None if none does.
     """
 
     image0: Bytes
@@ -221,6 +225,7 @@ class View:
     lens: Camera | None = None
     baseline_m: float = 0.0
     cam0_from_image0: Floats | None = None
+    path: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)

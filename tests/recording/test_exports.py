@@ -22,6 +22,7 @@ from vo.formats.trajectory import read_tum
 from vo.geometry.transforms import make_transform, so3_exp
 from vo.recording.colmap import ColmapRecorder
 from vo.recording.exports import Exports, SeveralRecorders
+from vo.recording.image_folder import ImageFolder
 from vo.recording.mcap_recorder import McapRecorder
 from vo.recording.ply import PlyRecorder
 from vo.recording.reconstruction import Reconstruction
@@ -158,6 +159,37 @@ def test_each_segment_is_a_model_of_its_own(tmp_path: Path) -> None:
     ]
 
 
+def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
+    recorded, written = tmp_path / "recorded", tmp_path / "written"
+    for folder in (recorded, recorded / "other", written):
+        folder.mkdir()
+    colour = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    for name in ("a 1.png", "other/a 1.png"):
+        assert cv2.imwrite(str(recorded / name), colour)
+    images, grey = ImageFolder(written), orbit.view(0, orbit.PINHOLE).image0
+    found = []
+    for frame, name in enumerate(["a 1.png", "other/a 1.png", "missing.png", "a 1.png"]):
+        estimate = orbit.estimate(frame)
+        estimate = replace(estimate, view=replace(estimate.view, path=recorded / name))
+        found.append(images.add(estimate, grey, is_recorded=frame < 3))
+    assert found == ["a_1.png", "a_1_000001.png", "missing.png", "a_1_000003.png"]
+    assert (written / "a_1.png").read_bytes() == (recorded / "a 1.png").read_bytes()
+    for name in found[2:]:
+        picture = cv2.imread(str(written / name), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(picture, grey)
+
+
+def test_the_recording_is_never_written_over(tmp_path: Path) -> None:
+    estimate = orbit.estimate(0)
+    estimate = replace(estimate, view=replace(estimate.view, path=tmp_path / "a.png"))
+    (tmp_path / "a.png").write_bytes(b"mine")
+    with pytest.raises(OSError, match="the recording's own"):
+        ImageFolder(tmp_path / ".." / tmp_path.name).add(
+            estimate, estimate.view.image0, is_recorded=False
+        )
+    assert (tmp_path / "a.png").read_bytes() == b"mine"
+
+
 def test_ply_holds_the_points_in_grey(tmp_path: Path) -> None:
     record(PlyRecorder(tmp_path / "new" / "map.ply"))
     rows = read_ply(tmp_path / "new" / "map.ply")
@@ -247,8 +279,9 @@ def test_a_run_is_exported_whole(exported: Path) -> None:
     assert colmap_errors(model).mean() < 1.0
     path = read_tum(exported / "run" / "trajectory.tum")
     for image in model.images.values():
-        frame = int(image.name.removeprefix("frame_").removesuffix(".png"))
-        np.testing.assert_allclose(image.projection_center(), path.positions[frame], atol=1e-6)
+        (row,) = np.flatnonzero(path.stamps_ns == int(image.name.removesuffix(".png")))
+        np.testing.assert_allclose(image.projection_center(), path.positions[row], atol=1e-6)
+        assert (exported / "model" / "images" / image.name).is_file()
     assert len(read_ply(exported / "map.ply")) == model.num_points3D()
     messages = read_mcap(exported / "a.mcap")
     assert len(messages["/image"]) == RUN_FRAMES

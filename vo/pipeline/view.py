@@ -60,6 +60,7 @@ def make_view(
         lens=rig.lens,
         baseline_m=rig.baseline_m,
         cam0_from_image0=rig.cam0_from_working,
+        path=frame.path,
     )
 
 

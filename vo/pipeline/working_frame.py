@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -28,6 +29,7 @@ class WorkingFrame:
         ideal_xy: (N, 2) float64 their ideal pinhole pixels.
         right: features of image1, found when they are asked for: few frames need them.
         depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
+        path: the file that holds the left image as recorded, or None.
     """
 
     index: int
@@ -38,6 +40,7 @@ class WorkingFrame:
     ideal_xy: Floats
     right: Later[Keypoints] | None = None
     depth: Floats32 | None = None
+    path: Path | None = None
 
     @property
     def has_disparity(self) -> bool:
@@ -93,7 +96,15 @@ class Preparation:
         if not inside.all():
             keypoints, ideal = select(keypoints, inside), ideal[inside]
         return WorkingFrame(
-            frame.index, frame.stamp_ns, image0, image1, keypoints, ideal, right, frame.depth
+            frame.index,
+            frame.stamp_ns,
+            image0,
+            image1,
+            keypoints,
+            ideal,
+            right,
+            frame.depth,
+            frame.path,
         )
 
     def _right(self, image: Bytes) -> Later[Keypoints]:

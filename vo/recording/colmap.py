@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from vo.errors import OutputError
 from vo.formats.colmap import MODEL_FILES, knows_lens, write_model
 from vo.geometry import cameras
+from vo.geometry.rectification import working_rig
+from vo.recording.image_folder import ImageFolder
 from vo.recording.reconstruction import Model, Reconstruction, camera_of, pinhole_of
-from vo.types import Bytes, Camera, Estimate, Floats32, Rig, Trajectory, View
+from vo.types import Camera, Estimate, Floats32, Rig, Trajectory, View
 
 _IMAGES, _MODELS = "images", "sparse"
 
@@ -22,8 +24,8 @@ class ColmapRecorder:
     """Writes `images/` as the run goes on, and `sparse/0`, `sparse/1`, … when it ends.
 
     A model for each segment, the one with most keyframes first: where one lies against another is
-    not known. Images are as the odometry saw them: rectified in stereo, as recorded in mono, and
-    free of distortion where COLMAP does not know the lens.
+    not known. Images are as the odometry saw them: rectified in stereo, as recorded in mono (then
+    in colour if they were), and free of distortion where COLMAP does not know the lens.
 
     Args:
         folder: made if it is missing; models of an earlier run in it are removed.
@@ -32,6 +34,8 @@ class ColmapRecorder:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._reconstruction = Reconstruction()
+        self._images = ImageFolder(folder / _IMAGES)
+        self._is_rectified = False
         self._names: dict[int, str] = {}
         self._camera: Camera | None = None
         self._maps: tuple[Floats32, Floats32] | None = None
@@ -42,6 +46,7 @@ class ColmapRecorder:
         Raises:
             OutputError: it cannot be written to.
         """
+        self._is_rectified = working_rig(rig).maps is not None
         try:
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
             for old in (self._folder / _MODELS).glob("[0-9]*"):
@@ -70,9 +75,8 @@ class ColmapRecorder:
         if self._maps is not None:
             undistorted = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
             image = np.asarray(undistorted, dtype=np.uint8)
-        name = f"frame_{estimate.frame_index:06d}.png"
-        (self._folder / _IMAGES / name).write_bytes(_png(image))
-        return name
+        is_recorded = self._maps is None and not self._is_rectified
+        return self._images.add(estimate, image, is_recorded=is_recorded)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the models, without keyframes that were not shown, as the first of a mono map.
@@ -114,9 +118,3 @@ def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None
 
 def _undistorted(lens: Camera, pinhole: Camera, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     return cameras.distort(pinhole, cameras.normalise(lens, xy))
-
-
-def _png(image: Bytes) -> bytes:
-    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    assert done
-    return bytes(data.tobytes())

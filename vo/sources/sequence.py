@@ -17,7 +17,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.sources.depth import DepthImages, read_depth
-from vo.sources.images import StoredImage, read_grey
+from vo.sources.images import ImageFile, StoredImage, read_grey
 from vo.sources.listing import Shot
 from vo.types import Bytes, Camera, Floats32, Frame, Ints, Rig, Skipped, Trajectory
 
@@ -149,7 +149,8 @@ class ImageSequence:
                 right, depth = _partner(index, image1, "right"), _partner(index, image2, "depth")
                 if right is None and depth is None and self.rig.is_metric:
                     self.unpaired += 1
-                yield Frame(index, shot.stamp_ns, left, right, depth)
+                path = shot.image.path if isinstance(shot.image, ImageFile) else None
+                yield Frame(index, shot.stamp_ns, left, right, depth, path)
 
     def _ahead(
         self, cam0: ThreadPoolExecutor, cam1: ThreadPoolExecutor, numbers: Iterable[int]

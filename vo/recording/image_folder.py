@@ -1,0 +1,72 @@
+"""The images of keyframes as files, in colour where the recording has it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.types import Bytes, Estimate
+
+_COLOURS = 3
+
+
+class ImageFolder:
+    """Writes images under the names that they have in the recording.
+
+    Args:
+        folder: made if it is missing; files of the same name are replaced.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._names: set[str] = set()
+
+    def add(self, estimate: Estimate, shown: Bytes, *, is_recorded: bool) -> str:
+        """Write the image of a frame; gives its name, which has no white space.
+
+        Args:
+            estimate: of the frame.
+            shown: its image as it is to be seen.
+            is_recorded: whether that is the recorded one, so that a colour image may be copied.
+
+        Raises:
+            OSError: it cannot be written, or the folder is that of the recording.
+        """
+        path = estimate.view.path
+        if path is not None and path.parent.resolve() == self._folder.resolve():
+            raise OSError(f"{self._folder} holds the recording's own images")
+        recorded = _in_colour(path) if is_recorded and path is not None else None
+        suffix = ".png" if recorded is None else recorded.suffix
+        stem = "frame" if path is None else re.sub(r"\s", "_", path.stem)
+        name = f"{stem}{suffix}"
+        if path is None or name in self._names:
+            name = f"{stem}_{estimate.frame_index:06d}{suffix}"
+        self._names.add(name)
+        if recorded is None:
+            (self._folder / name).write_bytes(_png(shown))
+        else:
+            shutil.copyfile(recorded, self._folder / name)
+        return name
+
+
+def _in_colour(path: Path) -> Path | None:
+    """The file, if it can be read and holds a colour image of 8 bits."""
+    try:
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        image: NDArray[np.generic] | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except (OSError, cv2.error):
+        return None
+    if image is None or image.ndim != _COLOURS or image.dtype != np.uint8:
+        return None
+    return path
+
+
+def _png(image: Bytes) -> bytes:
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert done
+    return bytes(data.tobytes())
