@@ -111,23 +111,27 @@ def _load(estimate: Path, reference: Path, all_segments: bool) -> Inputs:
     """Both sides; the truth from a file, or else from any recording that brings it along."""
     from vo.errors import SourceError
     from vo.evaluation.inputs import inputs_against, load_inputs
-    from vo.sources.registry import detect_format, open_source
+    from vo.sources.registry import open_source
 
     try:
         return load_inputs(estimate, reference, all_segments=all_segments)
     except SourceError:
-        try:
-            detect_format(reference)
-        except (SourceError, OSError):
-            reference_is_recording = False
-        else:
-            reference_is_recording = True
-        if not reference_is_recording:
+        if not _is_recording(reference):
             raise
     truth = open_source(reference).ground_truth
     if truth is None:
         raise SourceError(f"{reference} has no ground truth; give the file of a trajectory")
     return inputs_against(estimate, truth, reference, all_segments=all_segments)
+
+
+def _is_recording(path: Path) -> bool:
+    from vo.errors import SourceError
+    from vo.sources.registry import detect_format
+
+    try:
+        return path.exists() and bool(detect_format(path))
+    except (SourceError, OSError):
+        return False
 
 
 def _title(inputs: Inputs) -> str:
