@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +17,8 @@ from vo.recording.growing_rrd import GrowingRrd
 from vo.recording.viewer import check_viewer
 
 _APPLICATION = "vo"
-_FLUSH_TIMEOUT_S = 20.0
+_FILE_TIMEOUT_S, _VIEWER_TIMEOUT_S = 20.0, 2.0
+_open: list[rr.RecordingStream] = []  # kept: one that is dropped waits for its viewer for ever
 
 _log = logging.getLogger(__name__)
 
@@ -27,6 +30,7 @@ class Outlet:
         self._name = name
         self._stream = stream
         self._file = file
+        self._timeout_s = _VIEWER_TIMEOUT_S if file is None else _FILE_TIMEOUT_S
         self._is_open = True
 
     def fix(self, entity: str, archetype: Any) -> None:
@@ -39,14 +43,19 @@ class Outlet:
 
     def flush(self) -> None:
         """Wait until all is written; this is where a full disk shows."""
-        self._try(lambda: self._stream.flush(timeout_sec=_FLUSH_TIMEOUT_S))
+        self._try(lambda: self._stream.flush(timeout_sec=self._timeout_s))
 
     def close(self) -> None:
         """Write what is left, with the footer."""
-        self._try(self._stream.disconnect)
+        self.flush()
         if self._file is not None:
-            self._file.wait(_FLUSH_TIMEOUT_S)
+            self._stream.disconnect()  # returns also after a failure: the pipe is always emptied
+            self._file.wait(_FILE_TIMEOUT_S)
             self._try(lambda: None)
+            _open.remove(self._stream)
+        elif self._is_open:
+            self._try(self._stream.disconnect)
+            _open.remove(self._stream)
 
     def _try(self, action: Callable[[], None]) -> None:
         if not self._is_open:
@@ -70,7 +79,7 @@ def open_file(path: Path, title: str, blueprint: rrb.Blueprint) -> Outlet:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = GrowingRrd(path)
-        stream = rr.RecordingStream(_APPLICATION)
+        stream = _new_stream()
         stream.save(file.inlet, default_blueprint=blueprint)
     except (RuntimeError, OSError) as error:
         reason = getattr(error, "strerror", None) or error
@@ -89,7 +98,25 @@ def open_viewer(url: str, title: str, blueprint: rrb.Blueprint) -> Outlet:
         OutputError: no viewer answers there.
     """
     check_viewer(url)
-    stream = rr.RecordingStream(_APPLICATION)
+    stream = _new_stream()
     stream.connect_grpc(url, default_blueprint=blueprint)
     stream.send_recording_name(title)
     return Outlet(url, stream, None)
+
+
+def _new_stream() -> rr.RecordingStream:
+    """A stream that cannot keep the program from ending."""
+    stream = rr.RecordingStream(_APPLICATION)
+    _open.append(stream)
+    atexit.unregister(rr.rerun_shutdown)
+    atexit.unregister(_shut_down)
+    atexit.register(_shut_down)
+    return stream
+
+
+def _shut_down() -> None:
+    """What rerun does when a program ends, unless it would wait for ever."""
+    for stream in _open:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream.inner))  # never freed: that waits too
+    if not _open:
+        rr.rerun_shutdown()

@@ -19,6 +19,8 @@ DEFAULT_PORT = 9876
 _LOCALHOST = "127.0.0.1"
 _ANSWER_TIMEOUT_S = 3.0
 _START_TIMEOUT_S = 20.0
+# Source: RFC 9113, sec. 3.4: the preface and empty settings, which every gRPC server answers.
+_HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")
 
 
@@ -51,10 +53,13 @@ def check_viewer(url: str) -> None:
     parts = urlsplit(url)
     host, port = parts.hostname or _LOCALHOST, parts.port or DEFAULT_PORT
     try:
-        socket.create_connection((host, port), timeout=_ANSWER_TIMEOUT_S).close()
+        with socket.create_connection((host, port), timeout=_ANSWER_TIMEOUT_S) as connection:
+            connection.sendall(_HTTP2_GREETING)
+            if not connection.recv(1):
+                raise ConnectionError("it hangs up")
     except OSError as error:
         raise OutputError(
-            f"no viewer answers at {host}:{port} ({error.strerror or error}); start one there "
+            f"no viewer answers at {host}:{port} ({error.strerror or str(error)}); start one there "
             "with `rerun`, or let --spawn or --serve do it"
         ) from error
 
