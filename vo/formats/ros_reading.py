@@ -78,7 +78,10 @@ def _codec(name: str, parse: Callable[[bytes], Any], peek: Callable[[bytes], int
             raise SourceError(
                 f"{name} cannot be decoded: {error or type(error).__name__}"
             ) from error
-        return convert(record)
+        try:
+            return convert(record)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise SourceError(f"{name} is defined otherwise than is known: {error}") from error
 
     # The transforms of a TFMessage have their stamps one by one.
     return Codec(kind, decode, (lambda _: None) if kind is TransformsMessage else peek)
