@@ -9,7 +9,7 @@ import pytest
 
 from vo.config import Config
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.transforms import inverse, se3_exp, se3_log, transform_points
+from vo.geometry.transforms import adjoint, inverse, se3_exp, se3_log, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import make_window, take_in
 from vo.smoothing.smoother import smooth
@@ -225,3 +225,40 @@ def test_a_window_without_an_answer_changes_nothing() -> None:
     assert take_in(scene.map, window, nothing, RIG, config) == []
     assert scene.error(2) == before
     np.testing.assert_array_equal(scene.map.xyz, xyz)
+
+
+# Uncertainty
+
+
+def test_keyframes_err_with_those_that_were_held() -> None:
+    """If all that is held errs by one common motion, so does all that hangs on it."""
+    scene, config = _scene(), _config(1000)
+    config = config.model_copy(
+        update={"smoothing": config.smoothing.model_copy(update={"window": 2})}
+    )
+    root = np.random.default_rng(3).normal(0, [[0.1]] * 3 + [[1.0]] * 3, (6, 6))
+    common = root @ root.T  # large beside what the window itself does not know
+    keyframes, poses = scene.map.keyframes, scene.world_from_cam
+    carry = [adjoint(inverse(pose) @ poses[0]) for pose in poses]
+    for k, keyframe in enumerate(keyframes[:4]):
+        keyframe.covariance = carry[k] @ common @ carry[k].T
+        keyframe.shared = {j: carry[k] @ common @ carry[j].T for j in range(k)}
+    _adjust(scene, config)
+    for k in (4, 5):
+        expected, found = carry[k] @ common @ carry[k].T, keyframes[k].covariance
+        assert found is not None
+        np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+        own = found - expected
+        assert np.linalg.eigvalsh(0.5 * (own + own.T)).min() > -1e-6 * np.abs(expected).max()
+        np.testing.assert_allclose(
+            keyframes[k].shared[0], carry[k] @ common, atol=1e-3 * np.abs(common).max()
+        )
+
+
+def test_a_held_keyframe_without_covariance_gets_one() -> None:
+    scene = _scene()
+    _adjust(scene, _config(1000))
+    scene.map.keyframes[1].covariance = None
+    narrow = _config(1000).smoothing.model_copy(update={"window": 2})
+    _adjust(scene, _config(1000).model_copy(update={"smoothing": narrow}))
+    assert all(k.covariance is not None for k in scene.map.keyframes)
