@@ -98,7 +98,7 @@ def run(
     opened = open_source(
         source, format=format, calibration=calibration, mode=mode, topics=topics, follow=follow
     )
-    facts = partial(_facts, opened, source, config, start, end, stride)
+    facts = partial(_facts, opened, source, config, start, end, stride, calibration, topics)
     frames = opened.frames(start, end, stride * every)
     with closing(Odometry(opened.rig, config)) as odometry:
         if every > 1:
@@ -271,7 +271,14 @@ class _Run:
 
 
 def _facts(
-    opened: Source, path: str | Path, config: Config, start: int, end: int | None, stride: int
+    opened: Source,
+    path: str | Path,
+    config: Config,
+    start: int,
+    end: int | None,
+    stride: int,
+    calibration: Path | None,
+    topics: Sequence[str],
 ) -> RunFacts:
     stop = len(opened) if end is None else min(end, len(opened))
     return RunFacts(
@@ -285,6 +292,8 @@ def _facts(
         stride=stride,
         requested=len(range(start, stop, stride)) if stride else 0,
         every=config.tracking.every,
+        calibration=None if calibration is None else str(calibration),
+        topics=tuple(topics),
     )
 
 

@@ -167,6 +167,18 @@ def test_a_run_without_frames_or_covariances_is_shown(own_run: Path, tmp_path: P
     assert not {"plot-counts", "plot-uncertainty"} & set(page.ids)
 
 
+@pytest.mark.parametrize(
+    ("tracked", "word"), [(14, "complete"), (13, "with gaps"), (6, "mostly lost"), (0, "no path")]
+)
+def test_the_verdict_is_honest(own_run: Path, tmp_path: Path, tracked: int, word: str) -> None:
+    for name in ("frames.csv", "covariance.csv"):
+        (own_run / name).unlink()
+    change_summary(own_run, tracked=tracked, source="gone")
+    assert f"run {'✕' if tracked < 7 else '!' if tracked < 14 else '✓'} {word}" in (
+        page_of(tmp_path, own_run, "--no-images").text
+    )
+
+
 def test_a_run_without_a_pose_is_shown(own_run: Path, tmp_path: Path) -> None:
     for name in ("trajectory.tum", "causal.tum"):
         (own_run / name).write_text("", encoding="utf-8")

@@ -32,7 +32,13 @@ def open_recording(run: RunRecord) -> tuple[Source | None, str]:
     path = Path(str(run.summary["source"]))
     mode: Mode = "mono" if run.summary["mode"] == "mono" else "auto"
     try:
-        source = open_source(path, format=str(run.summary["format"]), mode=mode)
+        source = open_source(
+            path,
+            format=str(run.summary["format"]),
+            calibration=run.summary.get("calibration"),
+            mode=mode,
+            topics=run.summary.get("topics", ()),
+        )
     except VoError as error:
         return None, f"the recording cannot be read any more: {error}"
     return source, "the recording has none"

@@ -79,12 +79,16 @@ class ColmapRecorder:
         return self._images.add(estimate, image, is_recorded=is_recorded)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """Write the models, without keyframes that were not shown, as the first of a mono map.
+        """Write the models that have points.
+
+        Keyframes that were not shown, as the first of a mono map, are left out.
 
         Raises:
             OSError: the disk is full.
         """
-        for number, model in enumerate(self._reconstruction.models(smoothed, self._names)):
+        models = self._reconstruction.models(smoothed, self._names)
+        whole = [model for model in models if len(model.xyz)]
+        for number, model in enumerate(whole or models[:1]):
             self._write(self._folder / _MODELS / str(number), model)
 
     def _write(self, folder: Path, model: Model) -> None:

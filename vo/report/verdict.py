@@ -17,6 +17,7 @@ _ALIGNED = {
     "scale": "aligned by scale",
 }
 _KITTI_M = 100.0
+_MOSTLY = 0.5
 
 
 class Figure(NamedTuple):
@@ -48,6 +49,8 @@ def verdict(entry: Entry) -> Verdict:
         return Verdict("bad", "no path", tuple(sentences))
     if summary["status"] != "finished":
         return Verdict("bad", str(summary["status"]), tuple(sentences))
+    if tracked < _MOSTLY * frames:
+        return Verdict("bad", "mostly lost", tuple(sentences))
     if tracked < frames:
         return Verdict("caution", "with gaps", tuple(sentences))
     if summary["warnings"]:

@@ -27,7 +27,8 @@ _LONG_START = 0.1  # of all frames
 class RunFacts:
     """What is known of a run before its first frame.
 
-    Of the `requested` frames that were asked for, each `every`-th is tracked.
+    Of the `requested` frames that were asked for, each `every`-th is tracked. `calibration` and
+    `topics` are as given, if they were.
     """
 
     source: str
@@ -40,6 +41,8 @@ class RunFacts:
     stride: int
     requested: int
     every: int = 1
+    calibration: str | None = None
+    topics: tuple[str, ...] = ()
 
 
 class Segment(NamedTuple):
@@ -106,6 +109,7 @@ class Summary:
             "schema_version": SCHEMA_VERSION,
             **fields,
             **asdict(facts),
+            "topics": list(facts.topics),
             "skipped": [asdict(s) for s in self.skipped],
             "without_pose": [r._asdict() for r in self.without_pose],
             "segments": [s._asdict() for s in self.segments],
