@@ -222,7 +222,8 @@ class _Run:
     def _write(self, estimate: Estimate) -> None:
         """Append this frame, and write anew what smoothing has moved."""
         if estimate.world_from_cam0 is not None:
-            self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
+            if not isinstance(self._recorder, NullRecorder):  # else nobody asks for them again
+                self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
             self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.world_from_cam0))
         self._write_changed()
 

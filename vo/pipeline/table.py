@@ -28,7 +28,7 @@ class Table:
     def append(self, *fields: Any) -> None:
         """Add a row of these fields."""
         if self._count == len(self._block):
-            room = max(_LEAST_ROOM, self._count // 4)
+            room = max(_LEAST_ROOM, self._count // 16)
             self._block = np.concatenate([self._block, np.zeros(room, self._block.dtype)])
         self._block[self._count] = fields
         self._count += 1
