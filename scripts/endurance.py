@@ -1,0 +1,160 @@
+"""Runs `vo run` for a long time and says whether memory and speed stay what they were at the start.
+
+The recording is a synthetic walk filmed once and repeated forwards and backwards, so that the
+motion never jumps. Speed is in CPU time, so that other work on the machine does not matter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from itertools import chain, cycle, islice
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VO = Path(sys.executable).with_name("vo")
+WALK = ["seconds=14", "scale=0.5", "effects.exposure=0"]
+POLL_S = 0.5
+EARLY_FRAMES = 2000  # what the end is compared with
+MOST_MEMORY, LEAST_SPEED = 1.1, 0.9
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One look at the run: frames done, memory of its processes in MiB, CPU seconds used."""
+
+    frames: int
+    memory_mb: float
+    cpu_s: float
+
+
+def main() -> None:
+    """Film, repeat, run, watch, judge; the exit status is 1 if a goal is missed."""
+    options = _options()
+    with tempfile.TemporaryDirectory(prefix="vo-endurance-") as name:
+        work = Path(name)
+        recording = _repeated(_walk(options.cache), work / "recording", options.frames)
+        samples = _watch(recording, work / "run", options)
+        summary = json.loads((work / "run" / "summary.json").read_text(encoding="utf-8"))
+    _judge(samples, summary, options.frames)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="scripts/endurance", description=__doc__)
+    parser.add_argument("--frames", type=int, default=20000)
+    parser.add_argument("--config", default="fast", help="preset or file for `vo run`")
+    parser.add_argument("--mode", default="auto", help="mono ignores the right camera")
+    parser.add_argument("--cache", type=Path, default=ROOT / "out" / "synth", help="for the walk")
+    options = parser.parse_args()
+    if options.frames < 2 * EARLY_FRAMES:
+        parser.error(f"--frames must be {2 * EARLY_FRAMES} or more")
+    return options
+
+
+def _walk(cache: Path) -> Path:
+    from data_synth.cache import cached_sequence
+    from data_synth.recipe import load_recipe
+
+    return cached_sequence(load_recipe("demo", WALK), cache, "endurance")
+
+
+def _repeated(walk: Path, folder: Path, frames: int) -> Path:
+    """A recording of so many frames whose images are links to those of the walk."""
+    folder.mkdir()
+    shutil.copy(walk / "calibration.yaml", folder)
+    for side, camera in (("left", "cam0"), ("right", "cam1")):
+        images = sorted((walk / "mav0" / camera / "data").glob("*.png"))
+        there_and_back = cycle(chain(images, images[-2:0:-1]))
+        (folder / side).mkdir()
+        for number, image in enumerate(islice(there_and_back, frames)):
+            (folder / side / f"{number:06d}.png").symlink_to(image.resolve())
+    times = "".join(f"{number / 15:.9f}\n" for number in range(frames))
+    (folder / "times.txt").write_text(times, encoding="utf-8")
+    return folder
+
+
+def _watch(recording: Path, output: Path, options: argparse.Namespace) -> list[Sample]:
+    command = [VO, "run", recording, "-o", output, "--config", options.config, "--quiet"]
+    samples: list[Sample] = []
+    lines = _Lines(output / "frames.csv.partial")
+    with subprocess.Popen([*map(str, command), "--mode", options.mode]) as process:
+        while process.poll() is None:
+            time.sleep(POLL_S)
+            try:
+                memory_mb, cpu_s = _used(process.pid)
+            except OSError:  # it has just ended
+                break
+            samples.append(Sample(lines.count(), memory_mb, cpu_s))
+    if process.returncode:
+        raise SystemExit(f"error: vo run ended with status {process.returncode}")
+    return samples
+
+
+class _Lines:
+    """Counts the lines of a file that grows, without reading any twice."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._read = 0
+        self._count = 0
+
+    def count(self) -> int:
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._read)
+                new = file.read()
+        except FileNotFoundError:  # not begun yet, or finished
+            return self._count
+        self._read += len(new)
+        self._count += new.count(b"\n")
+        return self._count
+
+
+def _used(pid: int) -> tuple[float, float]:
+    """MiB of resident memory and CPU seconds of a process and its children."""
+    memory_mb, cpu_s = 0.0, 0.0
+    for each in (pid, *_children(pid)):
+        resident = int(Path(f"/proc/{each}/statm").read_text().split()[1])
+        memory_mb += resident * os.sysconf("SC_PAGE_SIZE") / 2**20
+        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+        cpu_s += sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+    return memory_mb, cpu_s
+
+
+def _children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+def _judge(samples: list[Sample], summary: dict[str, object], frames: int) -> None:
+    early, late = _speed(samples, 0, EARLY_FRAMES), _speed(samples, frames - EARLY_FRAMES, frames)
+    at_early, at_end = _memory(samples, EARLY_FRAMES), _memory(samples, frames)
+    print(f"frames tracked      {summary['tracked']} of {frames}")
+    print(f"memory              {at_early:.1f} MiB after {EARLY_FRAMES} frames, ", end="")
+    print(f"{at_end:.1f} MiB at the end: {at_end / at_early:.3f} (at most {MOST_MEMORY})")
+    print(f"frames per CPU second  {early:.2f} in the first {EARLY_FRAMES} frames, ", end="")
+    print(f"{late:.2f} in the last: {late / early:.3f} (at least {LEAST_SPEED})")
+    if at_end > MOST_MEMORY * at_early or late < LEAST_SPEED * early:
+        raise SystemExit(1)
+
+
+def _memory(samples: list[Sample], frames: int) -> float:
+    """The most memory in the last tenth of the frames up to this one."""
+    return max(s.memory_mb for s in samples if 0.9 * frames < s.frames <= frames)
+
+
+def _speed(samples: list[Sample], first: int, last: int) -> float:
+    """Frames per CPU second from about frame `first` to about frame `last`."""
+    inside = [s for s in samples if first < s.frames <= last]
+    return (inside[-1].frames - inside[0].frames) / (inside[-1].cpu_s - inside[0].cpu_s)
+
+
+if __name__ == "__main__":
+    main()
