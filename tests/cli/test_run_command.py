@@ -110,7 +110,7 @@ def test_rrd_is_written_and_offered(synthetic_stereo: Path, out: Path) -> None:
     rrd = out / "run.rrd"
     result = vo_run(synthetic_stereo, out, "--end", 3, "--config", "fast", "--rrd", rrd)
     assert result.exit_code == 0, result.output
-    assert f"next: rerun {rrd}" in result.stdout
+    assert f"next: vo view {rrd}" in result.stdout
     assert rrd.stat().st_size > 10_000
 
 

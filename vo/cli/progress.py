@@ -8,13 +8,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich import progress as bars
-from rich.console import Console
+from rich.console import Console, Group
+from rich.live import Live
 from rich.markup import escape
+from rich.text import Text
 
 from vo.progress import NullProgress, Progress
-from vo.types import Estimate
+from vo.types import Estimate, State
 
 _LINE_EVERY_S = 5.0
+_WORTH_TELLING_PX = 0.05
+_STYLES = {State.STARTING: "yellow", State.TRACKING: "green", State.LOST: "bold red"}
 _WAITING = "getting ready (the very first run compiles, which takes some seconds)"
 
 
@@ -27,33 +31,42 @@ def make_progress(console: Console | None = None, *, quiet: bool = False) -> Pro
 
 
 class BarProgress:
-    """A bar with frames/s, state and matches."""
+    """A bar, and under it a line on how tracking goes."""
 
     def __init__(self, console: Console) -> None:
         self._bar = bars.Progress(
             bars.TextColumn("{task.fields[title]}"),
             bars.BarColumn(bar_width=None),
             bars.MofNCompleteColumn(),
-            bars.TextColumn("{task.fields[note]}"),
             bars.TimeRemainingColumn(compact=True),
+            bars.TextColumn("left"),
             console=console,
-            transient=True,
+            expand=True,
         )
+        self._line = Text(_WAITING, style="dim")
+        self._live = Live(self._shown(), console=console, transient=True)
 
     def begin(self, name: str, total: int) -> None:
         """Show the bar."""
-        self._task = self._bar.add_task("", total=total or None, title=escape(name), note=_WAITING)
-        self._clock = _Clock()
-        self._bar.start()
+        self._task = self._bar.add_task("", total=total or None, title=escape(name))
+        self._counts = _Counts()
+        self._live.start()
 
     def step(self, done: int, estimate: Estimate) -> None:
         """Move the bar."""
-        note = f"{self._clock.frames_per_s():5.1f} frames/s  {_state(estimate)}"
-        self._bar.update(self._task, completed=done, note=note)
+        self._counts.add(estimate)
+        self._bar.update(self._task, completed=done)
+        self._line = Text(overflow="ellipsis", no_wrap=True)
+        self._line.append(f"{estimate.state.value:<9}", style=_STYLES[estimate.state])
+        self._line.append(f" {self._counts.line(estimate)}")
+        self._live.update(self._shown())
 
     def finish(self) -> None:
         """Take the bar away."""
-        self._bar.stop()
+        self._live.stop()
+
+    def _shown(self) -> Group:
+        return Group(self._bar, self._line)
 
 
 class LineProgress:
@@ -65,16 +78,17 @@ class LineProgress:
     def begin(self, name: str, total: int) -> None:
         """Say what is to come."""
         self._total, self._next = total, 0.0
-        self._clock = _Clock()
+        self._counts = _Counts()
         self._say(f"{name}: {total or 'growing'} frames; {_WAITING}")
 
     def step(self, done: int, estimate: Estimate) -> None:
         """Say how far it is if the last time is long ago."""
-        speed = self._clock.frames_per_s()
+        self._counts.add(estimate)
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + _LINE_EVERY_S
             of_all = f"/{self._total}" if self._total else ""
-            self._say(f"frame {done}{of_all}  {speed:.1f} frames/s  {_state(estimate)}")
+            told = f"{estimate.state.value}, {self._counts.line(estimate)}"
+            self._say(f"frame {done}{of_all}  {told}")
 
     def finish(self) -> None:
         """Do nothing: the table that follows says it."""
@@ -83,26 +97,39 @@ class LineProgress:
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-class _Clock:
-    """Frames per second so far, without the first frame, which may have to wait for a compiler."""
+class _Counts:
+    """What has been seen so far, for people who wait."""
 
     def __init__(self) -> None:
         self._frames = -1
         self._begun = 0.0
+        self._keyframes = self._lost = 0
+
+    def add(self, estimate: Estimate) -> None:
+        """Take in a frame."""
+        self._frames += 1
+        if self._frames == 0:  # it may have had to wait for a compiler
+            self._begun = time.monotonic()
+        self._keyframes += estimate.is_keyframe
+        self._lost += estimate.state == State.LOST
 
     def frames_per_s(self) -> float:
-        """To be asked once a frame."""
-        self._frames += 1
-        if self._frames == 0:
-            self._begun = time.monotonic()
-            return 0.0
-        return self._frames / max(time.monotonic() - self._begun, 1e-9)
+        """So far, without the first frame."""
+        return self._frames / max(time.monotonic() - self._begun, 1e-9) if self._frames > 0 else 0.0
 
-
-def _state(estimate: Estimate) -> str:
-    if estimate.world_from_cam0 is None:
-        return f"{estimate.state.value}: {estimate.reason}"
-    return f"{estimate.state.value}, {estimate.matches} matches"
+    def line(self, estimate: Estimate) -> str:
+        """Speed, how this frame went, and what there is so far."""
+        parts = [f"{self.frames_per_s():.1f} frames/s"]
+        if estimate.world_from_cam0 is None:
+            parts.append(estimate.reason)
+        else:
+            parts.append(f"{estimate.inliers} of {estimate.matches} matches agree")
+        parts.append(f"{self._keyframes} keyframes")
+        if self._lost:
+            parts.append(f"lost in {self._lost} frames")
+        if abs(estimate.disparity_offset_px) >= _WORTH_TELLING_PX:
+            parts.append(f"disparities off by {estimate.disparity_offset_px:+.2f} px")
+        return ", ".join(parts)
 
 
 @contextmanager

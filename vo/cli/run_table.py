@@ -8,21 +8,27 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
+from vo.cli.advice import advice, verdict
 from vo.results.profile import Profile
 from vo.results.summary import Summary
+
+_COLOURS = {"good": "[green]", "caution": "[yellow]", "bad": "[red]"}
 
 
 def print_summary(
     summary: Summary, output: Path, rrd: Path | None = None, console: Console | None = None
 ) -> None:
-    """Print what came of a run, its warnings, where it is, and the next command to try."""
+    """Print how good a run was, its warnings, where it is, and what to do next."""
     console = console or Console(highlight=False)
+    grade, sentence = verdict(summary)
+    console.print(f"[bold]{'result':<10} {_COLOURS[grade]}{escape(sentence)}[/][/]", soft_wrap=True)
     for name, value in _facts(summary, output, rrd):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
-    for warning in summary.warnings:
-        console.print("warning:", warning, markup=False, soft_wrap=True)
-    for command in _next_commands(summary, output, rrd):
-        console.print("next:", command, markup=False, soft_wrap=True)
+    said = [("[yellow]warning:[/]", warning) for warning in summary.warnings]
+    said += [("[cyan]try:[/]", line) for line in advice(summary)]
+    said += [("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd)]
+    for word, line in said:
+        console.print(word, escape(line), soft_wrap=True)
 
 
 def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, str]]:
@@ -66,9 +72,11 @@ def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str
     commands = []
     if summary.tracked and summary.facts.has_ground_truth:
         commands.append(f"vo eval {_quoted(output)} {_quoted(summary.facts.source)}")
+    if summary.tracked:
+        commands.append(f"vo report {_quoted(output)} -o {_quoted(output / 'report.html')}")
     if rrd is not None:
-        commands.append(f"rerun {_quoted(rrd)}")
-    if not commands and rrd is None:
+        commands.append(f"vo view {_quoted(rrd)}")
+    else:
         again = f"vo run {_quoted(summary.facts.source)} --output {_quoted(output)}"
         commands.append(f"{again} --rrd {_quoted(output / 'run.rrd')}")
     return commands

@@ -56,12 +56,12 @@ class RerunRecorder:
             OutputError: the file cannot be written, or no viewer answers.
         """
         self._truth = ground_truth if ground_truth is not None and len(ground_truth) else None
-        self._has_scale = rig.is_stereo
+        self._has_scale = rig.is_metric
         self._truth_shown = False
         self._outlets = self._open(name, rig)
         self._tape = Tape(self._outlets, Timelines())
         self._index, self._tally = RunIndex(), Tally(name, rig)
-        self._view = ViewLayer(self._tape, self._images)
+        self._view = ViewLayer(self._tape, self._images, has_right=rig.is_stereo)
         self._map = MapLayer(self._tape)
         self._plots = PlotLayer(self._tape)
         for layer in (self._view, self._map, self._plots):

@@ -44,7 +44,7 @@ class Tally:
         """
         frames = sum(self.states.values())
         tracked = self.states[State.TRACKING]
-        unit = "m" if self.rig.is_stereo else "map units"
+        unit = "m" if self.rig.is_metric else "map units"
         rows = {
             "frames": str(frames),
             "tracked": f"{tracked} ({tracked / max(frames, 1):.0%})",
@@ -62,7 +62,7 @@ class Tally:
         return f"{self._title()}\n{lines}"
 
     def _title(self) -> str:
-        kind = "stereo" if self.rig.is_stereo else "mono"
+        kind = "rgbd" if self.rig.has_depth else "stereo" if self.rig.is_stereo else "mono"
         return f"**{self.name}**, {kind}, {self.rig.cam0.width} x {self.rig.cam0.height} px\n"
 
 

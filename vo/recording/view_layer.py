@@ -28,9 +28,10 @@ class ViewLayer:
     pixel; hence the half pixels.
     """
 
-    def __init__(self, tape: Tape, images: ImageChoice) -> None:
+    def __init__(self, tape: Tape, images: ImageChoice, *, has_right: bool) -> None:
         self._tape = tape
         self._images = images
+        self._has_right = has_right
         self._scale = 0.5 if images == "half" else 1.0
         self._cameras_known = False
         self._previous_pose: Floats | None = None
@@ -67,7 +68,7 @@ class ViewLayer:
         """Log where both ideal cameras are on cam0; it is the same in every frame."""
         cam0_from_left = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
         self._fix_camera(entities.LEFT, cam0_from_left, view)
-        if view.baseline_m > 0.0:
+        if self._has_right:
             left_from_right = make_transform(np.eye(3), np.array([view.baseline_m, 0.0, 0.0]))
             self._fix_camera(entities.RIGHT, cam0_from_left @ left_from_right, view)
 
