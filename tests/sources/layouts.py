@@ -9,13 +9,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import bag_logs
 import cv2
 import mcap_logs
 import numpy as np
-from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Rosbag2Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from vo.formats.messages import (
     CalibrationMessage,
@@ -26,7 +23,6 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
-from vo.formats.ros2 import ROS2
 from vo.geometry.transforms import inverse, quat_xyzw_from_rotation, se3_exp
 from vo.types import Bytes, Camera, Floats
 
@@ -257,45 +253,12 @@ def stamps(kind: str) -> list[int]:
     return [stamp - STAMPS_NS[0] for stamp in STAMPS_NS] if kind == "video" else STAMPS_NS
 
 
-def write_rosbag1(
-    path: Path, codec: str = "mono8", compression: Rosbag1Writer.CompressionFormat | None = None
-) -> None:
-    """The same messages as ROS 1 writes them."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    store, of_ros2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
-    transforms = "geometry_msgs/TransformStamped[] transforms"
-    store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
-    writer = Rosbag1Writer(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    with writer:
-        connections = {}
-        for topic, message in log_messages(codec):
-            kind = ROS2.schema(type(message)).name
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            data = of_ros2.cdr_to_ros1(ROS2.encode(message), kind)
-            writer.write(connections[topic], message.stamp_ns, data)
+def write_rosbag1(path: Path) -> None:
+    bag_logs.write_bag1(path, log_messages())
 
 
-def write_rosbag2(
-    path: Path,
-    codec: str = "mono8",
-    plugin: StoragePlugin = StoragePlugin.SQLITE3,
-    compression: CompressionMode = CompressionMode.NONE,
-) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    writer = Rosbag2Writer(path, version=9, storage_plugin=plugin)
-    if compression is not CompressionMode.NONE:
-        writer.set_compression(compression, CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for topic, message in log_messages(codec):
-            kind = ROS2.schema(type(message)).name
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connections[topic], message.stamp_ns, ROS2.encode(message))
+def write_rosbag2(path: Path) -> None:
+    bag_logs.write_bag2(path, log_messages())
 
 
 PATHS = {

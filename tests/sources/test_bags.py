@@ -9,13 +9,13 @@ from pathlib import Path
 import layouts
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Rosbag1Writer
+from bag_logs import Packed1, write_bag1, write_bag2
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from vo.errors import SourceError, VoError
 from vo.sources.registry import open_source
 
-PACKED1 = [None, *Rosbag1Writer.CompressionFormat]
+PACKED1 = [None, *Packed1]
 PACKED2 = [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE]
 
 
@@ -35,10 +35,8 @@ def check_whole(path: Path) -> None:
 
 @pytest.mark.parametrize("codec", ["mono8", "png"])
 @pytest.mark.parametrize("compression", PACKED1)
-def test_ros1_in_every_compression(
-    tmp_path: Path, compression: Rosbag1Writer.CompressionFormat | None, codec: str
-) -> None:
-    layouts.write_rosbag1(tmp_path / "a.bag", codec, compression)
+def test_ros1_in_every_compression(tmp_path: Path, compression: Packed1 | None, codec: str) -> None:
+    write_bag1(tmp_path / "a.bag", layouts.log_messages(codec), compression)
     check_whole(tmp_path / "a.bag")
 
 
@@ -47,7 +45,7 @@ def test_ros1_in_every_compression(
 def test_ros2_sqlite_in_every_compression(
     tmp_path: Path, compression: CompressionMode, codec: str
 ) -> None:
-    layouts.write_rosbag2(tmp_path / "bag", codec, StoragePlugin.SQLITE3, compression)
+    write_bag2(tmp_path / "bag", layouts.log_messages(codec), StoragePlugin.SQLITE3, compression)
     check_whole(tmp_path / "bag")
 
 
@@ -55,13 +53,15 @@ def test_ros2_sqlite_in_every_compression(
     "compression", [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.STORAGE]
 )
 def test_ros2_mcap(tmp_path: Path, compression: CompressionMode) -> None:
-    layouts.write_rosbag2(tmp_path / "bag", "mono8", StoragePlugin.MCAP, compression)
+    write_bag2(tmp_path / "bag", layouts.log_messages("mono8"), StoragePlugin.MCAP, compression)
     assert open_source(tmp_path / "bag").format == "rosbag2"
     check_whole(tmp_path / "bag")
 
 
 def test_ros2_mcap_with_each_message_compressed_is_refused(tmp_path: Path) -> None:
-    layouts.write_rosbag2(tmp_path / "bag", "mono8", StoragePlugin.MCAP, CompressionMode.MESSAGE)
+    write_bag2(
+        tmp_path / "bag", layouts.log_messages("mono8"), StoragePlugin.MCAP, CompressionMode.MESSAGE
+    )
     with pytest.raises(SourceError, match="compressed one by one, which is not read in MCAP"):
         open_source(tmp_path / "bag")
 
@@ -70,7 +70,7 @@ def test_ros2_mcap_with_each_message_compressed_is_refused(tmp_path: Path) -> No
 def test_ros2_without_metadata_as_after_a_crash(
     tmp_path: Path, plugin: StoragePlugin, caplog: pytest.LogCaptureFixture
 ) -> None:
-    layouts.write_rosbag2(tmp_path / "bag_0", "mono8", plugin)
+    write_bag2(tmp_path / "bag_0", layouts.log_messages("mono8"), plugin)
     (tmp_path / "bag_0/metadata.yaml").unlink()
     for path in (tmp_path / "bag_0").iterdir():
         path.rename(path.with_name(f"run_0{path.suffix}"))
@@ -79,14 +79,14 @@ def test_ros2_without_metadata_as_after_a_crash(
 
 
 def test_ros2_a_file_alone(tmp_path: Path) -> None:
-    layouts.write_rosbag2(tmp_path / "bag")
+    write_bag2(tmp_path / "bag", layouts.log_messages())
     file = next((tmp_path / "bag").glob("*.db3"))
     check_whole(Path(shutil.move(file, tmp_path / "alone.db3")))
 
 
 def test_ros2_in_several_files(tmp_path: Path) -> None:
     """The second half of the messages in a file of its own, as after a split."""
-    layouts.write_rosbag2(tmp_path / "bag")
+    write_bag2(tmp_path / "bag", layouts.log_messages())
     first = next((tmp_path / "bag").glob("*.db3"))
     second = first.with_name("bag_1.db3")
     shutil.copy(first, second)
@@ -105,14 +105,14 @@ def test_ros2_in_several_files(tmp_path: Path) -> None:
 def test_ros2_metadata_that_makes_no_sense_is_not_needed(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    layouts.write_rosbag2(tmp_path / "bag")
+    write_bag2(tmp_path / "bag", layouts.log_messages())
     (tmp_path / "bag/metadata.yaml").write_text("[")
     check_whole(tmp_path / "bag")
     assert "metadata.yaml cannot be read" in caplog.text
 
 
 def test_ros2_folder_without_files(tmp_path: Path) -> None:
-    layouts.write_rosbag2(tmp_path / "bag")
+    write_bag2(tmp_path / "bag", layouts.log_messages())
     next((tmp_path / "bag").glob("*.db3")).unlink()
     with pytest.raises(SourceError, match="holds no .db3 and no .mcap file"):
         open_source(tmp_path / "bag")
@@ -120,7 +120,7 @@ def test_ros2_folder_without_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_topics_can_be_chosen(tmp_path: Path, side: str) -> None:
-    layouts.write_rosbag1(tmp_path / "a.bag")
+    write_bag1(tmp_path / "a.bag", layouts.log_messages(), None)
     topic = f"/cam{int(side == 'right')}/image_raw"
     frame = next(iter(open_source(tmp_path / "a.bag", topics=[topic]).frames()))
     assert np.array_equal(frame.image0, layouts.image(0, right=side == "right"))
@@ -130,7 +130,7 @@ def test_topics_can_be_chosen(tmp_path: Path, side: str) -> None:
 def test_ros1_cut_off_is_salvaged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The index, at the end, is gone; so is the newest chunk, or a part of it."""
     path = tmp_path / "a.bag"
-    layouts.write_rosbag1(path)
+    write_bag1(path, layouts.log_messages(), None)
     data = path.read_bytes()
     path.write_bytes(data[: int(0.6 * len(data))])
     source = open_source(path)
@@ -146,7 +146,7 @@ def test_ros1_cut_off_is_salvaged(tmp_path: Path, caplog: pytest.LogCaptureFixtu
 def test_ros1_without_its_index_is_whole(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """As rosbag leaves it when the recorder is killed: the bag ends after a chunk."""
     path = tmp_path / "a.bag.active"
-    layouts.write_rosbag1(path)
+    write_bag1(path, layouts.log_messages(), None)
     data = path.read_bytes()
     index_at = int.from_bytes(data[data.index(b"index_pos=") + 10 :][:8], "little")
     path.write_bytes(data[:index_at])

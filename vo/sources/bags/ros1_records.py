@@ -151,7 +151,7 @@ def top_level(path: Path) -> Iterator[Record]:
             start = stream.tell()
             record = Record(fields, start, length, b"")
             if start + length > size:
-                if record.op == CHUNK and record.fields.get("compression") == b"none":
+                if record.op == CHUNK:
                     yield record._replace(length=size - start)
                 raise Cut(size, "it is cut off")
             if record.op in (CONNECTION, CHUNK_INFO):
@@ -223,6 +223,7 @@ def _fields(header: bytes, offset: int) -> dict[str, bytes]:
 
 
 def _unpack(path: Path, chunk: Chunk) -> bytes:
+    """The data of a chunk; of one that is cut off, as far as it goes."""
     try:
         with path.open("rb") as stream:
             stream.seek(chunk.start)
@@ -230,9 +231,9 @@ def _unpack(path: Path, chunk: Chunk) -> bytes:
         if chunk.compression == "none":
             return data
         if chunk.compression == "bz2":
-            return bz2.decompress(data)
+            return bz2.BZ2Decompressor().decompress(data)
         if chunk.compression == "lz4":
-            return bytes(lz4.frame.decompress(data))
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
     except (OSError, RuntimeError, ValueError, EOFError) as error:
         raise SourceError(f"{path}: a chunk cannot be unpacked: {error}") from error
     raise SourceError(f"{path}: a chunk is packed with '{chunk.compression}', not bz2 or lz4")

@@ -61,8 +61,8 @@ class SqliteFile:
         with self._opened() as database:
             row = database.execute("SELECT data FROM messages WHERE id = ?", (entry.place,))
             found = row.fetchone()
-        if found is None:
-            raise SourceError(f"{self.path} has no message {entry.place} any more")
+        if found is None or not isinstance(found[0], bytes):
+            raise SourceError(f"{self.path} has no message {entry.place} that can be read")
         return self._unpacked(found[0])
 
     def _entries(self, database: sqlite3.Connection, name: str) -> list[Entry]:
@@ -75,6 +75,8 @@ class SqliteFile:
         entries = []
         try:
             for place, log_ns, data in rows:
+                if not isinstance(log_ns, int) or not isinstance(data, bytes):
+                    continue
                 try:
                     stamp_ns = codec.peek_stamp_ns(self._unpacked(data))
                 except SourceError:
@@ -105,7 +107,10 @@ class SqliteFile:
             with closing(sqlite3.connect(where, uri=True)) as database:
                 yield database
         except sqlite3.Error as error:
-            raise SourceError(f"{self.path} cannot be read as a ROS 2 bag: {error}") from error
+            raise SourceError(
+                f"{self.path} cannot be read as a ROS 2 bag: {error}; what is left of a damaged "
+                "one can be had with `sqlite3 FILE .recover`"
+            ) from error
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
@@ -123,6 +128,8 @@ def _spans(path: Path, database: sqlite3.Connection) -> dict[int, tuple[int, int
     times: dict[int, tuple[int, int, int]] = {}
     try:
         for number, log_ns in database.execute("SELECT topic_id, timestamp FROM messages"):
+            if not isinstance(log_ns, int):  # damage makes NULL of numbers
+                continue
             count, first, last = times.get(number, (0, log_ns, log_ns))
             times[number] = (count + 1, min(first, log_ns), max(last, log_ns))
     except sqlite3.DatabaseError as error:
