@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from vo.errors import SourceError, VoError
-from vo.formats.messages import CompressedImageMessage, ImageMessage
+from vo.formats.messages import CompressedImageMessage, CompressedVideoMessage, ImageMessage
 from vo.formats.pixels import grey_pixels
-from vo.sources.images import Pixels, decode_image
+from vo.sources.images import Pixels, StoredImage, decode_image
 from vo.sources.listing import LARGEST_NS, Shot
 from vo.sources.logs.log import Entry, Log, Topic
 
@@ -50,7 +50,7 @@ def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
     Raises:
         SourceError: there is no image.
     """
-    stamped = [(_stamp_ns(log, topic, entry), entry) for entry in entries]
+    stamped = [(stamp_of(log, topic, entry), entry) for entry in entries]
     unstamped = sum(not stamp_ns for stamp_ns, _ in stamped)
     if unstamped:
         _log.warning(
@@ -60,15 +60,13 @@ def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
             len(entries),
         )
     in_order = sorted(
-        ((stamp_ns or entry.log_ns, entry) for stamp_ns, entry in stamped),
-        key=lambda pair: pair[0],
+        (stamp_ns or entry.log_ns, number) for number, (stamp_ns, entry) in enumerate(stamped)
     )
     shots: list[Shot] = []
-    for stamp_ns, entry in in_order:
-        if shots and stamp_ns == shots[-1].stamp_ns:
-            continue
-        image = MessageImage(log, topic, entry)
-        shots.append(Shot(stamp_ns, image, f"{log.path}: {topic.name}"))
+    image = image_maker(log, topic, entries)
+    for stamp_ns, number in in_order:
+        if not shots or stamp_ns > shots[-1].stamp_ns:
+            shots.append(Shot(stamp_ns, image(number), f"{log.path}: {topic.name}"))
     if not shots:
         raise SourceError(f"{log.path}: no message of {topic.name} can be read")
     if len(shots) < len(in_order):
@@ -77,8 +75,24 @@ def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
     return shots
 
 
-def _stamp_ns(log: Log, topic: Topic, entry: Entry) -> int:
-    """The stamp in the header; 0 where there is none."""
+def image_maker(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[[int], StoredImage]:
+    """Makes the image of a message by its number; frames of a video hang on those before them.
+
+    Args:
+        log: where the messages are.
+        topic: theirs.
+        entries: all of them, in the order of the log; may grow.
+    """
+    if not issubclass(topic.codec.kind, CompressedVideoMessage):
+        return lambda number: MessageImage(log, topic, entries[number])
+    from vo.sources.logs.video import LogVideo, VideoImage  # av takes a while to import
+
+    video = LogVideo(log, topic, entries)
+    return lambda number: VideoImage(video, number, entries[number])
+
+
+def stamp_of(log: Log, topic: Topic, entry: Entry) -> int:
+    """The stamp in a message's header; 0 where there is none."""
     stamp_ns = entry.stamp_ns
     if stamp_ns is None:
         try:

@@ -10,8 +10,8 @@ from vo.errors import SourceError
 from vo.sources.images import StoredImage
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import IMAGE_KINDS
-from vo.sources.logs.images import MessageImage
-from vo.sources.logs.log import Entry, Topic
+from vo.sources.logs.images import image_maker, stamp_of
+from vo.sources.logs.log import Topic
 from vo.sources.mcap.book import Tally
 from vo.sources.mcap.file import McapFile, unreadable, warn_of_damage
 from vo.sources.mcap.records import MAGIC
@@ -94,6 +94,12 @@ class Arrivals:
         self._growing = growing
         self._file = file
         self._topics = [left] if right is None else [left, right]
+        names = [topic.name for topic in self._topics]
+        self._entries = [file.entries(names)[name] for name in names]
+        self._images = [
+            image_maker(file, topic, entries)
+            for topic, entries in zip(self._topics, self._entries, strict=True)
+        ]
         self._taken = [0] * len(self._topics)
         self._waiting: list[list[Shot]] = [[] for _ in self._topics]
         self._last_ns = -1
@@ -110,14 +116,18 @@ class Arrivals:
             self._growing.wait()
 
     def _take_new(self) -> None:
-        entries = self._file.entries([topic.name for topic in self._topics])
-        for side, topic in enumerate(self._topics):
-            for entry in entries[topic.name][self._taken[side] :]:
-                shot = _shot(self._file, topic, entry)
+        for side, entries in enumerate(self._entries):
+            for number in range(self._taken[side], len(entries)):
+                shot = self._shot(side, number)
                 if shot.stamp_ns > self._last_ns:
                     self._waiting[side].append(shot)
-            self._taken[side] = len(entries[topic.name])
+            self._taken[side] = len(entries)
             self._waiting[side].sort(key=lambda shot: shot.stamp_ns)
+
+    def _shot(self, side: int, number: int) -> Shot:
+        topic, entry = self._topics[side], self._entries[side][number]
+        stamp_ns = stamp_of(self._file, topic, entry) or entry.log_ns
+        return Shot(stamp_ns, self._images[side](number), f"{self._file.path}: {topic.name}")
 
     def _ready(self) -> list[tuple[Shot, StoredImage | None]]:
         """Left images whose partner is there or can no longer come."""
@@ -136,11 +146,6 @@ class Arrivals:
                 frames.append((shot, partner))
                 self._last_ns = shot.stamp_ns
         return frames
-
-
-def _shot(file: McapFile, topic: Topic, entry: Entry) -> Shot:
-    stamp_ns = entry.stamp_ns or entry.log_ns
-    return Shot(stamp_ns, MessageImage(file, topic, entry), f"{file.path}: {topic.name}")
 
 
 def _take_partner(rights: list[Shot], stamp_ns: int) -> StoredImage | None:
