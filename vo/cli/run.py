@@ -30,8 +30,8 @@ def run_command(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Recording: a KITTI odometry, EuRoC or TUM RGB-D folder, or a folder of images "
-            "(or of left/ and right/) with a calibration.yaml.",
+            help="Recording: an MCAP file, a ROS bag, a video, a folder of KITTI, KITTI raw, EuRoC "
+            "or TUM RGB-D, a folder of images (or of left/ and right/), or a pattern in quotes.",
         ),
     ],
     output: Annotated[
@@ -93,7 +93,8 @@ def run_command(
     format: Annotated[
         str | None,
         typer.Option(
-            help="Format of the recording: kitti, euroc, tum, folder.",
+            help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
+            "video, glob, folder.",
             show_default="found out from its files",
         ),
     ] = None,

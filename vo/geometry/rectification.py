@@ -16,7 +16,7 @@ from vo.errors import CalibrationError
 from vo.geometry import cameras
 from vo.geometry.distortion import centre_scale
 from vo.geometry.transforms import inverse, make_transform
-from vo.types import Bytes, Camera, Floats, Rig
+from vo.types import Bytes, Camera, Floats, Floats32, Rig
 
 _Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
 # A place outside every image, for what a lens does not see; OpenCV's maps hold 16 bits.
@@ -73,6 +73,13 @@ class WorkingRig:
         if self.maps is None:
             return image
         return np.asarray(cv2.remap(image, *self.maps[side], cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def rectify_depth(self, depth: Floats32) -> Floats32:
+        """Depth at the pixels of the working image: moved, never mixed, as edges are in it."""
+        if self.maps is None:
+            return depth
+        nearest = cv2.remap(depth, self.maps[0][0], None, cv2.INTER_NEAREST)
+        return np.asarray(nearest, dtype=np.float32)
 
     def ideal_from_image(self, xy: Floats) -> Floats:
         """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""

@@ -103,7 +103,7 @@ class Preparation:
             keypoints,
             ideal,
             right,
-            frame.depth,
+            None if frame.depth is None else rig.rectify_depth(frame.depth),
             frame.path,
         )
 
