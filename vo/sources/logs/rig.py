@@ -16,6 +16,8 @@ from vo.sources.logs.frames import FrameTree
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.types import Camera, Floats
 
+_MOST_TRIED = 100
+
 
 @dataclass(frozen=True, eq=False)
 class LogCamera:
@@ -137,8 +139,19 @@ def _offset(camera: LogCamera) -> Floats:
 
 
 def _first(log: Log, topic: Topic, entries: Sequence[Entry]) -> CalibrationMessage:
-    for entry in entries:
-        message = topic.codec.decode(log.read(entry))
+    """The first message that can be read.
+
+    Raises:
+        CalibrationError: what it says cannot be true.
+        SourceError: there is none.
+    """
+    reason = ""
+    for entry in entries[:_MOST_TRIED]:
+        try:
+            message = topic.codec.decode(log.read(entry))
+        except SourceError as error:
+            reason = reason or f": {error}"
+            continue
         if isinstance(message, CalibrationMessage):
             return message
-    raise SourceError("it has no message that can be read")
+    raise SourceError(f"no message can be read{reason}")

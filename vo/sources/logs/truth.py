@@ -56,11 +56,18 @@ def read_truth(
     """
     poses: dict[int, Floats] = {}
     child = ""
+    lost = 0
     for entry in entries:
-        message = topic.codec.decode(log.read(entry))
+        try:
+            message = topic.codec.decode(log.read(entry))
+        except SourceError:
+            lost += 1
+            continue
         if isinstance(message, PoseMessage):
             poses.setdefault(message.stamp_ns or entry.log_ns, message.pose)
             child = child or message.child
+    if lost:
+        _log.warning("%s: %d of %d poses cannot be read", topic.name, lost, len(entries))
     body = child or frames.root(cam0)
     body_from_cam0 = calibration.body_from_cam0
     # A camera that is fixed to nothing is not known to be what the poses are of.

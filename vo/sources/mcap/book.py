@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from mcap.records import Channel, Schema
 
@@ -17,6 +17,7 @@ from vo.sources.mcap.records import (
     MESSAGE_HEAD,
     SCHEMA,
     Damaged,
+    Readable,
     Record,
     parse,
     records_between,
@@ -70,7 +71,7 @@ class Book:
     wanted: frozenset[int] | None = None
 
     def go_through(
-        self, stream: BinaryIO, start: int, end: int, chunk: int, offset: int = 0
+        self, stream: Readable, start: int, end: int, chunk: int, offset: int = 0
     ) -> None:
         """Note all records of a stretch.
 
@@ -87,7 +88,7 @@ class Book:
         for record in records_between(stream, start, end):
             self.note(stream, record, chunk, offset)
 
-    def note(self, stream: BinaryIO, record: Record, chunk: int, offset: int = 0) -> None:
+    def note(self, stream: Readable, record: Record, chunk: int, offset: int = 0) -> None:
         """Note a record; else as `go_through`."""
         if record.opcode == MESSAGE:
             self._note_message(stream, record, chunk, offset)
@@ -110,7 +111,7 @@ class Book:
             )
         return self.codecs[number]
 
-    def _note_message(self, stream: BinaryIO, record: Record, chunk: int, offset: int) -> None:
+    def _note_message(self, stream: Readable, record: Record, chunk: int, offset: int) -> None:
         stream.seek(record.start)
         head = stream.read(min(record.length, MESSAGE_HEAD.size + HEAD_BYTES))
         if len(head) < MESSAGE_HEAD.size:
@@ -131,6 +132,6 @@ class Book:
         self.entries.setdefault(number, []).append(entry)
 
 
-def _content(stream: BinaryIO, record: Record) -> bytes:
+def _content(stream: Readable, record: Record) -> bytes:
     stream.seek(record.start)
     return stream.read(record.length)

@@ -8,6 +8,7 @@ from collections import OrderedDict
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import lz4.frame
 import zstandard
@@ -15,6 +16,7 @@ import zstandard
 from vo.sources.mcap.records import ChunkHead, Damaged
 
 _KEPT_BYTES = 64 * 2**20
+_STEP, _LARGEST_STEP = 4096, 2**20
 _FEWEST_KEPT = 2  # left and right may be in chunks of their own
 
 
@@ -76,10 +78,79 @@ def _unpack(chunk: Chunk, data: bytes) -> bytes:
         case "lz4":
             unpacked = lz4.frame.LZ4FrameDecompressor().decompress(data)
             return bytes(unpacked)
-        case other:
-            raise Damaged(
-                chunk.head.start, f"a chunk is compressed with '{other}'; lz4 and zstd are known"
-            )
+        case _:
+            raise _unknown(chunk)
+
+
+class UnpackedStream:
+    """The records in a sound chunk, unpacked as far as someone has read.
+
+    A chunk is listed by the first bytes of its messages; of one that holds a single large image
+    next to nothing is unpacked. Checksums are not looked at; `ChunkCache.get` does that.
+    """
+
+    def __init__(self, stream: BinaryIO, chunk: Chunk) -> None:
+        stored = _Part(stream, chunk.head.start, chunk.stored)
+        self._chunk = chunk
+        self._source: _Part | BinaryIO = stored
+        if chunk.head.compression == "zstd":
+            self._source = zstandard.ZstdDecompressor().stream_reader(stored, read_size=_STEP)  # type: ignore[arg-type]
+        elif chunk.head.compression == "lz4":
+            self._source = lz4.frame.LZ4FrameFile(stored)
+        elif chunk.is_packed:
+            raise _unknown(chunk)
+        self._unpacked = bytearray()
+        self._position = 0
+
+    def seek(self, offset: int) -> int:
+        """Go somewhere; nothing is unpacked yet."""
+        self._position = offset
+        return offset
+
+    def read(self, size: int) -> bytes:
+        """Some bytes, fewer at the end.
+
+        Raises:
+            Damaged: they do not unpack.
+        """
+        end = self._position + size
+        try:
+            while len(self._unpacked) < end:
+                more = self._source.read(min(max(end - len(self._unpacked), _STEP), _LARGEST_STEP))
+                if not more:
+                    break
+                self._unpacked += more
+        except (RuntimeError, EOFError, zstandard.ZstdError, MemoryError, ValueError) as error:
+            reason = f"a chunk cannot be unpacked: {error}"
+            raise Damaged(self._chunk.head.start, reason) from error
+        data = bytes(self._unpacked[self._position : end])
+        self._position += len(data)
+        return data
+
+
+class _Part:
+    """A stretch of a file, as a file of its own."""
+
+    def __init__(self, stream: BinaryIO, start: int, size: int) -> None:
+        self._stream = stream
+        self._next = start
+        self._end = start + size
+
+    def read(self, size: int = -1) -> bytes:
+        self._stream.seek(self._next)
+        left = self._end - self._next
+        data = self._stream.read(left if size < 0 else min(size, left))
+        self._next += len(data)
+        return data
+
+    def readable(self) -> bool:
+        return True
+
+
+def _unknown(chunk: Chunk) -> Damaged:
+    name = chunk.head.compression
+    reason = f"a chunk is compressed with '{name}'; lz4 and zstd are known"
+    return Damaged(chunk.head.start, reason)
 
 
 def load_chunk(path: Path, chunk: Chunk) -> bytes:

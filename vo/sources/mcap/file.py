@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
-from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
 from vo.errors import SourceError
 from vo.sources.logs.log import NS_PER_S, Entry, Topic
 from vo.sources.mcap.book import IN_FILE, Book, Place
-from vo.sources.mcap.chunks import Chunk, ChunkCache, load_chunk
+from vo.sources.mcap.chunks import Chunk, ChunkCache, UnpackedStream
 from vo.sources.mcap.records import Damaged
 from vo.sources.mcap.survey import Survey, survey
 
@@ -94,13 +93,12 @@ class McapFile:
     def _list_chunk(self, book: Book, stream: BinaryIO, number: int, chunk: Chunk) -> None:
         head = chunk.head
         try:
-            if not chunk.is_packed:
-                # Its checksum is looked at when a message is read.
+            # Its checksum is looked at when a message is read.
+            if chunk.is_packed:
+                book.go_through(UnpackedStream(stream, chunk), 0, head.unpacked_size, number)
+            else:
                 end = head.start + head.size
                 book.go_through(stream, head.start, end, number, offset=head.start)
-                return
-            unpacked = load_chunk(self.path, chunk)
-            book.go_through(BytesIO(unpacked), 0, len(unpacked), number)
         except Damaged as damage:
             _log.warning(
                 "%s: %s at byte %d: messages between %s and %s are left out",

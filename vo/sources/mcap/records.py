@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from io import BytesIO
-from typing import BinaryIO, NamedTuple, TypeVar, cast
+from typing import NamedTuple, Protocol, TypeVar, cast
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -24,6 +24,14 @@ _LONGEST_NAME = 16
 _MOST_BYTES = 4 * 2**30
 
 Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Schema, Statistics)
+
+
+class Readable(Protocol):
+    """A file, or what unpacks like one."""
+
+    def seek(self, offset: int, /) -> int: ...  # noqa: D102
+
+    def read(self, size: int, /) -> bytes: ...  # noqa: D102
 
 
 class Damaged(Exception):
@@ -58,7 +66,7 @@ class ChunkHead(NamedTuple):
     size: int
 
 
-def records_between(stream: BinaryIO, start: int, end: int) -> Iterator[Record]:
+def records_between(stream: Readable, start: int, end: int) -> Iterator[Record]:
     """The records from a position on; contents are not read.
 
     Raises:
@@ -79,7 +87,7 @@ def records_between(stream: BinaryIO, start: int, end: int) -> Iterator[Record]:
         position += HEAD.size + length
 
 
-def read_chunk_head(stream: BinaryIO, start: int, end: int) -> ChunkHead:
+def read_chunk_head(stream: Readable, start: int, end: int) -> ChunkHead:
     """What stands before the data of a chunk.
 
     Args:
