@@ -73,6 +73,9 @@ def test_a_page_holds_the_numbers_of_its_run(
     summary = json.loads((report_runs[0] / "summary.json").read_text(encoding="utf-8"))
     assert f"All {summary['frames']} frames have a pose" in page.text
     assert f"ATE {length(found.ate.translation.rmse)}" in page.text
+    causal = read_tum(report_runs[0] / "causal.tum")
+    then = evaluate(causal, inputs.reference, mode="stereo").ate.translation.rmse
+    assert f"ATE, causal {length(then)}" in page.text
     assert found.rpe_frames is not None
     assert f"RPE {length(found.rpe_frames.translation.rmse)}" in page.text
     assert f"keyframes {summary['keyframes']}" in page.text
@@ -98,7 +101,7 @@ def test_several_runs_stand_in_one_table(report_runs: list[Path], tmp_path: Path
     page = page_of(tmp_path, *report_runs)
     assert "2 runs compared" in page.text
     rows = re.findall(r"<tr>.*?</tr>", page.source)
-    ate = next(row for row in rows if 'scope="row">ATE' in row)
+    ate = next(row for row in rows if 'scope="row">ATE<' in row)
     assert "se3" in ate and "sim3" in ate
     assert {"plot-inliers", "plot-times", "plot-counts_1", "plot-counts_2"} <= set(page.ids)
 
@@ -148,6 +151,28 @@ def test_runs_of_other_recordings_have_paths_of_their_own(own_run: Path, tmp_pat
     page = page_of(tmp_path, own_run, other)
     assert {"plot-path_1", "plot-path_2"} <= set(page.ids)
     assert "another/recording" in page.text
+
+
+def test_segments_are_aligned_each_by_itself(own_run: Path, tmp_path: Path) -> None:
+    stamps = read_tum(own_run / "trajectory.tum").stamps_ns
+    segments = [
+        {
+            "segment": number,
+            "first_frame": first,
+            "last_frame": last,
+            "first_stamp_ns": int(stamps[first]),
+            "last_stamp_ns": int(stamps[last]),
+            "frames": last - first + 1,
+            "path_m": 0.4,
+        }
+        for number, (first, last) in enumerate([(0, 7), (8, 13)])
+    ]
+    change_summary(own_run, segments=segments)
+    page = page_of(tmp_path, own_run)
+    assert "in 2 segments that are not connected" in page.text
+    assert "The longest segment (8 poses)" in page.text
+    assert "the other segments are aligned each by itself" in page.text
+    assert "Segments, run" in page.text
 
 
 def test_a_killed_run_is_shown(own_run: Path, tmp_path: Path) -> None:

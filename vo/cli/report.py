@@ -88,4 +88,6 @@ def _entry(
         judged.notes,
         take_thumbnails(run, source, zero_ns) if images and source is not None else (),
         zero_ns,
+        judged.others,
+        judged.causal_ate_m,
     )

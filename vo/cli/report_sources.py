@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from vo.errors import EvaluationError, SourceError, VoError
 from vo.evaluation.inputs import Inputs, inputs_against, load_inputs
@@ -25,6 +28,8 @@ class Judged(NamedTuple):
     truth: Trajectory | None
     origin: str
     notes: tuple[str, ...] = ()
+    others: tuple[Evaluation, ...] = ()
+    causal_ate_m: float | None = None
 
 
 def open_recording(run: RunRecord) -> tuple[Source | None, str]:
@@ -54,11 +59,13 @@ def judge(run: RunRecord, truth: Path | None, source: Source | None, why_not: st
     if not len(run.trajectory):
         return Judged(None, None, "nothing to compare: no frame has a pose")
     if truth is not None:
-        return _compared(_inputs_asked(run, truth))
+        return _compared(run, _inputs_asked(run, truth))
     path = Path(str(run.summary["source"]))
     try:
         inputs = _inputs_found(run, path, source)
-        return Judged(None, None, f"no truth: {why_not}") if inputs is None else _compared(inputs)
+        if inputs is None:
+            return Judged(None, None, f"no truth: {why_not}")
+        return _compared(run, inputs)
     except EvaluationError as error:
         return Judged(None, None, f"not compared with the recording's truth: {error}")
 
@@ -85,10 +92,43 @@ def _inputs_found(run: RunRecord, path: Path, source: Source | None) -> Inputs |
     return inputs_against(run.path, source.ground_truth, path)
 
 
-def _compared(inputs: Inputs) -> Judged:
+def _compared(run: RunRecord, inputs: Inputs) -> Judged:
     evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
     origin = f"compared with the truth in {inputs.reference_path}"
-    return Judged(evaluation, inputs.reference, origin, (*inputs.notes, *evaluation.notes))
+    notes = (*inputs.notes, *evaluation.notes)
+    others = _others(run, inputs)
+    if others:
+        notes = (*notes, "in the figures the other segments are aligned each by itself")
+    causal_ate_m = _causal_ate_m(run, inputs)
+    return Judged(evaluation, inputs.reference, origin, notes, others, causal_ate_m)
+
+
+def _others(run: RunRecord, inputs: Inputs) -> tuple[Evaluation, ...]:
+    """Segments that `inputs` leaves out, as far as they can be compared."""
+    stamps_ns, judged = run.trajectory.stamps_ns, inputs.estimate.stamps_ns
+    numbers = run.segment_of(stamps_ns)
+    numbers[np.isin(stamps_ns, judged)] = -1
+    found = []
+    for number in np.unique(numbers[numbers >= 0]):
+        rows = numbers == number
+        segment = Trajectory(stamps_ns[rows], run.trajectory.world_from_cam[rows])
+        with suppress(EvaluationError):
+            found.append(evaluate(segment, inputs.reference, mode=inputs.mode))
+    return tuple(found)
+
+
+def _causal_ate_m(run: RunRecord, inputs: Inputs) -> float | None:
+    """The same for the path as it was known at the time; None where that cannot be compared."""
+    stamps_ns, judged = run.causal.stamps_ns, inputs.estimate.stamps_ns
+    kept = (stamps_ns >= judged[0]) & (stamps_ns <= judged[-1])
+    if not kept.any():
+        return None
+    causal = Trajectory(stamps_ns[kept], run.causal.world_from_cam[kept])
+    try:
+        evaluation = evaluate(causal, inputs.reference, mode=inputs.mode)
+    except EvaluationError:
+        return None
+    return evaluation.ate.translation.rmse
 
 
 def take_thumbnails(run: RunRecord, source: Source, zero_ns: int) -> tuple[Thumbnail, ...]:

@@ -41,6 +41,9 @@ class Entry:
         notes: what a reader of the numbers should know.
         thumbnails: of frames where something happened.
         zero_ns: the stamp that plots over time count from.
+        others: the segments beside the longest, each against the truth and aligned by itself.
+        causal_ate_m: root mean square of the position error of the path as it was known at the
+            time, aligned by itself; None where it is not known.
     """
 
     name: str
@@ -52,6 +55,8 @@ class Entry:
     notes: tuple[str, ...] = ()
     thumbnails: tuple[Thumbnail, ...] = ()
     zero_ns: int = 0
+    others: tuple[Evaluation, ...] = ()
+    causal_ate_m: float | None = None
 
     @property
     def label(self) -> str:

@@ -98,7 +98,7 @@ def figures(entry: Entry) -> list[Figure]:
     span_s = _span_s(entry)
     return [
         Figure("frames with a pose", share(tracked, frames), f"{tracked} of {frames}"),
-        *_judged_figures(entry.evaluation, is_whole=len(summary["segments"]) < 2),
+        *_judged_figures(entry, is_whole=len(summary["segments"]) < 2),
         Figure(
             "path",
             length(summary["path_m"], entry.run.unit),
@@ -119,12 +119,15 @@ def figures(entry: Entry) -> list[Figure]:
     ]
 
 
-def _judged_figures(evaluation: Evaluation | None, *, is_whole: bool) -> list[Figure]:
+def _judged_figures(entry: Entry, *, is_whole: bool) -> list[Figure]:
+    evaluation = entry.evaluation
     if evaluation is None:
         return []
     ate, frames, segments = evaluation.ate, evaluation.rpe_frames, evaluation.segments
     meaning = f"rmse, {evaluation.alignment.kind}" + ("" if is_whole else ", longest segment")
     found = [Figure("ATE", length(ate.translation.rmse), meaning)]
+    if entry.causal_ate_m is not None:
+        found.append(Figure("ATE, causal", length(entry.causal_ate_m), "as known at the time"))
     if segments is not None:
         is_kitti = segments.lengths[0].length_m >= _KITTI_M
         drift = number(100.0 * segments.rotation_deg_per_m)

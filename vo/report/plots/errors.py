@@ -41,13 +41,18 @@ def _draw_errors(runs: list[Judged], by: Literal["time", "distance"]) -> Figure 
         return None
     figure = new_figure(4.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    factor, unit = _scale([evaluation.ate for _, evaluation in runs])
-    for entry, evaluation in runs:
+    shown = [(entry, each) for entry, e in runs for each in (e, *entry.others)]
+    if by == "distance":
+        shown = runs  # how long the way from one segment to the next was is not known
+    factor, unit = _scale([evaluation.ate for _, evaluation in shown])
+    for entry, evaluation in shown:
         x = _abscissa(entry, evaluation, by)
         lengths, angles = factor * evaluation.ate.translation_m, rotation_errors(evaluation)
         for axes, errors in ((upper, lengths), (lower, angles)):
             curve = broken(*thin(x, errors), x[gaps(evaluation.matched.stamps_ns)])
             axes.plot(*curve, color=colour(entry.number), ls=dash(entry.number), label=entry.label)
+            if evaluation is not entry.evaluation:
+                axes.lines[-1].set_label("_")
     if by == "time" and len(runs) == 1:
         for axes in (upper, lower):
             shade(axes, runs[0][0].without_pose_s)

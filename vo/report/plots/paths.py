@@ -80,7 +80,11 @@ def _draw(axes: Axes, entries: Sequence[Entry], x: int, y: int, flip: float) -> 
 def _positions(entry: Entry) -> Floats:
     """Positions (N, 3), with rows of NaN where poses are missing and where a segment begins."""
     if entry.evaluation is not None:
-        positions, stamps = entry.evaluation.aligned[:, :3, 3], entry.evaluation.matched.stamps_ns
+        every = (entry.evaluation, *entry.others)
+        stamps = np.concatenate([each.matched.stamps_ns for each in every])
+        order = np.argsort(stamps)
+        positions = np.concatenate([each.aligned[:, :3, 3] for each in every])[order]
+        stamps = stamps[order]
     else:
         positions, stamps = entry.run.trajectory.positions, entry.run.trajectory.stamps_ns
     cuts = {*gaps(stamps), *(np.flatnonzero(np.diff(entry.run.segment_of(stamps))) + 1).tolist()}
