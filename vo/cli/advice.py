@@ -10,6 +10,7 @@ Grade = Literal["good", "caution", "bad"]
 
 _FEW_INLIERS = 50
 _MOST_RANGES = 3
+_MOSTLY = 0.5
 _LONG_WITHOUT_MAP = 0.1  # of all frames
 
 
@@ -32,7 +33,10 @@ def verdict(summary: Summary) -> Verdict:
     if summary.status != "finished":
         return Verdict("bad", f"{summary.status}: {have}{apart}")
     if not whole:
-        have = f"{tracked} of {frames} frames have a pose ({tracked / frames:.1%})"
+        share = tracked / frames
+        have = f"{tracked} of {frames} frames have a pose ({share:.1%})"
+        if share < _MOSTLY:
+            return Verdict("bad", f"mostly lost: {have}{apart}")
         return Verdict("caution", f"with gaps: {have}{apart}")
     if segments > 1 or _is_poor(summary):
         return Verdict("caution", f"complete, but not to be trusted: {have}{apart}")
@@ -41,7 +45,7 @@ def verdict(summary: Summary) -> Verdict:
     return Verdict("good", f"complete: {have}")
 
 
-def advice(summary: Summary) -> list[str]:
+def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
     """What can be done about what was wrong, most promising first; empty after a good run."""
     lines = []
     mono = summary.facts.mode == "mono"
@@ -56,11 +60,10 @@ def advice(summary: Summary) -> list[str]:
                 "check the calibration: baseline, focal length, left and right not swapped"
             )
     if summary.lost:
+        how = "vo view shows it" if is_recorded else "record with --rrd, then vo view"
+        lines.append(f"look at what happened in {_ranges(summary)}: {how}")
         lines.append(
-            f"look at what happened in {_ranges(summary)}: record with --rrd, then vo view"
-        )
-        lines.append(
-            "try --config accurate, or --set features.count=3000; images that are blurred, dark or "
+            "--config accurate, or --set features.count=3000; images that are blurred, dark or "
             "full of moving things cannot be tracked"
         )
     elif _is_poor(summary):

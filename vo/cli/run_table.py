@@ -25,7 +25,7 @@ def print_summary(
     for name, value in _facts(summary, output, rrd):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
     said = [("[yellow]warning:[/]", warning) for warning in summary.warnings]
-    said += [("[cyan]try:[/]", line) for line in advice(summary)]
+    said += [("[cyan]try:[/]", line) for line in advice(summary, is_recorded=rrd is not None)]
     said += [("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd)]
     for word, line in said:
         console.print(word, escape(line), soft_wrap=True)

@@ -26,7 +26,7 @@ _FRUSTUM_SHARE_OF_PATH = 0.04
 _FRUSTUM_STEP = 1.25
 _FRAMES_BETWEEN_MAPS = 10  # the local map is the largest thing after the images
 _EDGES_PER_KEYFRAME = 4
-_SHOWN_SIGMAS = 30.0  # one would be too small to be seen
+_SHOWN_SIGMAS = 10.0  # one would be too small to be seen
 
 
 class MapLayer:
@@ -49,7 +49,7 @@ class MapLayer:
             style = rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(radius))
             self._tape.fix(entity, style)
         shells = rr.Ellipsoids3D.from_fields(
-            colors=[entities.PINK], line_radii=rr.Radius.ui_points(0.6)
+            colors=[entities.PINK], line_radii=rr.Radius.ui_points(0.4)
         )
         self._tape.fix(entities.COVARIANCE, shells)
 

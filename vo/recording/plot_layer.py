@@ -95,8 +95,7 @@ class PlotLayer:
             self._say(moment, level, what + why)
         if estimate.is_keyframe:
             counts = f"{estimate.inliers} of {estimate.matches} matches agree"
-            shared = len(estimate.neighbours)
-            self._say(moment, "DEBUG", f"keyframe: {counts}, shares landmarks with {shared}")
+            self._say(moment, "DEBUG", f"keyframe: {counts}")
 
     def _say(self, moment: Moment, level: str, text: str) -> None:
         self._tape.add(moment, entities.EVENTS, rr.TextLog, text=[text], level=[level])

@@ -132,7 +132,8 @@ class RerunRecorder:
             if self._truth is not None
         }
         length = sum(np.linalg.norm(np.diff(p.positions, axis=0), axis=1).sum() for p in pieces)
-        self._fix_summary(self._tally.ending(float(length), errors))
+        tracked = sum(self._index.moment(s) is not None for s in smoothed.stamps_ns.tolist())
+        self._fix_summary(self._tally.ending(tracked, float(length), errors))
 
     def _lay_truth_onto(self, path: Trajectory) -> None:
         if self._truth is None:

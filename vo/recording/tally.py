@@ -17,7 +17,7 @@ class Tally:
     name: str
     rig: Rig
     states: dict[State, int] = field(default_factory=lambda: dict.fromkeys(State, 0))
-    keyframes: int = 0
+    keyframes: set[int] = field(default_factory=set)
     segments: set[int] = field(default_factory=set)
     inliers: list[int] = field(default_factory=list)
     offset_px: float = 0.0
@@ -25,7 +25,7 @@ class Tally:
     def add(self, estimate: Estimate) -> None:
         """Take in a frame."""
         self.states[estimate.state] += 1
-        self.keyframes += estimate.is_keyframe
+        self.keyframes |= {keyframe.frame_index for keyframe in estimate.keyframes}
         self.offset_px = estimate.disparity_offset_px
         if estimate.world_from_cam0 is not None:
             self.segments.add(estimate.segment)
@@ -35,23 +35,25 @@ class Tally:
         """What is known before the first frame; it stays if the run is killed."""
         return f"{self._title()}\nThe run has not come to its end yet.\n"
 
-    def ending(self, path_length: float, errors: Mapping[str, Floats]) -> str:
+    def ending(self, tracked: int, path_length: float, errors: Mapping[str, Floats]) -> str:
         """The whole run.
 
         Args:
+            tracked: frames that have a pose in the end.
             path_length: of the smoothed path.
             errors: position errors of each path against the truth, where they are known.
         """
         frames = sum(self.states.values())
-        tracked = self.states[State.TRACKING]
         unit = "m" if self.rig.is_metric else "map units"
+        # The first keyframe of a mono map is never smoothed, and so never told of.
+        untold = 0 if self.rig.is_metric else len(self.segments)
         rows = {
             "frames": str(frames),
             "tracked": f"{tracked} ({tracked / max(frames, 1):.0%})",
             "lost": str(self.states[State.LOST]),
-            "without a map": str(self.states[State.STARTING]),
+            "without a map": str(max(frames - tracked - self.states[State.LOST], 0)),
             "segments": str(len(self.segments)),
-            "keyframes": str(self.keyframes),
+            "keyframes": str(len(self.keyframes) + untold),
             "path": f"{path_length:.2f} {unit}",
             "inliers, median": f"{np.median(self.inliers):.0f}" if self.inliers else "-",
         }

@@ -18,8 +18,7 @@ class RunIndex:
 
     def __init__(self) -> None:
         self._moments: dict[int, Moment] = {}
-        self._segment = -1
-        self._segment_starts: list[int] = []
+        self._last_stamp: dict[int, int] = {}  # of the causal poses of each segment
 
     def __len__(self) -> int:
         return len(self._moments)
@@ -28,9 +27,8 @@ class RunIndex:
         """Take in a frame."""
         moment = Moment(estimate.frame_index, estimate.stamp_ns)
         self._moments[estimate.stamp_ns] = moment
-        if estimate.world_from_cam0 is not None and estimate.segment != self._segment:
-            self._segment = estimate.segment
-            self._segment_starts.append(estimate.stamp_ns)
+        if estimate.world_from_cam0 is not None:
+            self._last_stamp[estimate.segment] = estimate.stamp_ns
         return moment
 
     @property
@@ -43,8 +41,12 @@ class RunIndex:
         return self._moments.get(stamp_ns)
 
     def by_segment(self, trajectory: Trajectory) -> list[Trajectory]:
-        """A trajectory cut where segments begin; empty pieces are left out."""
-        cuts = np.searchsorted(trajectory.stamps_ns, self._segment_starts[1:])
+        """A trajectory cut where segments end; empty pieces are left out.
+
+        Not where they begin: frames may be placed in a mono map that were taken before it was made.
+        """
+        ends = list(self._last_stamp.values())[:-1]
+        cuts = np.searchsorted(trajectory.stamps_ns, ends, side="right")
         stamps = np.split(trajectory.stamps_ns, cuts)
         poses = np.split(trajectory.world_from_cam, cuts)
         pairs = zip(stamps, poses, strict=True)
