@@ -406,6 +406,30 @@ def test_a_jump_in_time_and_place_does_not_make_a_wild_path(recording: Recording
     np.testing.assert_allclose(steps[together], expected[together], atol=0.03)
 
 
+@pytest.mark.parametrize("kind", ["stereo", "mono"])
+def test_frames_that_were_lost_get_a_place_in_the_new_segment(
+    recording: Recording, kind: str
+) -> None:
+    """From one frame to the next the camera is in another place: the room in a mirror."""
+
+    def mirrored(frame: Frame) -> Frame:
+        assert frame.image1 is not None
+        pair = [np.ascontiguousarray(i[:, ::-1]) for i in (frame.image1, frame.image0)]
+        return replace(frame, image0=pair[0], image1=pair[1])
+
+    frames = _change(recording.frames, range(14, COUNT), mirrored)
+    rig = recording.rig
+    if kind == "mono":
+        rig, frames = recording.mono_rig, [replace(f, image1=None) for f in frames]
+    patience = CONFIG.tracking.model_copy(update={"recover_frames": 5})
+    run = _run(rig, frames, CONFIG.model_copy(update={"tracking": patience}))
+    assert run.states[14:19] == [State.LOST] * 5
+    assert run.segment(1) == list(range(14, COUNT))
+    assert all(run.estimates[n].world_from_cam0 is None for n in range(14, 19))
+    stamps_ns = run.odometry.history.trajectory().stamps_ns
+    assert np.all(np.diff(stamps_ns) > 0)
+
+
 def test_five_dropped_frames_are_bridged(recording: Recording) -> None:
     dropped = range(15, 20)
     run = _run(recording.rig, [f for f in recording.frames if f.index not in dropped])

@@ -67,7 +67,7 @@ class Odometry:
         self._disparity_watch = DisparityWatch()
         self._state = State.STARTING
         self._segment = 0
-        self._lost_for = 0
+        self._lost: list[WorkingFrame] = []  # the newest frames, since the map was lost
         self._last: Seen | None = None
         self._window: Window | None = None  # that the smoother works on
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
@@ -92,20 +92,27 @@ class Odometry:
         clock = Stopwatch()
         with clock.stage("features"):
             working = coming.result()
-        reason, tracked = "", None
+        reason, tracked, keyframe = self._advance(working, clock)
+        return self._estimate(working, tracked, keyframe, reason, clock)
+
+    def _advance(
+        self, frame: WorkingFrame, clock: Stopwatch
+    ) -> tuple[str, Tracked | None, Keyframe | None]:
+        """Place a frame, in a map of its own if need be: why it failed, what it sees, keyframe."""
         self._frames_since_asked += 1
         if self._frames_since_asked > self._answer_after:
             self._take_in(clock)
-        if self._state is not State.STARTING:
-            tracked = self._track(working, clock)
-            if tracked is None:
-                reason = self._lose(clock)
-        keyframe = None
         if self._state is State.STARTING:
-            reason, tracked, keyframe = self._start(working, clock)
-        elif tracked is not None:
-            keyframe = self._extend(working, tracked, clock)
-        return self._estimate(working, tracked, keyframe, reason, clock)
+            return self._start(frame, clock)
+        tracked = self._track(frame, clock)
+        if tracked is not None:
+            return "", tracked, self._extend(frame, tracked, clock)
+        self._state = State.LOST
+        self._lost.append(frame)
+        if len(self._lost) <= self._config.tracking.recover_frames:
+            return "too few landmarks agree on a pose", None, None
+        self._give_up(clock)
+        return self._advance(frame, clock)
 
     def finish(self) -> Mapping[str, float]:
         """Wait for the smoother's last answer, after the last frame; gives `stage_ms` of it."""
@@ -134,7 +141,7 @@ class Odometry:
                 return tracked
 
     def _first_poses(self, frame: WorkingFrame) -> Iterator[Floats]:
-        """Near the prediction; as predicted; anywhere; mono, by the essential matrix."""
+        """Near the prediction; as predicted or near the last; anywhere; mono, by two views."""
         world, rig, config = self._map, self._rig, self._config
         predicted = self._motion.predict(frame.stamp_ns)
         near = place_near(world, frame, predicted, rig, config)
@@ -142,6 +149,10 @@ class Odometry:
             yield near
         if self._state is State.TRACKING:
             yield predicted
+        else:  # it may have stopped as well as gone on
+            near = place_near(world, frame, self._motion.last, rig, config, lost=True)
+            if near is not None:
+                yield near
         anywhere = place_anywhere(world, frame, rig, config)
         if anywhere is not None:
             yield anywhere
@@ -154,7 +165,7 @@ class Odometry:
 
     def _extend(self, frame: WorkingFrame, tracked: Tracked, clock: Stopwatch) -> Keyframe | None:
         """Take in a tracked frame; make it a keyframe if the map needs one."""
-        self._state, self._lost_for = State.TRACKING, 0
+        self._state, self._lost = State.TRACKING, []
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         if not wants_keyframe(self._map, frame, tracked, self._config):
             newest = self._map.keyframes[-1]
@@ -237,7 +248,7 @@ class Odometry:
             started = self._start_stereo(frame) if self._rig.is_stereo else self._start_mono(frame)
         if isinstance(started, str):
             return started, None, None
-        self._state, self._lost_for = State.TRACKING, 0
+        self._state, self._lost = State.TRACKING, []
         self._motion.restart(started.stamp_ns, started.world_from_cam)
         self._smooth(started, clock)
         return "", as_tracked(self._map, started), started
@@ -285,19 +296,26 @@ class Odometry:
             in_world = self._cam0(tracked.world_from_cam)
             self.history.add(frame.index, frame.stamp_ns, self._segment, first.id, in_world)
 
-    def _lose(self, clock: Stopwatch) -> str:
-        """Note a frame that could not be placed; give the map up after too many of them."""
-        self._state = State.LOST
-        self._lost_for += 1
-        patience = self._config.tracking.recover_frames
-        if self._lost_for > patience:
-            self._take_in(clock)
-            self._state = State.STARTING
-            self._segment += 1
-            self._mono_start.restart()
-            self._last = None
-            return f"lost for {self._lost_for} frames, a new segment begins"
-        return "too few landmarks agree on a pose"
+    def _give_up(self, clock: Stopwatch) -> None:
+        """Leave the old map; the frames that were lost get their chance in a new one."""
+        self._take_in(clock)
+        *lost, _ = self._lost
+        self._lost, self._last = [], None
+        self._state = State.STARTING
+        self._segment += 1
+        self._mono_start.restart()
+        for frame in lost:
+            _, tracked, keyframe = self._advance(frame, clock)
+            self._remember(frame, tracked, keyframe)
+
+    def _remember(
+        self, frame: WorkingFrame, tracked: Tracked | None, keyframe: Keyframe | None
+    ) -> None:
+        """Keep what the next frame needs of this one, and what the next estimate has to tell."""
+        if tracked is not None:
+            self._last = Seen(frame, tracked.ids, tracked.observed.image_xy)
+        if keyframe is not None:
+            self._moved.add(keyframe.id)
 
     # --- keeping the books ------------------------------------------------------------------
 
@@ -339,10 +357,7 @@ class Odometry:
             # A keyframe may have been carried along by the answer to the window before it.
             pose = tracked.world_from_cam if keyframe is None else keyframe.world_from_cam
         view = make_view(frame, tracked, self._last, self._rig, self._map, pose)
-        if tracked is not None:
-            self._last = Seen(frame, tracked.ids, tracked.observed.image_xy)
-        if keyframe is not None:
-            self._moved.add(keyframe.id)
+        self._remember(frame, tracked, keyframe)
         moved, self._moved = sorted(self._moved), set()
         return Estimate(
             frame_index=frame.index,

@@ -15,7 +15,9 @@ from vo.pipeline.observe import Observed
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Floats, Ints
 
-_WIDEN = (1.0, 3.0)  # search windows, one after the other, in units of the normal one
+# Search windows, one after the other, in units of the normal one.
+_WIDEN = (1.0, 3.0)
+_WIDEN_LOST = (3.0, 8.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +39,21 @@ class Tracked:
 
 
 def place_near(
-    world: Map, frame: WorkingFrame, predicted: Floats, rig: WorkingRig, config: Config
+    world: Map,
+    frame: WorkingFrame,
+    predicted: Floats,
+    rig: WorkingRig,
+    config: Config,
+    *,
+    lost: bool = False,
 ) -> Floats | None:
-    """world_from_cam from landmarks matched near where a predicted pose puts them."""
+    """world_from_cam from landmarks matched near where a predicted pose puts them.
+
+    With `lost` the prediction is a guess, and wider windows are searched.
+    """
     visible = observe.visible_landmarks(world, rig, predicted)
     radius_px = config.tracking.search_share * rig.width
-    for widen in _WIDEN:
+    for widen in _WIDEN_LOST if lost else _WIDEN:
         query, keypoints = observe.match_by_descriptor(
             world, visible, frame, widen * radius_px, config.features.scale_factor, config.tracking
         )
