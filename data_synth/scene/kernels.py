@@ -23,6 +23,8 @@ from vo.types import Floats, Floats32, Ints
 BAND_ROWS = 32
 _LIST_TILE, _CAST_TILE, _SMOOTH_TILE = 32, 8, 8
 _MAX_ANISOTROPY = 8
+_SPACING = 1.3  # of samples, in shorter sides of a footprint; each is two texels wide
+_INVERSE = (0.0, *(1.0 / n for n in range(1, _MAX_ANISOTROPY + 1)))
 _ONE_SAMPLE = 1.6**2  # up to this ratio of a footprint's sides, squared
 _GROUPS = 5
 _LOST_MOTION = 2.0  # pixels that motion blur may lack at the rim of an image
@@ -30,6 +32,7 @@ _JUMP = 3.0  # of inverse depth from pixel to pixel where one hill hides another
 _LEAST_JUMP = 0.01
 _FAR_M = 1000.0
 _LIFT_M = 0.012  # light is measured just above marks and rugs that lie on a surface
+_FEW_AROUND = 4  # solids that a pixel and those around it see
 _FEW_CLOSE = 6  # solids that are asked one by one
 _DARKEST = 0.35  # ambient light in the deepest corner
 
@@ -38,6 +41,9 @@ _ROUND, _SIDE = 3, 4  # parts of solids: 0, 1, 2 are flat faces across an axis
 _SKY, _NOTHING = -1, -2  # numbers of surfaces
 _GROUND = 1 << 40  # stands for a solid
 _CLOUDS_PER_TURN = 22.5
+_PER_GREY = 1.0 / 255.0
+
+_at = np.uint64  # an index that is not negative: Python's negative ones cost a few steps each
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Vector = tuple[float, float, float]
@@ -184,6 +190,7 @@ def smooth_rows(
     `counts` rays with offsets `grains` in area and time.
     """
     groups, numbers = np.empty((_GROUPS, 5)), np.empty(_GROUPS, np.int64)
+    around = np.empty(9, np.int64), np.zeros(9)
     far, near = _empty_list(world), _empty_list(world)
     for top in range(band[0], band[1], _LIST_TILE):
         for left in range(0, rays.shape[1], _LIST_TILE):
@@ -210,7 +217,8 @@ def smooth_rows(
                         seen,
                         (counts, grains),
                         (groups, numbers),
-                        surface,
+                        around,
+                        (sharp, depth, surface),
                         crossed,
                         image,
                     )
@@ -270,12 +278,18 @@ def _mean_of_rays(
     seen: _Seen,
     sampling: tuple[Ints, Floats],
     scratch: tuple[Floats, Ints],
-    surface: NDArray[np.int32],
+    around: _List,
+    middles: tuple[Floats32, Floats32, NDArray[np.int32]],
     crossed: NDArray[np.uint8],
     image: Floats32,
 ) -> None:
-    """Fill in the pixels of a tile that an edge crosses."""
-    counts, grains = sampling
+    """Fill in the pixels of a tile that an edge crosses.
+
+    Where little moves, their rays meet what those of the pixels around met, as `middles` (radiance,
+    depth and surface) tell. All that the tile may see is asked only where they meet nothing, and
+    where so many things are seen that others may hide between them.
+    """
+    (counts, grains), (_, depth, surface) = sampling, middles
     for row in range(tile[0], tile[1]):
         sweep = _sweep(shutter, row)
         for column in range(tile[2], tile[3]):
@@ -284,16 +298,22 @@ def _mean_of_rays(
             level = len(counts) - 1
             while level > 0 and crossed[level, row, column] == 0:
                 level -= 1
+            likely, is_open = seen, True
+            if level == 0:
+                count, below, open_ = _around(world, depth, surface, row, column, around[0])
+                if count <= _FEW_AROUND:
+                    likely, is_open = (around[0][:count], around[1][:count], below), open_
             image[row, column] = _mean_radiance(
                 world,
                 shutter,
                 rays,
                 (row, column),
-                seen,
+                (likely, is_open, seen),
                 grains[level, : counts[level]],
                 scratch,
                 sweep,
-                surface[row, column],
+                middles,
+                level == 0,
             )
 
 
@@ -303,31 +323,42 @@ def _mean_radiance(
     shutter: Shutter,
     rays: Floats,
     pixel: tuple[int, int],
-    seen: _Seen,
+    before: tuple[_Seen, bool, _Seen],
     grains: Floats,
     scratch: tuple[Floats, Ints],
     sweep: _Sweep,
-    middle: int,
+    middles: tuple[Floats32, Floats32, NDArray[np.int32]],
+    is_still: bool,
 ) -> float:
     """Mean shade over the area and the exposure of one pixel.
 
     Many rays find the share of each surface, then each is shaded once: where its rays are on
-    average, and over as much of the pixel and of its motion as they take up. `middle` is the
-    surface that the ray in the middle met: if the first half meet it too, so will the others.
+    average, and over as much of the pixel and of its motion as they take up. If the first half meet
+    the surface that the ray in the middle met, so will the others. Where little moves, the radiance
+    of a surface is taken from the pixels around that see it. `before` has what is likely to be met,
+    whether that may be nothing, and all that may be.
     """
-    (row, column), (groups, numbers) = pixel, scratch
+    (row, column), (groups, numbers), (likely, is_open, seen) = pixel, scratch, before
     rows, many = rays.shape[0], len(grains)
+    sharp, _, surface = middles
+    middle = surface[row, column]
     turn, start, time = _pose(shutter, rows, row, 0.0)
     ray, across, down = _steps(rays, row, column)
     count, left_out = 0, 0
     for k in range(len(grains)):
         if k == max(4, len(grains) // 2) and count == 1 and numbers[0] == middle:
+            inverse = groups[0, 4] / groups[0, 0]
+            u, v = _motion(world, shutter, rays, sweep, inverse, middle, row, column)
+            if abs(u) <= 1.0 and abs(v) <= 1.0:
+                return float(sharp[row, column])
             many = k
             break
         if shutter.width > 0.0:
             turn, start, time = _pose(shutter, rows, row, grains[k, 2])
         to = _turned(turn, _within(ray, across, down, grains[k, 0], grains[k, 1]))
-        t, number = _meet(world, start, time, to, seen)
+        t, number = _meet(world, start, time, to, likely)
+        if number == _SKY and not is_open:
+            t, number = _meet(world, start, time, to, seen)
         inverse, group = 1.0 / t, 0
         while group < count and not (
             numbers[group] == number and _is_near(inverse, groups[group, 4] / groups[group, 0])
@@ -352,6 +383,11 @@ def _mean_radiance(
         size = groups[group, 0]
         u, v, share = groups[group, 1] / size, groups[group, 2] / size, groups[group, 3] / size
         inverse = groups[group, 4] / size
+        if is_still:
+            shade = _shade_around(middles, (row, column), (u, v), inverse, numbers[group])
+            if not np.isnan(shade):
+                total += size * shade
+                continue
         if shutter.width > 0.0:
             turn, start, time = _pose(shutter, rows, row, share)
         to = _turned(turn, _within(ray, across, down, u, v))
@@ -364,6 +400,60 @@ def _mean_radiance(
         shade = _shade(world, start, time, to, sides, t, numbers[group])
         total += size * shade
     return total / many
+
+
+@_compiled
+def _around(
+    world: World,
+    depth: Floats32,
+    surface: NDArray[np.int32],
+    row: int,
+    column: int,
+    solids: Ints,
+) -> tuple[int, float, bool]:
+    """List the solids that a pixel and those around it see.
+
+    Returns their number, the length below which rays do not meet the ground there, infinite for no
+    ground, and whether one of the pixels sees the sky.
+    """
+    count, below, is_open = 0, np.inf, False
+    for i in range(max(row - 1, 0), min(row + 2, surface.shape[0])):
+        for j in range(max(column - 1, 0), min(column + 2, surface.shape[1])):
+            number = surface[i, j]
+            if number < 0:
+                is_open = True
+            elif number == _ground_number(world):
+                below = min(below, 0.9 * depth[i, j])
+            else:
+                solid, k = number // 6, 0
+                while k < count and solids[k] != solid:
+                    k += 1
+                if k == count:
+                    solids[count] = solid
+                    count += 1
+    return count, below, is_open
+
+
+@_compiled
+def _shade_around(
+    middles: tuple[Floats32, Floats32, NDArray[np.int32]],
+    pixel: tuple[int, int],
+    offset: _Pair,
+    inverse: float,
+    number: int,
+) -> float:
+    """Radiance of a surface in the pixel nearest to an offset that sees it, or NaN."""
+    (sharp, depth, surface), (row, column) = middles, pixel
+    best, shade = np.inf, np.nan
+    for i in range(max(row - 1, 0), min(row + 2, surface.shape[0])):
+        for j in range(max(column - 1, 0), min(column + 2, surface.shape[1])):
+            if surface[i, j] != number:
+                continue
+            right, low = j - column - offset[0], i - row - offset[1]
+            away = right * right + low * low
+            if away < best and abs(inverse * depth[i, j] - 1.0) <= 0.05:
+                best, shade = away, sharp[i, j]
+    return float(shade)
 
 
 @_compiled
@@ -850,7 +940,7 @@ def _peak_within(world: World, x0: float, x1: float, y0: float, y1: float) -> fl
     """Upper bound of the ground's heights over an area; minus infinity beside the ground."""
     relief = world.relief
     rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
-    scale = 1.0 / relief.cell
+    scale = relief.per_m
     left, right = (x0 - relief.corner[0]) * scale, (x1 - relief.corner[0]) * scale
     top, bottom = (y0 - relief.corner[1]) * scale, (y1 - relief.corner[1]) * scale
     if right < 0.0 or bottom < 0.0 or left > columns or top > rows:
@@ -908,18 +998,72 @@ def _shade(
     part = _part(world, solid, face)
     to = _local(world, solid, ray)
     hit = _moved(_local_point(world, solid, _beside(world, solid, start, time)), to, t)
+    changes = _local(world, solid, sides[0]), _local(world, solid, sides[1])
     normal = _normal(world, solid, part, face, hit)
-    facing = _facing(normal, to)
-    first = _slid(to, _local(world, solid, sides[0]), normal, t, facing)
-    second = _slid(to, _local(world, solid, sides[1]), normal, t, facing)
-    shade = _texture(world, solid, part, normal, hit, first, second)
+    if part < _ROUND:
+        axis = part
+        at, first, second = _on_flat(axis, 2.0 * (face % 2) - 1.0, hit, to, changes, t)
+    else:
+        axis = 0 if part == _SIDE else _longest(normal)
+        at, first, second = _on_round(world, solid, part, axis, normal, hit, to, changes, t)
+    shade = _texture(world, solid, axis, part == _SIDE, at, first, second)
     return shade * _light(world, solid, part, normal, hit)
+
+
+@_compiled
+def _on_flat(
+    axis: int, sign: float, hit: _Vector, ray: _Vector, changes: tuple[_Vector, _Vector], t: float
+) -> tuple[_Pair, _Pair, _Pair]:
+    """Right and down of a hit on the face of an axis, and how they change with the ray."""
+    facing = 1.0 / min(sign * ray[axis], -1e-9)
+    along = _on_face(axis, sign, ray)
+    first, second = _on_face(axis, sign, changes[0]), _on_face(axis, sign, changes[1])
+    p, q = sign * changes[0][axis] * facing, sign * changes[1][axis] * facing
+    return (
+        _on_face(axis, sign, hit),
+        (t * (first[0] - p * along[0]), t * (first[1] - p * along[1])),
+        (t * (second[0] - q * along[0]), t * (second[1] - q * along[1])),
+    )
+
+
+@_compiled
+def _on_round(
+    world: World,
+    solid: int,
+    part: int,
+    axis: int,
+    normal: _Vector,
+    hit: _Vector,
+    ray: _Vector,
+    changes: tuple[_Vector, _Vector],
+    t: float,
+) -> tuple[_Pair, _Pair, _Pair]:
+    """As `_on_flat`, on the side of a cylinder or on the face of an ellipsoid's cube."""
+    facing = _facing(normal, ray)
+    first, second = (
+        _slid(ray, changes[0], normal, t, facing),
+        _slid(ray, changes[1], normal, t, facing),
+    )
+    if part == _SIDE:
+        right, low, turn = _unrolled(world, solid, hit)
+        tangent = (-turn * normal[1], turn * normal[0], 0.0)
+        return (
+            (right, low),
+            (_dot(tangent, first), -first[2]),
+            (_dot(tangent, second), -second[2]),
+        )
+    sign = 1.0 if normal[axis] > 0.0 else -1.0
+    return (
+        _on_face(axis, sign, hit),
+        _on_face(axis, sign, first),
+        _on_face(axis, sign, second),
+    )
 
 
 @_compiled
 def _part(world: World, solid: int, face: int) -> int:
     """The part of a solid that a face is on: an axis for flat ones, _ROUND or _SIDE."""
-    kind = world.kinds[solid]
+    kind = world.kinds[_at(solid)]
     if kind == _BOX:
         return face // 2
     if kind == _ELLIPSOID:
@@ -964,7 +1108,7 @@ def _enter(world: World, solid: int, start: _Vector, ray: _Vector) -> tuple[floa
 def _span(world: World, solid: int, start: _Vector, ray: _Vector) -> tuple[float, float, int]:
     """Ray lengths at which a ray enters and leaves a solid, and through which part it enters."""
     o, d = _local_point(world, solid, start), _local(world, solid, ray)
-    kind, shape = world.kinds[solid], world.shapes[solid]
+    kind, shape = world.kinds[_at(solid)], world.shapes[_at(solid)]
     near, far, part = -np.inf, np.inf, 0
     if kind != _ELLIPSOID:
         for k in range(0 if kind == _BOX else 2, 3):
@@ -974,8 +1118,8 @@ def _span(world: World, solid: int, start: _Vector, ray: _Vector) -> tuple[float
                 near, part = middle - reach, k
             far = min(far, middle + reach)
     if kind != _BOX:
-        height = 1.0 / shape[5] if kind == _ELLIPSOID else 0.0
-        first, last = _round_span(o, d, 1.0 / shape[3], 1.0 / shape[4], height)
+        height = shape[10] if kind == _ELLIPSOID else 0.0
+        first, last = _round_span(o, d, shape[8], shape[9], height)
         if first > near:
             near, part = first, _ROUND if kind == _ELLIPSOID else _SIDE
         far = min(far, last)
@@ -989,13 +1133,14 @@ def _round_span(o: _Vector, d: _Vector, x: float, y: float, z: float) -> _Pair:
     a = dx * dx + dy * dy + dz * dz
     if a == 0.0:  # along a cylinder
         return (-np.inf, np.inf) if ox * ox + oy * oy <= 1.0 else (np.inf, -np.inf)
-    middle = -(ox * dx + oy * dy + oz * dz) / a
+    inverse = 1.0 / a
+    middle = -(ox * dx + oy * dy + oz * dz) * inverse
     # From the point of the ray closest to the middle: exact also for small things far away.
     px, py, pz = ox + middle * dx, oy + middle * dy, oz + middle * dz
     rest = 1.0 - (px * px + py * py + pz * pz)
     if rest < 0.0:
         return np.inf, -np.inf
-    reach = np.sqrt(rest / a)
+    reach = math.sqrt(rest * inverse)
     return middle - reach, middle + reach
 
 
@@ -1004,10 +1149,10 @@ def _normal(world: World, solid: int, part: int, face: int, hit: _Vector) -> _Ve
     """Outward unit normal at a point of a face, in the solid's own frame."""
     if part < _ROUND:
         return _along(part, 2.0 * (face % 2) - 1.0)
-    shape = world.shapes[solid]
-    x, y = hit[0] / (shape[3] * shape[3]), hit[1] / (shape[4] * shape[4])
-    z = hit[2] / (shape[5] * shape[5]) if part == _ROUND else 0.0
-    scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+    shape = world.shapes[_at(solid)]
+    x, y = hit[0] * shape[8] * shape[8], hit[1] * shape[9] * shape[9]
+    z = hit[2] * shape[10] * shape[10] if part == _ROUND else 0.0
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     return scale * x, scale * y, scale * z
 
 
@@ -1015,7 +1160,7 @@ def _normal(world: World, solid: int, part: int, face: int, hit: _Vector) -> _Ve
 def _slid(ray: _Vector, change: _Vector, normal: _Vector, t: float, facing: float) -> _Vector:
     """How the hit point moves on the surface when the ray changes (Igehy 1999, eq. 10 to 12).
 
-    `facing` is 1 / (normal · ray).
+    `facing` is 1 / (normal · ray); the normal may have any length.
     """
     share = _dot(normal, change) * facing
     return (
@@ -1043,7 +1188,7 @@ def _sky(world: World, ray: _Vector) -> float:
     mist = (1.0 - rise) ** 4
     spread = _CLOUDS_PER_TURN / (ray[2] + 0.25 * flat)
     stain = len(world.atlas.levels) - 1
-    value = _bilinear(world, stain, 2, spread * ray[0], spread * ray[1]) / 255.0
+    value = _bilinear(world, stain, 2, spread * ray[0], spread * ray[1]) * _PER_GREY
     cloud = min(max(2.5 * (value - 0.5), 0.0), 1.0)
     clear = radiance + (0.97 - radiance) * cloud
     return float(clear + (pale - clear) * mist)
@@ -1065,7 +1210,7 @@ def _ground_hit(world: World, start: _Vector, ray: _Vector, begin: float, end: f
     """
     relief = world.relief
     rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
-    scale = 1.0 / relief.cell
+    scale = relief.per_m
     ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
     dx, dy = scale * ray[0], scale * ray[1]
     ix, iy = _inverse(dx), _inverse(dy)
@@ -1077,13 +1222,13 @@ def _ground_hit(world: World, start: _Vector, ray: _Vector, begin: float, end: f
         return np.inf
     j = min(max(int(ox + t * dx), 0), columns - 1)
     i = min(max(int(oy + t * dy), 0), rows - 1)
-    level, top = 1 if len(relief.starts) > 1 else 0, len(relief.starts) - 1
+    level, top = 0, len(relief.starts) - 1  # what comes before was leapt over
     while True:
         bj, bi = j >> level, i >> level
         tx = (((bj + (dx > 0.0)) << level) - ox) * ix if dx != 0.0 else np.inf
         ty = (((bi + (dy > 0.0)) << level) - oy) * iy if dy != 0.0 else np.inf
         out = max(min(tx, ty, far), t)
-        peak = relief.peaks[relief.starts[level] + bi * relief.widths[level] + bj]
+        peak = relief.peaks[_at(relief.starts[_at(level)] + bi * relief.widths[_at(level)] + bj)]
         if start[2] + min(t * ray[2], out * ray[2]) <= peak:
             if level > 0:
                 level -= 1
@@ -1113,8 +1258,9 @@ def _cell_hit(
 ) -> float:
     """Where a ray, in the frame of a cell, meets its bilinear patch between two lengths."""
     z = world.relief.heights
-    a, b = float(z[i, j]), float(z[i, j + 1]) - float(z[i, j])
-    c, e = float(z[i + 1, j]) - a, float(z[i + 1, j + 1]) - float(z[i + 1, j]) - b
+    z00, z01 = float(z[_at(i), _at(j)]), float(z[_at(i), _at(j + 1)])
+    z10, z11 = float(z[_at(i + 1), _at(j)]), float(z[_at(i + 1), _at(j + 1)])
+    a, b, c, e = z00, z01 - z00, z10 - z00, z11 - z10 - (z01 - z00)
     u, v = o[0] + begin * d[0], o[1] + begin * d[1]
     above = o[2] + begin * d[2] - (a + b * u + c * v + e * u * v)
     if above <= 0.0:  # it went under just now, on the rim between two cells
@@ -1135,15 +1281,15 @@ def _cell_hit(
 
 @_compiled
 def _ground_normal(world: World, x: float, y: float) -> _Vector:
-    """Unit normal of the patch below a point."""
+    """Normal of the patch below a point, of no particular length."""
     z = world.relief.heights
     i, j, v, u = _spot(world, x, y, 1, z)
-    scale = 1.0 / world.relief.cell
-    across, beyond = z[i, j + 1] - z[i, j], z[i + 1, j + 1] - z[i + 1, j]
-    up, after = z[i + 1, j] - z[i, j], z[i + 1, j + 1] - z[i, j + 1]
+    scale = world.relief.per_m
+    z00, z01 = z[_at(i), _at(j)], z[_at(i), _at(j + 1)]
+    z10, z11 = z[_at(i + 1), _at(j)], z[_at(i + 1), _at(j + 1)]
+    across, beyond, up, after = z01 - z00, z11 - z10, z10 - z00, z11 - z01
     gx, gy = scale * (across + v * (beyond - across)), scale * (up + u * (after - up))
-    scale = 1.0 / math.sqrt(1.0 + gx * gx + gy * gy)
-    return -scale * gx, -scale * gy, scale
+    return -gx, -gy, 1.0
 
 
 @_compiled
@@ -1152,7 +1298,7 @@ def _spot(
 ) -> tuple[int, int, float, float]:
     """Row, column and their fractions on a grid that is so much finer than the ground's."""
     relief = world.relief
-    scale = finer / relief.cell
+    scale = finer * relief.per_m
     right, up = scale * (x - relief.corner[0]), scale * (y - relief.corner[1])
     right = min(max(right, 0.0), grid.shape[1] - 1.0)
     up = min(max(up, 0.0), grid.shape[0] - 1.0)
@@ -1164,8 +1310,9 @@ def _spot(
 def _between(grid: Floats32, spot: tuple[int, int, float, float]) -> float:
     """A grid's value there, bilinear."""
     i, j, v, u = spot
-    near = grid[i, j] + u * (grid[i, j + 1] - grid[i, j])
-    far = grid[i + 1, j] + u * (grid[i + 1, j + 1] - grid[i + 1, j])
+    z00, z01 = grid[_at(i), _at(j)], grid[_at(i), _at(j + 1)]
+    z10, z11 = grid[_at(i + 1), _at(j)], grid[_at(i + 1), _at(j + 1)]
+    near, far = z00 + u * (z01 - z00), z10 + u * (z11 - z10)
     return float(near + v * (far - near))
 
 
@@ -1258,14 +1405,14 @@ def _turned_back(turn: _Turn, v: _Vector) -> _Vector:
 @_compiled
 def _local_point(world: World, solid: int, point: _Vector) -> _Vector:
     """A point of the world in the solid's own frame."""
-    shape = world.shapes[solid]
+    shape = world.shapes[_at(solid)]
     return _local(world, solid, (point[0] - shape[0], point[1] - shape[1], point[2] - shape[2]))
 
 
 @_compiled
 def _local(world: World, solid: int, vector: _Vector) -> _Vector:
     """A direction of the world in the solid's own frame."""
-    cosine, sine = world.shapes[solid, 6], world.shapes[solid, 7]
+    cosine, sine = world.shapes[_at(solid), 6], world.shapes[_at(solid), 7]
     return (
         cosine * vector[0] + sine * vector[1],
         cosine * vector[1] - sine * vector[0],
@@ -1276,7 +1423,7 @@ def _local(world: World, solid: int, vector: _Vector) -> _Vector:
 @_compiled
 def _upright(world: World, solid: int, vector: _Vector) -> _Vector:
     """A direction of the solid's own frame in the world."""
-    cosine, sine = world.shapes[solid, 6], world.shapes[solid, 7]
+    cosine, sine = world.shapes[_at(solid), 6], world.shapes[_at(solid), 7]
     return (
         cosine * vector[0] - sine * vector[1],
         sine * vector[0] + cosine * vector[1],
@@ -1311,38 +1458,23 @@ def _face_of(axis: int, vector: _Vector) -> int:
 
 @_compiled
 def _texture(
-    world: World,
-    solid: int,
-    part: int,
-    normal: _Vector,
-    hit: _Vector,
-    across: _Vector,
-    down: _Vector,
+    world: World, solid: int, axis: int, is_side: bool, at: _Pair, a: _Pair, d: _Pair
 ) -> float:
-    """Texture averaged over a pixel's footprint, given by its two sides on the surface."""
-    if part == _SIDE:
-        axis = 0
-        right, low, turn = _unrolled(world, solid, hit)
-        tangent = (-turn * normal[1], turn * normal[0], 0.0)
-        a, d = (_dot(tangent, across), -across[2]), (_dot(tangent, down), -down[2])
-    else:
-        axis = _longest(normal) if part == _ROUND else part
-        sign = 1.0 if normal[axis] > 0.0 else -1.0
-        right, low = _on_face(axis, sign, hit)
-        a, d = _on_face(axis, sign, across), _on_face(axis, sign, down)
-    su, sv = world.scales[solid, axis, 0], world.scales[solid, axis, 1]
-    texture = world.textures[solid]
-    u = su * right + world.offsets[solid, 0] + 0.5 * world.atlas.levels[texture, 0, 2]
-    v = sv * low + world.offsets[solid, 1] + 0.5 * world.atlas.levels[texture, 0, 1]
+    """Texture averaged over a footprint at a point of a face, all in metres right and down."""
+    right, low = at
+    su, sv = world.scales[_at(solid), _at(axis), 0], world.scales[_at(solid), _at(axis), 1]
+    texture = world.textures[_at(solid)]
+    u = su * right + world.offsets[_at(solid), 0] + 0.5 * world.atlas.levels[texture, 0, 2]
+    v = sv * low + world.offsets[_at(solid), 1] + 0.5 * world.atlas.levels[texture, 0, 1]
     value = _filtered(world, texture, u, v, (su * a[0], sv * a[1]), (su * d[0], sv * d[1]))
-    if world.stains[solid, 0] > 0.0:
-        scale = world.stains[solid, 1]
+    if world.stains[_at(solid), 0] > 0.0:
+        scale = world.stains[_at(solid), 1]
         size = scale * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
         shift = 57.3 * solid  # so that no two solids have the same stains
         # Mirrored on round things, so that it has no seam either.
-        aside = abs(right) if part == _SIDE else right
+        aside = abs(right) if is_side else right
         stain = _stain(world, scale * aside + shift, scale * low + 0.7 * shift, size)
-        value *= 1.0 + 2.0 * world.stains[solid, 0] * (stain - 0.5)
+        value *= 1.0 + 2.0 * world.stains[_at(solid), 0] * (stain - 0.5)
     return value
 
 
@@ -1352,10 +1484,10 @@ def _unrolled(world: World, solid: int, hit: _Vector) -> tuple[float, float, flo
 
     A texture too wide for the cylinder runs half around and back, so that it has no seam.
     """
-    shape = world.shapes[solid]
-    angle = np.arctan2(hit[1] / shape[4], hit[0] / shape[3])
+    shape = world.shapes[_at(solid)]
+    angle = np.arctan2(hit[1] * shape[9], hit[0] * shape[8])
     radius = 0.5 * (shape[3] + shape[4])
-    if world.goes_round[solid] or angle >= 0.0:
+    if world.goes_round[_at(solid)] or angle >= 0.0:
         return radius * angle, -hit[2], 1.0
     return -radius * angle, -hit[2], -1.0
 
@@ -1373,8 +1505,11 @@ def _on_face(axis: int, sign: float, local: _Vector) -> _Pair:
 @_compiled
 def _stain(world: World, u: float, v: float, size: float) -> float:
     """The stain, 0…1, blurred to a footprint of `size` texels."""
-    level = _level(size * size)
-    return _trilinear(world, len(world.atlas.levels) - 1, level, u, v) / 255.0
+    level, shrink, share = _level(size * size)
+    if share > 0.5:  # it is soft: the nearer level will do
+        level, shrink = level + 1, 0.5 * shrink
+    stain = len(world.atlas.levels) - 1
+    return _bilinear(world, stain, level, shrink * u, shrink * v) * _PER_GREY
 
 
 @_compiled
@@ -1400,9 +1535,11 @@ def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, seco
         long, short, along = short, long, second
     if long <= _ONE_SAMPLE * max(short, 1.0):
         # Rather a little blur than aliasing.
-        return _trilinear(world, texture, _level(long), u, v) / 255.0
-    count = min(int(math.sqrt(long / max(short, 1.0)) + 0.4), _MAX_ANISOTROPY)
-    step = 1.0 / count
+        return _trilinear(world, texture, _level(long), u, v) * _PER_GREY
+    count = 2
+    while count < _MAX_ANISOTROPY and long >= (_SPACING * count + 0.8) ** 2 * max(short, 1.0):
+        count += 1
+    step = _INVERSE[count]
     level = _level(max(short, long * step * step))
     step_u, step_v = step * along[0], step * along[1]
     u, v = u - 0.5 * (count - 1) * step_u, v - 0.5 * (count - 1) * step_v
@@ -1410,7 +1547,7 @@ def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, seco
     for _ in range(count):
         total += _trilinear(world, texture, level, u, v)
         u, v = u + step_u, v + step_v
-    return total * step / 255.0
+    return total * step * _PER_GREY
 
 
 @_compiled
@@ -1428,9 +1565,9 @@ def _bilinear(world: World, texture: int, level: int, u: float, v: float) -> flo
     """A texture at a point given in texels of a level, 0…255."""
     levels, texels = world.atlas.levels, world.atlas.texels
     start, height, width = (
-        levels[texture, level, 0],
-        levels[texture, level, 1],
-        levels[texture, level, 2],
+        levels[_at(texture), _at(level), 0],
+        levels[_at(texture), _at(level), 1],
+        levels[_at(texture), _at(level), 2],
     )
     u, v = u - 0.5, v - 0.5
     left, top = math.floor(u), math.floor(v)
@@ -1438,9 +1575,9 @@ def _bilinear(world: World, texture: int, level: int, u: float, v: float) -> flo
     j, i = left & (width - 1), top & (height - 1)
     j1, i1 = (j + 1) & (width - 1), (i + 1) & (height - 1)
     upper, lower = start + i * width, start + i1 * width
-    a, b = float(texels[upper + j]), float(texels[lower + j])
-    a += fu * (texels[upper + j1] - a)
-    b += fu * (texels[lower + j1] - b)
+    a, b = float(texels[_at(upper + j)]), float(texels[_at(lower + j)])
+    a += fu * (texels[_at(upper + j1)] - a)
+    b += fu * (texels[_at(lower + j1)] - b)
     return float(a + fv * (b - a))
 
 
@@ -1453,8 +1590,8 @@ def _light(world: World, solid: int, part: int, normal: _Vector, hit: _Vector) -
     mover = solid - len(world.bounds)
     if mover >= 0:
         return _simple_light(world, mover, _upright(world, solid, normal))
-    shape = world.shapes[solid]
-    p = (hit[0] / shape[3], hit[1] / shape[4], hit[2] / shape[5])
+    shape = world.shapes[_at(solid)]
+    p = (hit[0] * shape[8], hit[1] * shape[9], hit[2] * shape[10])
     axis = part
     if part == _SIDE:
         axis = _longest((p[0], p[1], 0.0))
@@ -1471,16 +1608,16 @@ def _light(world: World, solid: int, part: int, normal: _Vector, hit: _Vector) -
 def _baked(world: World, solid: int, face: int, right: float, up: float) -> float:
     """Light at a point of a face, -1…1 along its own axes."""
     grids, values = world.lights.grids, world.lights.values
-    rows, columns = grids[solid, face, 1], grids[solid, face, 2]
+    rows, columns = grids[_at(solid), _at(face), 1], grids[_at(solid), _at(face), 2]
     right, up = (0.5 + 0.5 * right) * (columns - 1), (0.5 + 0.5 * up) * (rows - 1)
     j = min(max(int(right), 0), columns - 2)
     i = min(max(int(up), 0), rows - 2)
     # A mean of hits may lie a little beside a face.
     fu, fv = min(max(right - j, 0.0), 1.0), min(max(up - i, 0.0), 1.0)
-    at = grids[solid, face, 0] + i * columns + j
+    at = grids[_at(solid), _at(face), 0] + i * columns + j
     return float(
-        (1.0 - fv) * ((1.0 - fu) * values[at] + fu * values[at + 1])
-        + fv * ((1.0 - fu) * values[at + columns] + fu * values[at + columns + 1])
+        (1.0 - fv) * ((1.0 - fu) * values[_at(at)] + fu * values[_at(at + 1)])
+        + fv * ((1.0 - fu) * values[_at(at + columns)] + fu * values[_at(at + columns + 1)])
     )
 
 

@@ -19,6 +19,7 @@ class Relief(NamedTuple):
         heights: (R, C); 1 x 1 where there is no ground.
         corner: (2,) x and y of heights[0, 0].
         cell: metres between grid points.
+        per_m: grid points in a metre.
         peaks: (P,) greatest heights of blocks of 1, 2, 4, … cells squared, level by level.
         starts: (L,) where each level begins.
         widths: (L,) blocks in a row of each level.
@@ -33,6 +34,7 @@ class Relief(NamedTuple):
     heights: Floats32
     corner: Floats
     cell: float
+    per_m: float
     peaks: Floats32
     starts: Ints
     widths: Ints
@@ -54,7 +56,9 @@ def make_relief(ground: Ground | None) -> Relief:
     if ground is None:
         none = np.zeros((1, 1), np.float32)
         level = np.zeros(1, np.int64)
-        return Relief(none, np.zeros(2), 1.0, none[0], level, level + 1, 0, 1.0, 0.0, 0.0, none, 1)
+        return Relief(
+            none, np.zeros(2), 1.0, 1.0, none[0], level, level + 1, 0, 1.0, 0.0, 0.0, none, 1
+        )
     heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
     levels = _peaks(heights)
     sizes = [level.size for level in levels]
@@ -62,6 +66,7 @@ def make_relief(ground: Ground | None) -> Relief:
         heights=heights,
         corner=np.array(ground.origin, dtype=np.float64),
         cell=float(ground.cell),
+        per_m=1.0 / ground.cell,
         peaks=np.concatenate([level.ravel() for level in levels]),
         starts=np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64),
         widths=np.array([level.shape[1] for level in levels], dtype=np.int64),

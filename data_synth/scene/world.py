@@ -77,7 +77,7 @@ class World(NamedTuple):
 
     Attributes:
         kinds: (N,) `Kind` of each solid.
-        shapes: (N, 8) centre, half size, cosine and sine of yaw.
+        shapes: (N, 11) centre, half size, cosine and sine of yaw, inverse half size.
         textures: (N,) texture numbers.
         scales: (N, 3, 2) texels per metre to the right and down on the faces of each axis.
         offsets: (N, 2) texels.
@@ -125,7 +125,7 @@ def build_world(
             origin, which is on the ground with x ahead. They are nowhere until `with_bodies`.
     """
     everything = [*solids, *(solid for _, solid in movers)]
-    shapes = np.array([_shape(s) for s in everything], dtype=np.float64).reshape(-1, 8)
+    shapes = np.array([_shape(s) for s in everything], dtype=np.float64).reshape(-1, 11)
     bounds = _bounds(shapes[: len(solids)])
     atlas = pack([*textures, soft_noise(_STAIN_SIDE, _STAIN_SLOPE, _STAIN_SEED)])
     densities = np.array([s.density or 0.0 for s in everything])
@@ -199,7 +199,8 @@ def _bounds(shapes: Floats) -> Floats:
 
 def _shape(solid: Solid) -> list[float]:
     halves = [0.5 * side for side in solid.size]
-    return [*solid.centre, *halves, float(np.cos(solid.yaw)), float(np.sin(solid.yaw))]
+    turn = float(np.cos(solid.yaw)), float(np.sin(solid.yaw))
+    return [*solid.centre, *halves, *turn, *(1.0 / half for half in halves)]
 
 
 def _rounds(solid: Solid, columns: int) -> int:
