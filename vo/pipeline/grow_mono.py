@@ -16,7 +16,7 @@ from vo.types import Bools, Floats, Ints
 
 _NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
 _SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
-_THIN = 0.5  # of `keyframes.min_tracked`: with fewer landmarks a map is about to be lost
+_THIN = 3  # times `tracking.min_inliers`: with fewer landmarks a map is about to be lost
 
 
 def grow_mono(
@@ -28,7 +28,7 @@ def grow_mono(
     other, so that what is nearest in the older one is behind the camera in the newer. Their
     landmarks are worse: used always they cost accuracy.
     """
-    thin = len(keyframe.landmark) < _THIN * config.keyframes.min_tracked
+    thin = len(keyframe.landmark) < _THIN * config.tracking.min_inliers
     added = 0
     others = world.keyframes[:-1][-config.mapping.neighbours :]
     for other in reversed(others):
