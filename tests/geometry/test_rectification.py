@@ -154,6 +154,8 @@ def test_rectified_stereo_pixels_are_ideal_already() -> None:
 
 # A single camera
 
+NARROW, WIDE = PAIRS[1:4], PAIRS[4:]
+
 
 def test_a_plain_single_camera_passes_untouched() -> None:
     working = working_rig(Rig(PLAIN))
@@ -162,7 +164,7 @@ def test_a_plain_single_camera_passes_untouched() -> None:
     np.testing.assert_array_equal(working.ideal_from_image(xy), xy)
 
 
-@pytest.mark.parametrize(("model", "coefficients"), PAIRS[1:])
+@pytest.mark.parametrize(("model", "coefficients"), NARROW)
 def test_mono_pixels_survive_the_way_to_ideal_and_back(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
@@ -175,7 +177,7 @@ def test_mono_pixels_survive_the_way_to_ideal_and_back(
     np.testing.assert_allclose(working.image_from_ideal(ideal), xy, atol=1e-6)
 
 
-@pytest.mark.parametrize(("model", "coefficients"), PAIRS[1:])
+@pytest.mark.parametrize(("model", "coefficients"), NARROW)
 def test_ideal_pixels_are_those_of_a_pinhole(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
@@ -187,15 +189,21 @@ def test_ideal_pixels_are_those_of_a_pinhole(
     np.testing.assert_allclose(working.back_project(ideal, points[:, 2]), points, atol=1e-6)
 
 
-@pytest.mark.parametrize(("model", "coefficients"), PAIRS[1:])
-def test_ideal_pixels_of_a_single_camera_are_as_large_as_recorded_ones_on_the_axis(
+@pytest.mark.parametrize(("model", "coefficients"), WIDE)
+def test_a_single_wide_camera_is_rectified(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
-    working = working_rig(Rig(replace(PLAIN, distortion_model=model, distortion=coefficients)))
-    near = np.array([[318.0, 203.0], [319.0, 203.0], [318.0, 204.0]])
-    steps = np.diff(working.ideal_from_image(near), axis=0)
-    np.testing.assert_allclose(np.linalg.norm(steps[0]), 1.0, atol=2e-3)
-    np.testing.assert_allclose(working.ideal_from_image(near)[2, 1] - 203.0, 1.0, atol=2e-3)
+    camera = replace(PLAIN, distortion_model=model, distortion=coefficients)
+    working = working_rig(Rig(camera))
+    assert not working.is_stereo
+    np.testing.assert_array_equal(working.cam0_from_working, np.eye(4))
+    points, xy = _points(working, 2.0)
+    image = working.rectify(_dots(cameras.project(camera, points)), 0)
+    np.testing.assert_allclose([_centroid(image, at) for at in xy], xy, atol=0.1)
+    np.testing.assert_array_equal(working.ideal_from_image(xy), xy)
+    # What is on the axis keeps its size.
+    steps = cameras.distort(camera, np.array([[0.0, 0.0], [0.01, 0.0]]))
+    assert working.fx == pytest.approx((steps[1, 0] - steps[0, 0]) / 0.01, rel=1e-3)
 
 
 def test_a_pair_of_different_lenses_is_rectified() -> None:
@@ -231,12 +239,12 @@ def test_mono_images_stay_as_recorded() -> None:
 
 
 def test_pixels_that_no_useful_ray_reaches_are_nan() -> None:
-    wide = Camera(640, 640, 190.0, 190.0, 320.0, 320.0, "equidistant", (0.0, 0.0, 0.0, 0.0))
+    wide = Camera(640, 640, 190.0, 190.0, 320.0, 320.0, "radtan", (1e-12, 0.0, 0.0, 0.0))
     working = working_rig(Rig(wide))
-    angle = np.deg2rad([0.0, 60.0, 74.0, 76.0, 89.0, 95.0, 120.0])
-    xy = np.column_stack([320.0 + 190.0 * angle, np.full(7, 320.0)])
+    angle = np.deg2rad([0.0, 60.0, 74.0, 76.0, 86.0])
+    xy = np.column_stack([320.0 + 190.0 * np.tan(angle), np.full(5, 320.0)])
     finite = np.isfinite(working.ideal_from_image(xy)).all(axis=1)
-    assert finite.tolist() == [True, True, True, False, False, False, False]
+    assert finite.tolist() == [True, True, True, False, False]
 
 
 def test_rays_beyond_the_reach_of_the_lens_model_never_fall_into_the_image() -> None:
