@@ -419,3 +419,46 @@ def test_ros_1_in_mcap(tmp_path: Path) -> None:
     for i, frame in enumerate(source.frames()):
         assert frame.stamp_ns == layouts.STAMPS_NS[i]
         assert np.array_equal(frame.image0, layouts.image(i))
+
+
+DEPTH_M = np.array([[1.5, 0.25], [np.inf, 7.0]], dtype="<f4").repeat(24, axis=0).repeat(32, axis=1)
+
+
+def depth(topic: str, frame: str, form: str) -> Iterator[OnTopic]:
+    size = layouts.WIDTH, layouts.HEIGHT
+    millimetres = np.where(np.isfinite(DEPTH_M), DEPTH_M * 1000, 0).astype(np.uint16)
+    png = bytes(12) + cv2.imencode(".png", millimetres)[1].tobytes()
+    for stamp in layouts.STAMPS_NS[:4]:
+        if form == "32FC1":
+            yield topic, ImageMessage(stamp + 1000, frame, *size, form, DEPTH_M.tobytes())
+        elif form == "16UC1":
+            yield topic, ImageMessage(stamp + 1000, frame, *size, form, millimetres.tobytes())
+        else:
+            yield topic, CompressedImageMessage(stamp + 1000, frame, form, png)
+
+
+@pytest.mark.parametrize("form", ["32FC1", "16UC1", "16UC1; compressedDepth png"])
+def test_depth_at_the_pixels_of_the_camera_is_used(tmp_path: Path, form: str) -> None:
+    path = log(
+        tmp_path,
+        images("/camera/color/image_raw", "color"),
+        depth("/camera/depth/image_rect_raw", "depth", form),
+        depth("/camera/aligned_depth_to_color/image_raw", "color", form),
+        calibration("/camera/color/camera_info", "color"),
+    )
+    source = open_source(path)
+    assert source.rig.has_depth
+    for frame in source.frames():
+        assert frame.depth is not None
+        np.testing.assert_array_equal(frame.depth, np.where(np.isfinite(DEPTH_M), DEPTH_M, 0))
+    assert not open_source(path, mode="mono").rig.has_depth
+
+
+def test_depth_of_another_frame_is_left_alone(tmp_path: Path) -> None:
+    path = log(
+        tmp_path,
+        images("/camera/color/image_raw", "color"),
+        depth("/camera/depth/image_rect_raw", "depth", "16UC1"),
+        calibration("/camera/color/camera_info", "color"),
+    )
+    assert not open_source(path).rig.has_depth

@@ -20,6 +20,7 @@ HEAD_BYTES = 256
 """Of a message; enough for its stamp in all formats that begin with it."""
 
 _PLUMB_BOB_COEFFICIENTS = 5
+_BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,8 @@ class ImageMessage:
 
     @property
     def row_bytes(self) -> int:
-        """Length of a row in bytes."""
-        return self.width * (4 if self.pixel_format == "32FC1" else 1)
+        """Length of a row in bytes, of images with one channel."""
+        return self.width * _BYTES_PER_PIXEL.get(self.pixel_format, 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,6 +112,8 @@ class ImageSequence:
         Args:
             more: waits for the next frames; None when there will be no more.
         """
+        if self.rig.has_depth:
+            self.rig = Rig(self.rig.cam0)  # depth does not come along
         self._left, self._depth = [], None
         self._right = [] if self.rig.is_stereo else None
         self._more = more

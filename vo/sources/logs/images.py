@@ -50,6 +50,13 @@ def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
     Raises:
         SourceError: there is no image.
     """
+    return list_shots(log, topic, entries, image_maker(log, topic, entries))
+
+
+def list_shots(
+    log: Log, topic: Topic, entries: Sequence[Entry], image: Callable[[int], StoredImage]
+) -> list[Shot]:
+    """As `list_images`, of images that `image` makes of the number of a message."""
     stamped = [(stamp_of(log, topic, entry), entry) for entry in entries]
     unstamped = sum(not stamp_ns for stamp_ns, _ in stamped)
     if unstamped:
@@ -63,7 +70,6 @@ def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
         (stamp_ns or entry.log_ns, number) for number, (stamp_ns, entry) in enumerate(stamped)
     )
     shots: list[Shot] = []
-    image = image_maker(log, topic, entries)
     for stamp_ns, number in in_order:
         if not shots or stamp_ns > shots[-1].stamp_ns:
             shots.append(Shot(stamp_ns, image(number), f"{log.path}: {topic.name}"))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from vo.errors import CalibrationError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.formats.messages import CalibrationMessage, TransformsMessage
 from vo.sources.assembly import Gathered, assemble
+from vo.sources.listing import Shot
 from vo.sources.logs.choice import Choice, choose_topics
+from vo.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
 from vo.sources.logs.frames import FrameTree, read_frames
 from vo.sources.logs.images import list_images
 from vo.sources.logs.log import Entry, Log, Topic
@@ -51,10 +54,11 @@ def open_log(
         right = list_images(log, choice.right, opened.entries[choice.right.name])
 
     def calibrate(size: ImageSize) -> Calibration:
-        if calibration is not None:
-            return read_calibration(calibration, size)
-        assert known is not None
-        return known
+        if known is not None:
+            return known
+        assert calibration is not None
+        found = read_calibration(calibration, size)
+        return replace(found, depth_per_metre=found.depth_per_metre or UNITS_PER_METRE)
 
     gathered = Gathered(
         name=log.path.resolve().stem,
@@ -63,6 +67,7 @@ def open_log(
         right=right,
         calibrate=calibrate,
         read_truth=opened.truth,
+        depth=opened.depth(),
     )
     return assemble(gathered, mode)
 
@@ -76,7 +81,15 @@ class _Opened:
         self._calibrations = _of_kind(log.topics, CalibrationMessage)
         transforms = _of_kind(log.topics, TransformsMessage)
         self._truth = find_truth_topic(log.topics, choice.truth)
-        topics = [choice.left, choice.right, self._truth, *self._calibrations, *transforms]
+        self._depth = depth_topics(log.topics) if choice.right is None else []
+        topics = [
+            choice.left,
+            choice.right,
+            self._truth,
+            *self._calibrations,
+            *transforms,
+            *self._depth,
+        ]
         names = dict.fromkeys(topic.name for topic in topics if topic is not None)
         self.entries: dict[str, list[Entry]] = log.entries(list(names))
         listed = [(topic, self.entries[topic.name]) for topic in transforms]
@@ -86,7 +99,7 @@ class _Opened:
         """One camera or two; without the second, if that is not known and need not be."""
         left = self._camera(self._choice.left)
         if self._choice.right is None or mode == "mono":
-            return Calibration(Rig(left.camera))
+            return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
         try:
             right = self._camera(self._choice.right)
             transform = cam1_from_cam0(left, right, self._frames)
@@ -94,8 +107,13 @@ class _Opened:
             if mode == "stereo":
                 raise
             _log.warning("only the left camera is used: %s", error)
-            return Calibration(Rig(left.camera))
+            return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
         return Calibration(Rig(left.camera, right.camera, transform))
+
+    def depth(self) -> list[Shot] | None:
+        """Depth at the pixels of the left camera, if there is any and no right camera."""
+        frame = self._frame(self._choice.left)
+        return find_depth(self._log, self._depth, frame, self.entries) if frame else None
 
     def truth(self, calibration: Calibration) -> Trajectory | None:
         """The poses of cam0, if there are any."""

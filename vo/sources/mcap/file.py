@@ -149,7 +149,7 @@ def warn_of_damage(path: Path, found: Survey) -> None:
             (t.first_ns for t in tallies), default=0
         )
         _log.warning(
-            "%s is cut off or damaged at byte %d of %d (%s); used is what comes before: %d "
+            "%s is cut off or damaged at byte %d of %d (%s); what can be read: %d "
             "messages in %.1f s, %.1f %% of the bytes",
             path,
             found.damage.offset,
