@@ -29,15 +29,11 @@ def draw_counts(entry: Entry) -> Figure | None:
         style = {"color": colour(1 - number), "ls": dash(1 - number), "label": name}
         lower.plot(*thin(seconds, counts.astype(np.float64)), **style)
     keyframes = seconds[frames.keyframe == 1]
-    lower.plot(
-        keyframes,
-        np.full(len(keyframes), 0.02),
-        "|",
-        color=MUTED,
-        ms=8,
-        transform=lower.get_xaxis_transform(),
-        label=f"keyframes ({len(keyframes)})",
-    )
+    # One path of many ticks: as markers they would each be an element of the page.
+    ticks = np.tile([0.0, 0.05, np.nan], len(keyframes))
+    style = {"color": MUTED, "lw": 0.8, "transform": lower.get_xaxis_transform()}
+    lower.plot(np.repeat(keyframes, 3), ticks, **style)
+    lower.plot([], [], "|", color=MUTED, ms=8, label=f"keyframes ({len(keyframes)})")
     for axes in (upper, lower):
         shade(axes, entry.without_pose_s, "no pose" if axes is lower else "_")
         axes.set_ylim(bottom=0.0)
