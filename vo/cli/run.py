@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -30,8 +31,9 @@ def run_command(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Recording: an MCAP file, a ROS bag, a video, a folder of KITTI, KITTI raw, EuRoC "
-            "or TUM RGB-D, a folder of images (or of left/ and right/), or a pattern in quotes.",
+            help="Recording: an MCAP file (- takes one through a pipe), a ROS bag, a video, a "
+            "folder of KITTI, KITTI raw, EuRoC or TUM RGB-D, a folder of images (or of left/ and "
+            "right/), or a pattern in quotes.",
         ),
     ],
     output: Annotated[
@@ -160,6 +162,7 @@ def run_command(
         from vo.cli.live import live_viewer
         from vo.cli.progress import make_progress, warnings_on
         from vo.cli.run_table import print_summary
+        from vo.cli.standard_input import spooled_input
         from vo.config import load_config
         from vo.recording.exports import Exports
         from vo.run import run
@@ -169,9 +172,11 @@ def run_command(
             settings.append(f"threads={threads}")
         console = Console(stderr=True, highlight=False)
         watched = live_viewer(connect, spawn=spawn, serve=serve)
-        with warnings_on(console), watched as viewer:
+        through_pipe = str(source) == "-"
+        origin = spooled_input() if through_pipe else nullcontext(source)
+        with warnings_on(console), watched as viewer, origin as path:
             summary = run(
-                source,
+                path,
                 output,
                 config=load_config(config or "default", settings),
                 mode=mode.value,
@@ -185,7 +190,7 @@ def run_command(
                 calibration=calibration,
                 format=format,
                 topics=topic or (),
-                follow=follow,
+                follow=follow or through_pipe,
                 progress=make_progress(console, quiet=quiet),
                 profile_since=begun if profile else None,
             )

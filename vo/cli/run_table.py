@@ -76,7 +76,7 @@ def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str
         commands.append(f"vo report {_quoted(output)} -o {_quoted(output / 'report.html')}")
     if rrd is not None:
         commands.append(f"vo view {_quoted(rrd)}")
-    else:
+    elif Path(summary.facts.source).exists():  # what came through a pipe is gone
         again = f"vo run {_quoted(summary.facts.source)} --output {_quoted(output)}"
         commands.append(f"{again} --rrd {_quoted(output / 'run.rrd')}")
     return commands

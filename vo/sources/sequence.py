@@ -114,6 +114,7 @@ class ImageSequence:
         """
         if self.rig.has_depth:
             self.rig = Rig(self.rig.cam0)  # depth does not come along
+        self.ground_truth = None  # no more than its beginning could be known
         self._left, self._depth = [], None
         self._right = [] if self.rig.is_stereo else None
         self._more = more
