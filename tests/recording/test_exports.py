@@ -15,7 +15,9 @@ import orbit
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from typer.testing import CliRunner
 
+from vo.cli.app import app
 from vo.config import load_config
 from vo.errors import OutputError
 from vo.formats.trajectory import read_tum
@@ -294,3 +296,19 @@ def test_exports_change_nothing(exported: Path, synthetic_stereo: Path, tmp_path
     run(synthetic_stereo, tmp_path, config=load_config("fast"), end=RUN_FRAMES)
     for name in ("trajectory.tum", "causal.tum", "covariance.csv"):
         assert (tmp_path / name).read_bytes() == (exported / "run" / name).read_bytes()
+
+
+def test_vo_run_goes_on_when_an_export_fails(synthetic_stereo: Path, tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("there is no /dev/full here")
+    (tmp_path / "full.mcap").symlink_to("/dev/full")
+    arguments = ["run", str(synthetic_stereo), "-o", str(tmp_path / "out"), "--end", "5"]
+    arguments += ["--config", "fast", "--mcap", str(tmp_path / "full.mcap")]
+    arguments += ["--colmap", str(tmp_path / "model"), "--ply", str(tmp_path / "map.ply")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    warning = "the Mcap output stopped and is not complete: No space left on device"
+    assert warning in " ".join(result.output.split())
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == 5
+    assert (tmp_path / "model" / "sparse" / "0" / "points3D.txt").is_file()
+    assert len(read_ply(tmp_path / "map.ply")) > 100
