@@ -138,7 +138,8 @@ class RerunRecorder:
     def _lay_truth_onto(self, path: Trajectory) -> None:
         if self._truth is None:
             return
-        positions = laid_onto_path(self._truth, path, with_scale=not self._has_scale)
+        during_ns = self._index.first.stamp_ns, self._index.last.stamp_ns
+        positions = laid_onto_path(self._truth, path, during_ns, with_scale=not self._has_scale)
         if positions is not None:
             self._map.fix_truth(positions)
 

@@ -32,6 +32,11 @@ class RunIndex:
         return moment
 
     @property
+    def first(self) -> Moment:
+        """The oldest frame."""
+        return self._moments[next(iter(self._moments))]
+
+    @property
     def last(self) -> Moment:
         """The newest frame."""
         return self._moments[next(reversed(self._moments))]

@@ -21,11 +21,20 @@ def laid_onto_pose(truth: Trajectory, stamp_ns: int, world_from_cam0: Floats) ->
     return transform_points(world_from_truth, truth.positions)
 
 
-def laid_onto_path(truth: Trajectory, path: Trajectory, *, with_scale: bool) -> Floats | None:
-    """True positions (N, 3), laid onto a path by least squares; None where that cannot be done."""
+def laid_onto_path(
+    truth: Trajectory, path: Trajectory, during_ns: tuple[int, int], *, with_scale: bool
+) -> Floats | None:
+    """True positions (N, 3) from one moment to another, laid onto a path by least squares.
+
+    None where that cannot be done.
+    """
     stamps, true = _positions_at(truth, path.stamps_ns)
     similarity = _fit(true, path.positions[np.isin(path.stamps_ns, stamps)], with_scale)
-    return None if similarity is None else similarity.transform_points(truth.positions)
+    if similarity is None:
+        return None
+    first, last = during_ns
+    shown = (truth.stamps_ns >= first) & (truth.stamps_ns <= last)
+    return similarity.transform_points(truth.positions[shown])
 
 
 def errors_along(
