@@ -6,14 +6,16 @@ landmark where it was last.
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.geometry import cameras
 from vo.geometry.transforms import inverse
 from vo.types import (
+    Bools,
     Bytes,
     Camera,
     Estimate,
@@ -114,62 +116,67 @@ class Reconstruction:
 
     def _model(self, frames: list[int], smoothed: Trajectory) -> Model:
         assert self._camera is not None
+        seen = _everything_seen([self._sightings[frame] for frame in frames])
         before = np.stack([self._keyframes[frame].world_from_cam0 for frame in frames])
-        stamps = np.array([self._keyframes[frame].stamp_ns for frame in frames])
-        after = _poses_at(stamps, smoothed, before)
-        sightings = [self._sightings[frame] for frame in frames]
-        ids = np.concatenate([each.ids for each in sightings])
-        keyframe = np.repeat(np.arange(len(frames)), [len(each.ids) for each in sightings])
-        xy = np.concatenate([each.xy for each in sightings])
-        carrier = np.full(len(self._xyz), -1)
-        carrier[ids] = keyframe  # the last one stays
-        moved = (after @ inverse(before))[carrier[ids]]
-        points = np.einsum("nij,nj->ni", moved[:, :3, :3], self._xyz[ids]) + moved[:, :3, 3]
+        stamps_ns = np.array([self._keyframes[frame].stamp_ns for frame in frames])
+        after = _poses_at(stamps_ns, smoothed, before)
+        points = self._carried(seen, after @ inverse(before))
         world_from_image0 = after @ self._cam0_from_image0
-        errors = _errors(self._camera, points, world_from_image0, keyframe, xy)
-        return _gated(
-            self._camera, self._grey, frames, world_from_image0, ids, points, errors, keyframe, xy
+        errors = _errors(self._camera, points, world_from_image0, seen)
+        good = _agreeing(seen, errors)
+        ids, first, point = np.unique(seen.ids[good], return_index=True, return_inverse=True)
+        sums = np.bincount(point, weights=errors[good], minlength=len(ids))
+        return Model(
+            camera=self._camera,
+            frame_index=np.array(frames, dtype=np.int64),
+            world_from_image0=world_from_image0,
+            xyz=points[good][first],
+            grey=self._grey[ids],
+            error_px=sums / np.bincount(point, minlength=len(ids)),
+            keyframe=seen.keyframe[good],
+            point=point.astype(np.int64),
+            xy=seen.xy[good],
         )
 
+    def _carried(self, seen: _Seen, moves: Floats) -> Floats:
+        """The point (N, 3) of each observation, moved as the last keyframe that saw it was."""
+        carrier = np.full(len(self._xyz), -1)
+        carrier[seen.ids] = seen.keyframe  # of several the last one stays
+        move = moves[carrier[seen.ids]]
+        turned = np.einsum("nij,nj->ni", move[:, :3, :3], self._xyz[seen.ids])
+        return np.asarray(turned + move[:, :3, 3])
 
-def _gated(
-    camera: Camera,
-    grey: Bytes,
-    frames: list[int],
-    world_from_image0: Floats,
-    ids: Ints,
-    points: Floats,
-    errors: Floats,
-    keyframe: Ints,
-    xy: Floats,
-) -> Model:
-    """Observations that agree with their point, and points that have enough of them."""
-    good = errors < _GATE_PX
-    seen = np.bincount(ids[good], minlength=1)
-    good &= np.isin(ids, np.flatnonzero(seen >= _LEAST_SIGHTINGS))
-    kept, first, point = np.unique(ids[good], return_index=True, return_inverse=True)
-    count = np.maximum(np.bincount(point, minlength=len(kept)), 1)
-    return Model(
-        camera=camera,
-        frame_index=np.array(frames, dtype=np.int64),
-        world_from_image0=world_from_image0,
-        xyz=points[good][first],
-        grey=grey[kept],
-        error_px=np.bincount(point, weights=errors[good], minlength=len(kept)) / count,
-        keyframe=keyframe[good].astype(np.int64),
-        point=point.astype(np.int64),
-        xy=xy[good],
+
+class _Seen(NamedTuple):
+    """Observations: ids (N,) of landmarks, row (N,) of the keyframe, pixels (N, 2)."""
+
+    ids: Ints
+    keyframe: Ints
+    xy: Floats
+
+
+def _everything_seen(sightings: Sequence[Sightings]) -> _Seen:
+    counts = [len(each.ids) for each in sightings]
+    return _Seen(
+        np.concatenate([each.ids for each in sightings]),
+        np.repeat(np.arange(len(sightings)), counts),
+        np.concatenate([each.xy for each in sightings]),
     )
 
 
-def _errors(
-    camera: Camera, points: Floats, world_from_image0: Floats, keyframe: Ints, xy: Floats
-) -> Floats:
+def _agreeing(seen: _Seen, errors: Floats) -> Bools:
+    """Which observations (N,) are near their point, and their point has enough of such."""
+    good = errors < _GATE_PX
+    count = np.bincount(seen.ids[good], minlength=int(seen.ids.max(initial=0)) + 1)
+    return np.asarray(good & (count[seen.ids] >= _LEAST_SIGHTINGS))
+
+
+def _errors(camera: Camera, points: Floats, world_from_image0: Floats, seen: _Seen) -> Floats:
     """Pixels (N,) between projection and observation; infinite where there is no projection."""
-    image0_from_world = inverse(world_from_image0)[keyframe]
+    image0_from_world = inverse(world_from_image0)[seen.keyframe]
     local = np.einsum("nij,nj->ni", image0_from_world[:, :3, :3], points)
     projected = cameras.project(camera, local + image0_from_world[:, :3, 3])
-    errors = np.linalg.norm(projected - xy, axis=1)
+    errors = np.linalg.norm(projected - seen.xy, axis=1)
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
