@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import layouts
 import numpy as np
 import pytest
-from mcap.writer import CompressionType
-from mcap_logs import write_log
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
+from mcap_logs import DIALECTS, write_log
 
 from vo.errors import SourceError, VoError
 from vo.formats.messages import ImageMessage
@@ -194,3 +197,70 @@ def test_no_mcap_file(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(SourceError, match="does not begin like|no topic has messages"):
         open_source(path)
+
+
+OPTIONS: list[dict[str, Any]] = [
+    {"enable_crcs": False},
+    {"enable_crcs": False, "compression": CompressionType.NONE},
+    {"index_types": IndexType.NONE},
+    {"use_statistics": False},
+    {"repeat_channels": False, "repeat_schemas": False},
+    {"use_summary_offsets": False},
+]
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda options: ",".join(options))
+def test_files_as_others_write_them(
+    tmp_path: Path, dialect: str, options: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_log(path, layouts.log_messages("png"), DIALECTS[dialect], chunk_size=8_000, **options)
+    frames = list(open_source(path).frames())
+    assert [frame.stamp_ns for frame in frames] == layouts.STAMPS_NS
+    assert all(np.array_equal(f.image0, layouts.image(f.index)) for f in frames)
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_bytes_that_were_changed_or_lost_in_files_without_checksums(
+    tmp_path: Path, dialect: str
+) -> None:
+    rng = np.random.default_rng(4)
+    path = tmp_path / "log.mcap"
+    for options in OPTIONS[:3]:
+        write_log(path, layouts.log_messages(), DIALECTS[dialect], chunk_size=8_000, **options)
+        data = path.read_bytes()
+        for _ in range(12):
+            wrong = bytearray(data)
+            for at in rng.integers(8, len(data), 3):
+                wrong[at : at + int(rng.integers(1, 20))] = rng.bytes(int(rng.integers(0, 20)))
+            path.write_bytes(wrong)
+            check(path, {})
+
+
+def test_a_time_that_cannot_be_is_left_out(tmp_path: Path) -> None:
+    messages = [(t, replace(m, stamp_ns=0)) for t, m in layouts.log_messages()]
+    times = iter(range(len(messages)))
+    path = write_log(
+        tmp_path / "log.mcap",
+        messages,
+        log_ns=lambda _: 2**64 - 1 if (n := next(times)) % 10 == 3 else n + 1,
+    )
+    source = open_source(path, mode="mono")
+    assert 0 < len(source) < layouts.COUNT
+
+
+def test_an_index_that_points_beyond_the_file(tmp_path: Path) -> None:
+    path = write_log(
+        tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000, enable_crcs=False
+    )
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    victim = summary.chunk_indexes[1].chunk_start_offset
+    data = bytearray(path.read_bytes())
+    at = data.rindex(victim.to_bytes(8, "little"))
+    data[at : at + 8] = (2**64 - 1).to_bytes(8, "little")
+    path.write_bytes(data)
+    assert 0 < len(list(open_source(path).frames())) < layouts.COUNT

@@ -71,7 +71,7 @@ def list_shots(
     )
     shots: list[Shot] = []
     for stamp_ns, number in in_order:
-        if not shots or stamp_ns > shots[-1].stamp_ns:
+        if stamp_ns <= LARGEST_NS and (not shots or stamp_ns > shots[-1].stamp_ns):
             shots.append(Shot(stamp_ns, image(number), f"{log.path}: {topic.name}"))
     if not shots:
         raise SourceError(f"{log.path}: no message of {topic.name} can be read")

@@ -11,6 +11,7 @@ import numpy as np
 from vo.errors import SourceError
 from vo.formats.calibration import Calibration
 from vo.formats.messages import PoseMessage
+from vo.sources.listing import LARGEST_NS
 from vo.sources.logs.frames import FrameTree
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.types import Floats, Trajectory
@@ -63,8 +64,9 @@ def read_truth(
         except SourceError:
             lost += 1
             continue
-        if isinstance(message, PoseMessage):
-            poses.setdefault(message.stamp_ns or entry.log_ns, message.pose)
+        stamp_ns = message.stamp_ns or entry.log_ns
+        if isinstance(message, PoseMessage) and abs(stamp_ns) <= LARGEST_NS:
+            poses.setdefault(stamp_ns, message.pose)
             child = child or message.child
     if lost:
         _log.warning("%s: %d of %d poses cannot be read", topic.name, lost, len(entries))

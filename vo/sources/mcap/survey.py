@@ -127,6 +127,8 @@ def _from_records(stream: BinaryIO, summary: bytes, data_end: int) -> Survey | N
 
 def _indexed_chunk(stream: BinaryIO, index: ChunkIndex, data_end: int) -> Chunk:
     """Where the data of a chunk is; only its first bytes are read."""
+    if index.chunk_start_offset >= data_end:
+        raise Damaged(data_end, "the index points beyond the data")
     stream.seek(index.chunk_start_offset)
     head = stream.read(HEAD.size)
     expected = (CHUNK, index.chunk_length - HEAD.size)
