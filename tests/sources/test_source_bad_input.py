@@ -259,7 +259,7 @@ def test_table_naming_only_missing_files(euroc: Path) -> None:
 
 
 def test_right_camera_missing(folder_recording: Path) -> None:
-    for name in ("image_1", "mav0/cam1", "right"):
+    for name in ("image_1", "image_01", "mav0/cam1", "right"):
         shutil.rmtree(folder_recording / name, ignore_errors=True)
     message = _message(folder_recording, SourceError, mode="stereo")
     assert f"{folder_recording.name} has no images of a right camera" in message
@@ -320,7 +320,8 @@ def test_broken_ground_truth(
 def test_no_ground_truth(folder_recording: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in ("poses.txt", "groundtruth.txt", "groundtruth.tum"):
         (folder_recording / name).unlink(missing_ok=True)
-    shutil.rmtree(folder_recording / "mav0/state_groundtruth_estimate0", ignore_errors=True)
+    for name in ("mav0/state_groundtruth_estimate0", "oxts"):
+        shutil.rmtree(folder_recording / name, ignore_errors=True)
     assert open_source(folder_recording).ground_truth is None
     assert caplog.records == []
 
