@@ -268,7 +268,7 @@ class Odometry:
         if looks_swapped(frame, self._rig, self._config):
             return "disparities are negative: left and right images seem to be swapped"
         needed = self._config.start.min_points
-        return f"{count} landmarks from left and right, {needed} needed"
+        return f"{count} landmarks with a depth, {needed} needed"
 
     def _start_mono(self, frame: WorkingFrame) -> Keyframe | str:
         pair = self._mono_start.attempt(frame)
