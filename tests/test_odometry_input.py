@@ -85,7 +85,7 @@ def test_right_images_of_something_else_are_not_said_to_be_swapped(recording: Re
     ]
     run = _run(recording.rig, upside_down)
     assert {e.state for e in run.estimates} == {State.STARTING}
-    assert all("landmarks from left and right" in e.reason for e in run.estimates)
+    assert all("landmarks with a depth" in e.reason for e in run.estimates)
 
 
 def test_a_stretch_without_right_images_is_tracked_in_one_segment(recording: Recording) -> None:
