@@ -1,0 +1,103 @@
+import logging
+import threading
+import time
+
+import fake_run
+import pytest
+
+from vo.errors import OutputError
+from vo.recording.background import BackgroundRecorder
+
+
+class Slow:
+    """A recorder that waits until it is let go, and then keeps what it is told."""
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.go = threading.Event()
+        self.frames: list[int] = []
+        self.finished = False
+        self._error = error
+
+    def begin(self, name, rig, ground_truth):
+        pass
+
+    def record(self, estimate):
+        self.go.wait(20.0)
+        if self._error is not None:
+            raise self._error
+        self.frames.append(estimate.frame_index)
+
+    def finish(self, causal, smoothed):
+        self.finished = True
+
+
+def begun(inner, **options) -> BackgroundRecorder:
+    recorder = BackgroundRecorder(inner, **options)
+    recorder.begin("fake", fake_run.RIG, None)
+    return recorder
+
+
+def finish(recorder: BackgroundRecorder) -> None:
+    recorder.finish(fake_run.trajectory(), fake_run.trajectory())
+
+
+def test_everything_arrives_in_order():
+    inner = Slow()
+    inner.go.set()
+    recorder = begun(inner, room=100)
+    for frame in range(50):
+        recorder.record(fake_run.estimate(frame))
+    finish(recorder)
+    assert inner.frames == list(range(50))
+    assert inner.finished
+
+
+def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
+    inner = Slow()
+    recorder = begun(inner, room=4)
+    estimates = [fake_run.estimate(frame) for frame in range(20)]
+    began = time.monotonic()
+    for estimate in estimates:
+        recorder.record(estimate)
+    assert time.monotonic() - began < 1.0
+    inner.go.set()
+    with caplog.at_level(logging.WARNING):
+        finish(recorder)
+    assert inner.finished
+    left_out = 20 - len(inner.frames)
+    assert 15 <= left_out <= 16
+    assert f"{left_out} frames are not in the recording" in caplog.text
+
+
+def test_a_hanging_recorder_is_given_up(caplog):
+    inner = Slow()
+    recorder = begun(inner, patience_s=0.3)
+    recorder.record(fake_run.estimate(0))
+    with caplog.at_level(logging.WARNING):
+        finish(recorder)
+    assert "hangs" in caplog.text
+    inner.go.set()
+
+
+def test_whatever_goes_wrong_is_one_warning(caplog):
+    inner = Slow(ValueError("of some kind"))
+    inner.go.set()
+    recorder = begun(inner)
+    with caplog.at_level(logging.WARNING):
+        for frame in range(5):
+            recorder.record(fake_run.estimate(frame))
+        finish(recorder)
+    assert [record.getMessage() for record in caplog.records] == [
+        "recording stopped: ValueError: of some kind"
+    ]
+
+
+def test_what_cannot_begin_says_so_before_the_run():
+    class Closed(Slow):
+        def begin(self, name, rig, ground_truth):
+            raise OutputError("cannot write")
+
+    recorder = BackgroundRecorder(Closed())
+    with pytest.raises(OutputError):
+        recorder.begin("fake", fake_run.RIG, None)
+    finish(recorder)
