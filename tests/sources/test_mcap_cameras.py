@@ -462,3 +462,20 @@ def test_depth_of_another_frame_is_left_alone(tmp_path: Path) -> None:
         calibration("/camera/color/camera_info", "color"),
     )
     assert not open_source(path).rig.has_depth
+
+
+def test_cameras_that_look_apart_are_no_pair(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = log(
+        tmp_path,
+        images("/front/image", "a"),
+        images("/rear/image", "b"),
+        calibration("/front/camera_info", "a"),
+        calibration("/rear/camera_info", "b"),
+        fixed(("b", "a", se3_exp(np.array([0, np.pi * 0.9, 0, 0.1, 0, 0])))),
+    )
+    assert not open_source(path).rig.is_stereo
+    first, second = (record.getMessage() for record in caplog.records)
+    assert "/front/image is taken as the left camera and /rear/image as the right one" in first
+    assert "look 162 degrees apart and are no stereo pair" in second

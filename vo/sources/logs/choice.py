@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from vo.formats.messages import (
 )
 from vo.sources.logs.log import Topic
 from vo.types import Mode
+
+_log = logging.getLogger(__name__)
 
 IMAGE_KINDS = (ImageMessage, CompressedImageMessage, CompressedVideoMessage)
 _KEYS = ("left", "right", "truth")
@@ -121,7 +124,14 @@ def _found(cameras: list[Topic], mode: Mode) -> tuple[Topic, Topic | None]:
     if len(cameras) == 1:
         return cameras[0], None
     if not pairs and len(cameras) == 2 and mode != "mono" and _alike(*cameras):
-        return cameras[0], cameras[1]
+        a, b = cameras
+        _log.warning(
+            "%s is taken as the left camera and %s as the right one; if they are not, choose with "
+            "--topic",
+            a.name,
+            b.name,
+        )
+        return a, b
     raise SourceError(_several(cameras))
 
 

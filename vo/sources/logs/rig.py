@@ -17,6 +17,7 @@ from vo.sources.logs.log import Entry, Log, Topic
 from vo.types import Camera, Floats
 
 _MOST_TRIED = 100
+_LEAST_COSINE = 0.5  # of the angle between optical axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
     """Where the right camera is: from the tree of frames, or from the rectification.
 
     Raises:
-        CalibrationError: neither says it.
+        CalibrationError: neither says it, or the cameras look apart.
     """
     by_projection = _from_projections(left, right)
     by_frames = None
@@ -112,6 +113,11 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
             f"nothing says where {right.topic} is beside {left.topic}: no transforms lead from "
             f"frame '{left.frame}' to '{right.frame}', and the last column of the right "
             "camera's P is 0; give a file with --calibration FILE, or use --mode mono"
+        )
+    if found[2, 2] < _LEAST_COSINE:
+        raise CalibrationError(
+            f"{left.topic} and {right.topic} look {np.degrees(np.arccos(max(found[2, 2], -1.0))):.0f} degrees "
+            "apart and are no stereo pair; choose other topics, or one with --topic"
         )
     check_baseline(f"{left.topic} and {right.topic}", found)
     return found
