@@ -8,17 +8,16 @@ from pathlib import Path
 from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.trajectory import read_euroc, read_tum
-from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.assembly import Gathered, find_calibration, first_existing
 from vo.sources.listing import Shot, list_images, shots_from_table, whole_ns
 from vo.sources.naming import shots_from_names
-from vo.sources.source import Source
 from vo.types import Floats, Mode, Trajectory
 
 _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 
 
-def open_euroc(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open a recording folder or the mav0 in it.
+def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List a recording folder or the mav0 in it.
 
     Raises:
         SourceError: images or stamps are missing or do not fit together.
@@ -27,7 +26,7 @@ def open_euroc(path: Path, calibration: Path | None, mode: Mode) -> Source:
     path = path.resolve()
     root = path / "mav0" if (path / "mav0").is_dir() else path
     top = root.parent if root.name == "mav0" else root
-    gathered = Gathered(
+    return Gathered(
         name=top.name,
         format="euroc",
         left=_shots(root / "cam0"),
@@ -35,7 +34,6 @@ def open_euroc(path: Path, calibration: Path | None, mode: Mode) -> Source:
         calibrate=find_calibration(calibration, _calibration_files(root, top)),
         read_truth=lambda known: _truth(root, top, known),
     )
-    return assemble(gathered, mode)
 
 
 def _shots(camera: Path) -> list[Shot]:

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
-from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.assembly import Gathered, find_calibration, first_existing
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot, list_images, shots_from_times
 from vo.sources.naming import shots_from_names
 from vo.sources.pairing import stamped_like
-from vo.sources.source import Source
 from vo.types import Mode, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -22,8 +21,8 @@ _ASSUMED_INTERVAL_NS = 100_000_000
 _TIMES_FILES = ("times.txt", "timestamps.txt")
 
 
-def open_folder(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open images by natural order of their names.
+def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List images by natural order of their names.
 
     Stamps come from times.txt or timestamps.txt (seconds, a line per image), or else from the file
     names, or else are made up at 10 frames per second, with a warning.
@@ -36,7 +35,7 @@ def open_folder(path: Path, calibration: Path | None, mode: Mode) -> Source:
     left_folder = path / "left" if is_pair else path
     times = times_in(path, left_folder)
     left, named = with_stamps(list_images(left_folder), path, times)
-    gathered = Gathered(
+    return Gathered(
         name=path.resolve().name,
         format="folder",
         left=left,
@@ -46,7 +45,6 @@ def open_folder(path: Path, calibration: Path | None, mode: Mode) -> Source:
         ),
         read_truth=lambda _: _truth(path),
     )
-    return assemble(gathered, mode)
 
 
 def with_stamps(

@@ -6,16 +6,15 @@ import glob
 from pathlib import Path
 
 from vo.errors import SourceError
-from vo.sources.assembly import Gathered, assemble, find_calibration
+from vo.sources.assembly import Gathered, find_calibration
 from vo.sources.folder import times_in, with_stamps
 from vo.sources.listing import Shot, is_image_name, natural_key
 from vo.sources.pairing import stamped_like
-from vo.sources.source import Source
 from vo.types import Mode
 
 
-def open_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open the images that match, by natural order of their names.
+def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List the images that match, by natural order of their names.
 
     Where the pattern says `left`, images that match it with `right` in that place are those of the
     right camera. Stamps come from the names, or from a times.txt in the folder if it has a line for
@@ -30,7 +29,7 @@ def open_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Source:
         raise SourceError(f"no image matches {pattern}; put the pattern in quotes, or check it")
     folder = images[0].parent
     left, _ = with_stamps(images, str(pattern), _times(folder, len(images)))
-    gathered = Gathered(
+    return Gathered(
         name=folder.resolve().name,
         format="glob",
         left=left,
@@ -40,7 +39,6 @@ def open_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Source:
         ),
         read_truth=lambda _: None,
     )
-    return assemble(gathered, mode)
 
 
 def _matching(pattern: str) -> list[Path]:

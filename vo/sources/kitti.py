@@ -11,10 +11,9 @@ from vo.errors import SourceError
 from vo.formats.calibration import Calibration, ImageSize, kitti, read_calibration
 from vo.formats.calibration.document import load_document
 from vo.formats.trajectory import read_kitti
-from vo.sources.assembly import Gathered, assemble, find_calibration
+from vo.sources.assembly import Gathered, find_calibration
 from vo.sources.listing import Shot, list_images, shots_from_times
 from vo.sources.pairing import stamped_like
-from vo.sources.source import Source
 from vo.types import Mode, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -22,8 +21,8 @@ _log = logging.getLogger(__name__)
 _PAIRS = {("image_0", "image_1"): ("P0", "P1"), ("image_2", "image_3"): ("P2", "P3")}
 
 
-def open_kitti(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open a sequence folder; the right camera, calib.txt and poses.txt may be missing.
+def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List a sequence folder; the right camera, calib.txt and poses.txt may be missing.
 
     Raises:
         SourceError: images or times.txt are missing or do not fit together.
@@ -34,7 +33,7 @@ def open_kitti(path: Path, calibration: Path | None, mode: Mode) -> Source:
         (("image_0", "image_1"), ("P0", "P1")),
     )
     left = shots_from_times(path / "times.txt", list_images(path / folders[0]))
-    gathered = Gathered(
+    return Gathered(
         name=path.resolve().name,
         format="kitti",
         left=left,
@@ -42,7 +41,6 @@ def open_kitti(path: Path, calibration: Path | None, mode: Mode) -> Source:
         calibrate=lambda size: _calibration(path, calibration, matrices, size),
         read_truth=lambda known: _truth(path / "poses.txt", left, known),
     )
-    return assemble(gathered, mode)
 
 
 def _right(folder: Path, left: list[Shot]) -> list[Shot] | None:

@@ -14,11 +14,10 @@ from vo.errors import SourceError
 from vo.formats.calibration import Calibration, ImageSize, kitti_raw
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
-from vo.sources.assembly import Gathered, assemble, find_calibration, first_existing
+from vo.sources.assembly import Gathered, find_calibration, first_existing
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot, check_increasing, list_images, read_lines
 from vo.sources.oxts import at_stamps, read_oxts, read_rigid
-from vo.sources.source import Source
 from vo.types import Mode, Trajectory
 
 _PAIRS = (("image_00", "image_01"), ("image_02", "image_03"))
@@ -26,8 +25,8 @@ _CALIBRATION = "calib_cam_to_cam.txt"
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
 
-def open_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open a drive, rectified (`sync`) or as recorded (`extract`); grey cameras before colour ones.
+def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List a drive, rectified (`sync`) or as recorded (`extract`); grey cameras before colour ones.
 
     Raises:
         SourceError: images or stamps are missing or do not fit together.
@@ -37,7 +36,7 @@ def open_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Source:
     left, right = next((pair for pair in _PAIRS if (path / pair[0]).is_dir()), _PAIRS[0])
     cameras = (left[-2:], right[-2:])
     shots = _shots(path / left)
-    gathered = Gathered(
+    return Gathered(
         name=path.name,
         format="kitti_raw",
         left=shots,
@@ -45,7 +44,6 @@ def open_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Source:
         calibrate=lambda size: _calibration(path, calibration, cameras, size),
         read_truth=lambda known: _truth(path, known, cameras, shots),
     )
-    return assemble(gathered, mode)
 
 
 def stamp_ns_from_date(text: str) -> int:

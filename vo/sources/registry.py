@@ -7,57 +7,74 @@ import glob
 import importlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 from vo.errors import SourceError
+from vo.sources.assembly import Gathered, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
+from vo.sources.logs.log import Log
 from vo.sources.source import Source
 from vo.types import Mode
 
 Opener = Callable[..., Source]
-"""Takes path, calibration (Path or None) and mode; logs take the chosen topics as a fourth."""
+"""Opens a log: takes path, calibration (Path or None), mode and the chosen topics."""
+
+Gather = Callable[[Path, Path | None, Mode], Gathered]
+"""Lists any other recording: takes path, calibration and mode."""
 
 
 class Format(NamedTuple):
     """How to open a format and how to know it.
 
     Attributes:
-        opener: `module:function` of an `Opener`, imported when it is needed.
+        opener: `module:function` of a `Gather`, of logs of an `Opener`, imported when it is needed.
         inside: names or patterns of which a folder of this format holds at least one.
         suffixes: of single files of this format.
-        has_topics: whether it is a log, of which topics can be chosen.
+        log: `module:class` of the `Log` that it is, of which topics can be chosen; else empty.
         can_grow: whether it can be followed while it is being written.
     """
 
     opener: str
     inside: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
-    has_topics: bool = False
+    log: str = ""
     can_grow: bool = False
+
+    @property
+    def has_topics(self) -> bool:
+        """Whether it is a log, of which topics can be chosen."""
+        return bool(self.log)
 
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
 
 FORMATS: dict[str, Format] = {
     "mcap": Format(
-        "vo.sources.mcap.source:open_mcap", suffixes=(".mcap",), has_topics=True, can_grow=True
+        "vo.sources.mcap.source:open_mcap",
+        suffixes=(".mcap",),
+        log="vo.sources.mcap.file:McapFile",
+        can_grow=True,
     ),
     "rosbag1": Format(
-        "vo.sources.bags.ros1:open_rosbag1", suffixes=(".bag", ".active"), has_topics=True
+        "vo.sources.bags.ros1:open_rosbag1",
+        suffixes=(".bag", ".active"),
+        log="vo.sources.bags.ros1:Bag",
     ),
-    "kitti": Format("vo.sources.kitti:open_kitti", ("image_0", "image_2")),
-    "kitti_raw": Format("vo.sources.kitti_raw:open_kitti_raw", ("image_00", "image_02")),
-    "euroc": Format("vo.sources.euroc:open_euroc", ("mav0", "cam0")),
-    "tum": Format("vo.sources.tum:open_tum", ("rgb.txt",)),
+    "kitti": Format("vo.sources.kitti:gather_kitti", ("image_0", "image_2")),
+    "kitti_raw": Format("vo.sources.kitti_raw:gather_kitti_raw", ("image_00", "image_02")),
+    "euroc": Format("vo.sources.euroc:gather_euroc", ("mav0", "cam0")),
+    "tum": Format("vo.sources.tum:gather_tum", ("rgb.txt",)),
     "rosbag2": Format(
         "vo.sources.bags.ros2:open_rosbag2",
         ("metadata.yaml", "*.db3", "*.db3.zstd", "*_0.mcap"),
         suffixes=(".db3",),
-        has_topics=True,
+        log="vo.sources.bags.ros2:Bag",
     ),
-    "glob": Format("vo.sources.glob:open_glob"),
-    "video": Format("vo.sources.video:open_video", suffixes=VIDEO_SUFFIXES),
-    "folder": Format("vo.sources.folder:open_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))),
+    "glob": Format("vo.sources.glob:gather_glob"),
+    "video": Format("vo.sources.video:gather_video", suffixes=VIDEO_SUFFIXES),
+    "folder": Format(
+        "vo.sources.folder:gather_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))
+    ),
 }
 """Asked in this order; the first that knows the path has it."""
 
@@ -87,23 +104,51 @@ def open_source(
         CalibrationError: its calibration is missing or cannot be true.
     """
     path = Path(path)
-    if not path.exists() and not _is_pattern(path):
-        raise SourceError(f"{path} does not exist; give the folder of a recording")
-    name = detect_format(path) if format is None else format
-    if name not in FORMATS:
-        raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")
+    name = choose_format(path, format)
     chosen = None if calibration is None else Path(calibration)
     open_it = _load(FORMATS[name].opener)
     if follow:
         if not FORMATS[name].can_grow:
             growing = ", ".join(n for n, known in FORMATS.items() if known.can_grow)
             raise SourceError(f"{path} ({name}) cannot be followed; what can is {growing}")
-        return open_it(path, chosen, mode, topics, follow=True)
+        return cast(Opener, open_it)(path, chosen, mode, topics, follow=True)
     if FORMATS[name].has_topics:
-        return open_it(path, chosen, mode, topics)
+        return cast(Opener, open_it)(path, chosen, mode, topics)
     if topics:
         raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
-    return open_it(path, chosen, mode)
+    return assemble(cast(Gather, open_it)(path, chosen, mode), mode)
+
+
+def gather(path: Path, name: str, calibration: Path | None, mode: Mode) -> Gathered:
+    """List a recording that is no log, of a format of that name, without reading an image.
+
+    Raises:
+        SourceError: images or stamps are missing or do not fit together.
+    """
+    return cast(Gather, _load(FORMATS[name].opener))(path, calibration, mode)
+
+
+def open_container(path: Path, name: str) -> Log:
+    """A log of a format of that name, whatever it holds.
+
+    Raises:
+        SourceError: it is none, or it cannot be read.
+    """
+    return cast(Log, _load(FORMATS[name].log)(path))
+
+
+def choose_format(path: Path, format: str | None) -> str:
+    """The format that the user named, or that which knows the path.
+
+    Raises:
+        SourceError: the path does not exist, or there is no such format.
+    """
+    if not path.exists() and not _is_pattern(path):
+        raise SourceError(f"{path} does not exist; give the folder of a recording")
+    name = detect_format(path) if format is None else format
+    if name not in FORMATS:
+        raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")
+    return name
 
 
 def detect_format(path: Path) -> str:
@@ -135,6 +180,6 @@ def _is_pattern(path: Path) -> bool:
     return glob.has_magic(str(path))
 
 
-def _load(opener: str) -> Opener:
-    module, _, function = opener.partition(":")
-    return cast(Opener, getattr(importlib.import_module(module), function))
+def _load(name: str) -> Callable[..., Any]:
+    module, _, inside = name.partition(":")
+    return cast("Callable[..., Any]", getattr(importlib.import_module(module), inside))

@@ -6,14 +6,13 @@ from pathlib import Path
 
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum, stamp_ns_from_seconds
-from vo.sources.assembly import Gathered, assemble, find_calibration
+from vo.sources.assembly import Gathered, find_calibration
 from vo.sources.listing import Shot, shots_from_table
-from vo.sources.source import Source
 from vo.types import Mode, Trajectory
 
 
-def open_tum(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open a recording folder; depth.txt and groundtruth.txt may be missing.
+def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List a recording folder; depth.txt and groundtruth.txt may be missing.
 
     The calibration says how many units of a depth image are a metre (`depth_per_metre`); TUM's own
     recordings have 5000.
@@ -22,7 +21,7 @@ def open_tum(path: Path, calibration: Path | None, mode: Mode) -> Source:
         SourceError: images or stamps are missing or do not fit together.
         CalibrationError: there is no calibration, or it is wrong.
     """
-    gathered = Gathered(
+    return Gathered(
         name=path.resolve().name,
         format="tum",
         left=shots_from_table(path / "rgb.txt", path, None, stamp_ns_from_seconds),
@@ -31,7 +30,6 @@ def open_tum(path: Path, calibration: Path | None, mode: Mode) -> Source:
         read_truth=lambda _: _truth(path / "groundtruth.txt"),
         depth=_depth(path) if mode != "mono" else None,
     )
-    return assemble(gathered, mode)
 
 
 def _depth(path: Path) -> list[Shot] | None:

@@ -17,9 +17,8 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from vo.errors import SourceError
-from vo.sources.assembly import Gathered, assemble, find_calibration
+from vo.sources.assembly import Gathered, find_calibration
 from vo.sources.listing import Shot
-from vo.sources.source import Source
 from vo.types import Bytes, Mode
 
 _log = logging.getLogger(__name__)
@@ -34,8 +33,8 @@ class _Index(NamedTuple):
     keys: list[int]
 
 
-def open_video(path: Path, calibration: Path | None, mode: Mode) -> Source:
-    """Open a video; of several pictures in it, the first is taken.
+def gather_video(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
+    """List a video; of several pictures in it, the first is taken.
 
     Raises:
         SourceError: it cannot be opened or holds no frame.
@@ -47,7 +46,7 @@ def open_video(path: Path, calibration: Path | None, mode: Mode) -> Source:
         Shot(stamp, _StoredFrame(decoder, i), f"frame {i} of {path}")
         for i, stamp in enumerate(index.stamps_ns)
     ]
-    gathered = Gathered(
+    return Gathered(
         name=path.stem,
         format="video",
         left=shots,
@@ -58,7 +57,6 @@ def open_video(path: Path, calibration: Path | None, mode: Mode) -> Source:
         read_truth=lambda _: None,
         close=decoder.close,
     )
-    return assemble(gathered, mode)
 
 
 @dataclass(frozen=True)
