@@ -114,9 +114,10 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
             f"frame '{left.frame}' to '{right.frame}', and the last column of the right "
             "camera's P is 0; give a file with --calibration FILE, or use --mode mono"
         )
-    if found[2, 2] < _LEAST_COSINE:
+    cosine = max(float(found[2, 2]), -1.0)
+    if cosine < _LEAST_COSINE:
         raise CalibrationError(
-            f"{left.topic} and {right.topic} look {np.degrees(np.arccos(max(found[2, 2], -1.0))):.0f} degrees "
+            f"{left.topic} and {right.topic} look {np.degrees(np.arccos(cosine)):.0f} degrees "
             "apart and are no stereo pair; choose other topics, or one with --topic"
         )
     check_baseline(f"{left.topic} and {right.topic}", found)
