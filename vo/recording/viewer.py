@@ -21,6 +21,7 @@ _ANSWER_TIMEOUT_S = 3.0
 _START_TIMEOUT_S = 20.0
 # Source: RFC 9113, sec. 3.4: the preface and empty settings, which every gRPC server answers.
 _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")
 
 
@@ -77,9 +78,15 @@ class ViewerProcess:
         self.url = f"rerun+http://{_LOCALHOST}:{port}/proxy"
         self.page = page
 
-    def wait(self) -> int:
-        """Until it is closed; its exit status."""
-        return self._process.wait()
+    def wait(self) -> None:
+        """Until it is closed.
+
+        Raises:
+            OutputError: it ended by itself, and not well.
+        """
+        status = self._process.wait()
+        if status:
+            raise OutputError(f"the viewer ended with status {status}; use --serve or --web")
 
     def stop(self) -> None:
         """Close it."""
@@ -101,10 +108,13 @@ def start_native(file: Path | None = None) -> ViewerProcess:
     Raises:
         OutputError: it does not start, most often because there is no display.
     """
+    problem, advice = "a viewer cannot be opened here", "use --serve or --web"
+    if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
+        raise OutputError(f"{problem}: no display, {' and '.join(_DISPLAYS)} are not set; {advice}")
     port = _free_port()
     shown = "--expect-data-soon" if file is None else str(file)
     arguments = [shown, "--port", str(port), "--bind", _LOCALHOST, "--hide-welcome-screen"]
-    process = _start(arguments, (port,), "a viewer cannot be opened here", "use --serve or --web")
+    process = _start(arguments, (port,), problem, advice)
     return ViewerProcess(process, port, None)
 
 
