@@ -20,20 +20,24 @@ FOLDER = Path(__file__).resolve().parent.parent / "configs"
 TITLES = {
     "default": "What `vo run` does unless told otherwise. A file of your own needs only the\n"
     "# keys that it changes: `vo run … --config mine.yaml`.",
-    "fast": "For speed: fewer features and landmarks, a smaller window.",
+    "fast": "For speed: fewer features, pyramid levels and landmarks, a smaller window.",
     "accurate": "For accuracy: more features and landmarks, a larger window.",
 }
 CHANGES: dict[str, dict[str, Any]] = {
     "default": {},
     "fast": {
-        "features.count": 800,
-        "tracking.max_landmarks": 500,
-        "mapping.new_per_keyframe": 300,
+        "features.count": 600,
+        "features.levels": 4,
+        "features.scale_factor": 1.44,
+        "tracking.max_landmarks": 400,
+        "mapping.new_per_keyframe": 250,
+        "mapping.look_back": 3,
         "smoothing.window": 5,
         "smoothing.fixed": 3,
         "keyframes.min_tracked_share": 0.65,
         "keyframes.min_tracked": 120,
-        "smoothing.max_landmarks": 400,
+        "smoothing.max_landmarks": 300,
+        "smoothing.iterations": 5,
     },
     "accurate": {
         "features.count": 3000,
