@@ -89,8 +89,8 @@ def _watch(recording: Path, output: Path, options: argparse.Namespace) -> list[S
             time.sleep(POLL_S)
             try:
                 memory_mb, cpu_s = _used(process.pid)
-            except OSError:  # it has just ended
-                break
+            except OSError:  # a thread or the process has just ended
+                continue
             samples.append(Sample(lines.count(), memory_mb, cpu_s))
     if process.returncode:
         raise SystemExit(f"error: vo run ended with status {process.returncode}")
