@@ -27,13 +27,14 @@ ALLOWED = {
     "vo.geometry": BASE,
     "vo.formats": BASE | {"vo.geometry"},
     **{room: GROUND for room in ROOMS},
+    "vo.inspection": GROUND | {"vo.sources"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.pipeline": GROUND | THINKING,
     "vo.odometry": GROUND | THINKING | {"vo.pipeline"},
     "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress"},
     "vo.cli": GROUND
     | ROOMS
-    | {"vo", "vo.report", "vo.progress", "vo.odometry", "vo.run", "data_synth"},
+    | {"vo", "vo.report", "vo.inspection", "vo.progress", "vo.odometry", "vo.run", "data_synth"},
     "data_synth": {"vo.errors", "vo.types", "vo.settings", "vo.geometry", "vo.formats"},
 }
 ONLY_IN = {"gtsam": "vo.smoothing", "rerun": "vo.recording", "typer": "vo.cli"}

@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 
 from vo.cli.demo import demo_command
 from vo.cli.eval import eval_command
+from vo.cli.info import info_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import EPILOG, synth_command
@@ -42,6 +43,7 @@ def _vo() -> None:
 
 
 app.command("run")(run_command)
+app.command("info")(info_command)
 app.command("eval")(eval_command)
 app.command("view")(view_command)
 app.command("report")(report_command)

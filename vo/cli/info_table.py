@@ -1,0 +1,131 @@
+"""What is known of a recording, as text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from vo.inspection.records import CameraReport, LensReport, PairReport, Report
+
+_WORDS = {
+    "error": "[bold red]problem:[/]",
+    "warning": "[yellow]warning:[/]",
+    "note": "[dim]note:[/]",
+}
+_BAR = 24
+
+
+def print_report(report: Report, sheet: Path | None, console: Console | None = None) -> None:
+    """Print facts, then what is wrong, then what to run."""
+    console = console or Console(highlight=False)
+    for name, value in _facts(report):
+        console.print(f"[bold]{name:<11}[/]", escape(value), soft_wrap=True)
+    if sheet is not None:
+        console.print(f"[bold]{'pictures':<11}[/]", escape(str(sheet)), soft_wrap=True)
+    for finding in report.findings:
+        advice = f"; {finding.advice}" if finding.advice else ""
+        console.print(_WORDS[finding.level], escape(finding.what + advice), soft_wrap=True)
+    if not report.findings:
+        console.print("[green]nothing is wrong with it as far as could be seen[/]")
+    console.print("[cyan]try:[/]", escape(report.command), soft_wrap=True)
+
+
+def _facts(report: Report) -> Iterator[tuple[str, str]]:
+    yield "recording", f"{report.path} ({report.format})"
+    width = max((len(topic.name) for topic in report.topics), default=0)
+    for number, topic in enumerate(report.topics):
+        rate = f"{topic.rate_hz:.1f} Hz" if topic.rate_hz else ""
+        line = f"{topic.name:<{width}}  {topic.count:>7}  {rate:>9}  {topic.schema}"
+        yield "" if number else "topics", line
+    for camera in report.cameras:
+        yield camera.name, _camera(camera)
+        yield "", _seen(camera)
+    if report.pair is not None:
+        yield from _pair(report.pair)
+    yield "calibration", "none found" if report.calibration is None else "found"
+    if report.calibration is not None:
+        for lens in report.calibration.lenses:
+            yield "", _lens(lens)
+        if report.calibration.baseline_m is not None:
+            said = "rectified" if report.calibration.is_rectified else "not rectified"
+            yield "", f"baseline {report.calibration.baseline_m:.4g} m, {said}"
+    yield from _measured(report)
+    if report.has_depth:
+        yield "depth", "at the pixels of cam0"
+    truth = report.truth
+    yield (
+        "truth",
+        "none found"
+        if truth is None
+        else (
+            f"{truth.poses} poses, {truth.span_s:.2f} s at {truth.rate_hz:.3g} Hz, "
+            f"{truth.path_m:.1f} m of path, covers {100 * truth.covered:.0f} % of the images"
+        ),
+    )
+    for imu in report.imu:
+        rate = f" at {imu.rate_hz:.1f} Hz" if imu.rate_hz else ""
+        yield "imu", f"{imu.name}: {imu.count} samples{rate} (not used)"
+
+
+def _camera(camera: CameraReport) -> str:
+    timing = camera.timing
+    bits = "" if camera.bits == 8 else f", {camera.bits} bits"
+    rate = f"{timing.rate_hz:.4g} Hz (± {timing.jitter_ms:.2g} ms)" if timing.rate_hz else "no rate"
+    gaps = {0: ", no gaps", 1: ", 1 gap"}.get(len(timing.gaps), f", {len(timing.gaps)} gaps")
+    return (
+        f"{timing.count} images, {camera.width}x{camera.height}{bits}, {timing.span_s:.2f} s at "
+        f"{rate}{gaps}"
+    )
+
+
+def _seen(camera: CameraReport) -> str:
+    looks = camera.looks
+    if not looks:
+        return "no image can be read"
+    greys = sorted(look.mean_grey for look in looks)
+    blurs = sorted(look.blur for look in looks)
+    corners = sorted(look.corners for look in looks)
+    middle = len(looks) // 2
+    return (
+        f"{len(looks)} looked at: grey {greys[0]:.0f} to {greys[-1]:.0f}, blur "
+        f"{blurs[middle]:.2f} (0 sharp, 1 blurred), {corners[0]} to {corners[-1]} corners"
+    )
+
+
+def _pair(pair: PairReport) -> Iterator[tuple[str, str]]:
+    low, high = pair.offsets_ms
+    yield (
+        "pairs",
+        f"{pair.pairs}, {pair.left_alone} left and {pair.right_alone} right images alone; right "
+        f"minus left {low:+.3f} to {high:+.3f} ms, median {pair.offset_ms:+.3f} ms",
+    )
+    if len(pair.histogram) > 1:
+        most = max(count for _, count in pair.histogram)
+        for edge, count in pair.histogram:
+            bar = "█" * round(_BAR * count / most) or ("▏" if count else "")
+            yield "", f"{edge:+8.3f} ms {count:>6} {bar}"
+
+
+def _lens(lens: LensReport) -> str:
+    views = " x ".join("beyond the model" if v is None else f"{v:.0f}°" for v in lens.view_deg)
+    return (
+        f"{lens.name}: focal length {lens.fx:.1f}, {lens.fy:.1f} px, principal point "
+        f"{lens.cx:.1f}, {lens.cy:.1f} of {lens.width}x{lens.height}, field of view {views}, "
+        f"distortion {lens.model}"
+    )
+
+
+def _measured(report: Report) -> Iterator[tuple[str, str]]:
+    stereo = report.stereo
+    if stereo is not None:
+        depth = "" if stereo.depth_m is None else f", so {stereo.depth_m:.3g} m away"
+        kind = "rectified images" if stereo.rectified else "images as recorded"
+        yield (
+            "measured",
+            f"{kind}: rows differ by {stereo.row_offset_px:+.2f} ± {stereo.row_spread_px:.2f} px, "
+            f"disparity {stereo.disparity_px:.1f} px{depth} (medians of {stereo.matches} points "
+            f"in {stereo.pairs} pairs)",
+        )

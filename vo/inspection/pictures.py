@@ -1,0 +1,121 @@
+"""Looks at a sample of a camera's images: brightness, blur, texture, repetition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from vo.errors import SourceError
+from vo.inspection.records import Look
+from vo.sources.images import StoredImage, depth_bits_of, read_grey
+from vo.types import Bytes
+
+_DARK, _BRIGHT = 10, 250
+_FAST_THRESHOLD = 12
+
+
+class Viewer:
+    """Reads images of a camera as grey ones of 8 bits, and notes which cannot be read."""
+
+    def __init__(self, images: Sequence[StoredImage]) -> None:
+        self._images = images
+        self._bits = 8
+        self.unreadable: dict[int, str] = {}
+        if images:
+            self._bits = depth_bits_of(images)
+
+    @property
+    def bits(self) -> int:
+        """Bits of a pixel that the camera uses."""
+        return self._bits
+
+    def read(self, number: int) -> Bytes | None:
+        """An image (H, W), or None where it cannot be read."""
+        try:
+            return read_grey(self._images[number], self._bits)
+        except SourceError as error:
+            self.unreadable[number] = str(error)
+            return None
+
+
+def evenly(count: int, wanted: int) -> list[int]:
+    """`wanted` numbers below `count`, from the first to the last, evenly spread."""
+    if count <= wanted:
+        return list(range(count))
+    return sorted({round(i) for i in np.linspace(0, count - 1, wanted).tolist()})
+
+
+def look_at(
+    viewer: Viewer, count: int, wanted: int
+) -> tuple[list[Look], tuple[int, int], list[int]]:
+    """Look at images spread over a recording, each beside the one before it.
+
+    Args:
+        viewer: reads them.
+        count: how many there are.
+        wanted: how many to look at.
+
+    Returns:
+        What was seen, the width and height of the first image, and the numbers of those that have
+        another size.
+    """
+    looks: list[Look] = []
+    size: tuple[int, int] = (0, 0)
+    others: list[int] = []
+    last: tuple[int, Bytes | None] = (-1, None)
+    for number in evenly(count, wanted):
+        before = last[1] if last[0] == number - 1 else viewer.read(number - 1) if number else None
+        image = viewer.read(number)
+        last = (number, image)
+        if image is None:
+            continue
+        size = size if size[0] else (image.shape[1], image.shape[0])
+        if (image.shape[1], image.shape[0]) != size:
+            others.append(number)
+        repeats = None if before is None else bool(np.array_equal(before, image))
+        looks.append(_look(number, image, repeats))
+    return looks, size, others
+
+
+def blur_of(image: Bytes) -> float:
+    """How much detail a further blur does not take away: 0 is sharp, 1 has no detail.
+
+    Source: Crété et al., "The blur effect", SPIE 2007.
+    """
+    small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    grey = np.asarray(small, dtype=np.float32)
+    worst = 0.0
+    for axis, kernel in ((0, (1, 9)), (1, (9, 1))):
+        detail = np.abs(np.diff(grey, axis=axis))
+        kept = np.abs(np.diff(cv2.blur(grey, kernel), axis=axis))
+        total = float(detail.sum())
+        lost = float(np.maximum(detail - kept, 0.0).sum())
+        worst = max(worst, (total - lost) / total if total > 0 else 1.0)
+    return worst
+
+
+def _look(number: int, image: Bytes, repeats: bool | None) -> Look:
+    return Look(
+        frame=number,
+        mean_grey=float(image.mean()),
+        dark=float((image < _DARK).mean()),
+        bright=float((image > _BRIGHT).mean()),
+        blur=blur_of(image),
+        corners=len(cv2.FastFeatureDetector.create(_FAST_THRESHOLD).detect(image)),
+        repeats=repeats,
+    )
+
+
+def stretches(frames: Sequence[int], looked_at: Sequence[int]) -> list[tuple[int, int]]:
+    """Neighbours among the frames that were looked at, joined: first and last of each."""
+    place = {frame: i for i, frame in enumerate(looked_at)}
+    joined: list[list[int]] = [[frame] for frame in frames[:1]]
+    for before, frame in pairwise(frames):
+        if place[frame] == place[before] + 1:
+            joined[-1].append(frame)
+        else:
+            joined.append([frame])
+    return [(each[0], each[-1]) for each in joined]

@@ -1,0 +1,152 @@
+"""Puts together all that is known of a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.errors import CalibrationError
+from vo.geometry.cameras import normalise
+from vo.geometry.rectification import working_rig
+from vo.inspection.findings import find_all
+from vo.inspection.material import CameraShots, Material, collected_warnings
+from vo.inspection.pictures import Viewer, evenly, look_at
+from vo.inspection.records import (
+    CalibrationReport,
+    CameraReport,
+    LensReport,
+    Report,
+    StereoReport,
+    TopicLine,
+    TruthReport,
+)
+from vo.inspection.stamps import pair_in_time, timing_of
+from vo.inspection.stereo import compare
+from vo.sources.logs.log import Topic
+from vo.sources.pairing import pair_by_stamp
+from vo.types import Camera, Ints, Rig, Trajectory
+
+DEFAULT_IMAGES = 24
+_STEREO_PAIRS = 6
+
+
+def inspect(material: Material, images: int | None = DEFAULT_IMAGES) -> Report:
+    """Look at stamps of all images and at the pixels of some.
+
+    Args:
+        material: the recording, as far as it could be opened.
+        images: of each camera to look at; None for all.
+    """
+    try:
+        cameras = tuple(_camera(camera, images) for camera in material.cameras)
+        is_pair = material.is_decided and len(cameras) == 2
+        sides = material.cameras if is_pair else ()
+        with collected_warnings():  # said when it was opened, or found out here
+            pair = pair_in_time(sides[0], sides[1]) if sides else None
+            stereo = _stereo(sides[0], sides[1], material.rig) if sides else None
+    finally:
+        material.close()
+    lefts = material.cameras[0].shots if material.cameras else ()
+    stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
+    report = Report(
+        path=str(material.path),
+        format=material.format,
+        topics=tuple(_topic(topic) for topic in material.topics),
+        imu=(
+            *(_topic(topic) for topic in material.imu_topics),
+            *(TopicLine(name, "", "imu", count, 0.0) for name, count in material.imu_tables),
+        ),
+        cameras=cameras,
+        pair=pair,
+        calibration=None if material.rig is None else _calibration(material.rig),
+        stereo=stereo,
+        truth=None if material.truth is None else _truth(material.truth, stamps),
+        has_depth=material.rig is not None and material.rig.has_depth,
+        findings=(),
+        command="",
+    )
+    return find_all(report, material)
+
+
+def _camera(camera: CameraShots, images: int | None) -> CameraReport:
+    count = len(camera.shots)
+    viewer = Viewer([shot.image for shot in camera.shots])
+    looks, size, others = look_at(viewer, count, count if images is None else images)
+    return CameraReport(
+        name=camera.name,
+        timing=timing_of(camera),
+        width=size[0],
+        height=size[1],
+        bits=viewer.bits,
+        looks=tuple(looks),
+        unreadable=tuple(sorted(viewer.unreadable)),
+        other_sizes=tuple(others),
+    )
+
+
+def _stereo(left: CameraShots, right: CameraShots, rig: Rig | None) -> StereoReport | None:
+    partners = pair_by_stamp(left.shots, right.shots)
+    numbers = [i for i, partner in enumerate(partners) if partner is not None]
+    lefts, rights = Viewer([s.image for s in left.shots]), Viewer([s.image for s in right.shots])
+    place = {id(shot.image): i for i, shot in enumerate(right.shots)}
+    pairs = []
+    for row in evenly(len(numbers), _STEREO_PAIRS):
+        number = numbers[row]
+        image0, image1 = lefts.read(number), rights.read(place[id(partners[number])])
+        if image0 is not None and image1 is not None:
+            pairs.append((image0, image1))
+    return compare(pairs, rig)
+
+
+def _calibration(rig: Rig) -> CalibrationReport:
+    lenses = [_lens("cam0", rig.cam0)]
+    if rig.cam1 is None or rig.cam1_from_cam0 is None:
+        return CalibrationReport(tuple(lenses), None, None)
+    lenses.append(_lens("cam1", rig.cam1))
+    try:
+        is_rectified = working_rig(rig).maps is None
+    except CalibrationError:
+        is_rectified = False
+    baseline_m = float(np.linalg.norm(rig.cam1_from_cam0[:3, 3]))
+    return CalibrationReport(tuple(lenses), baseline_m, is_rectified)
+
+
+def _lens(name: str, camera: Camera) -> LensReport:
+    right, bottom = camera.width - 1, camera.height - 1
+    edges = normalise(
+        camera,
+        np.array([[0, camera.cy], [right, camera.cy], [camera.cx, 0], [camera.cx, bottom]]),
+    )
+    angles = np.degrees(np.arctan([edges[0, 0], edges[1, 0], edges[2, 1], edges[3, 1]]))
+    views = (angles[1] - angles[0], angles[3] - angles[2])
+    return LensReport(
+        name=name,
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        model=camera.distortion_model,
+        view_deg=(_number(views[0]), _number(views[1])),
+    )
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _truth(truth: Trajectory, stamps_ns: Ints) -> TruthReport:
+    steps = np.diff(truth.stamps_ns)
+    covered = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
+    return TruthReport(
+        poses=len(truth),
+        span_s=1e-9 * float(truth.stamps_ns[-1] - truth.stamps_ns[0]),
+        rate_hz=1e9 / float(np.median(steps)) if len(steps) else 0.0,
+        path_m=float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum()),
+        covered=float(covered.mean()) if len(stamps_ns) else 0.0,
+    )
+
+
+def _topic(topic: Topic) -> TopicLine:
+    kind = topic.codec.kind.__name__.removesuffix("Message")
+    return TopicLine(topic.name, topic.schema, kind, topic.count, topic.rate_hz)

@@ -1,0 +1,77 @@
+"""What points seen by both cameras say about a pair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from vo.errors import CalibrationError
+from vo.geometry.rectification import WorkingRig, working_rig
+from vo.inspection.records import StereoReport
+from vo.types import Bytes, Floats, Rig
+
+_FEATURES = 1500
+_FEWEST_MATCHES = 15
+_OUTLIER_PX = 1.0
+_NEAR_PX = 3.0
+_TELLING_PX = 1.0
+"""Disparities below this do not tell left from right."""
+
+
+def compare(pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None) -> StereoReport | None:
+    """Match pairs of images, rectified if the calibration says how; None where too few match."""
+    working = _working(rig)
+    if working is not None:
+        pairs = [(working.rectify(a, 0), working.rectify(b, 1)) for a, b in pairs]
+    found = [points for a, b in pairs if len(points := match(a, b)) >= _FEWEST_MATCHES]
+    if not found:
+        return None
+    points = np.concatenate(found)
+    rows = points[:, 3] - points[:, 1]
+    disparity = points[:, 0] - points[:, 2]
+    telling = disparity[np.abs(disparity) > _TELLING_PX]
+    # Corners lie on whole pixels: a mean of those around the median tells fractions.
+    near = rows[np.abs(rows - np.median(rows)) < _NEAR_PX]
+    offset, middle = float(near.mean()), float(np.median(disparity))
+    depth = None
+    if working is not None and working.baseline_m and middle > 0:
+        depth = working.fx * working.baseline_m / middle
+    return StereoReport(
+        rectified=working is not None,
+        pairs=len(found),
+        matches=len(points),
+        row_offset_px=offset,
+        row_spread_px=float(near.std()) if len(near) > 0.5 * len(rows) else float(rows.std()),
+        positive=float((telling > 0).mean()) if len(telling) else 1.0,
+        disparity_px=middle,
+        depth_m=depth,
+    )
+
+
+def match(left: Bytes, right: Bytes) -> Floats:
+    """(N, 4) pixels u, v of points in the left and the right image, on epipolar lines."""
+    orb = cv2.ORB.create(_FEATURES)
+    left_points, left_bits = orb.detectAndCompute(left, None)
+    right_points, right_bits = orb.detectAndCompute(right, None)
+    if left_bits is None or right_bits is None:
+        return np.empty((0, 4))
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left_bits, right_bits)
+    if len(pairs) < _FEWEST_MATCHES:
+        return np.empty((0, 4))
+    a = np.array([left_points[pair.queryIdx].pt for pair in pairs])
+    b = np.array([right_points[pair.trainIdx].pt for pair in pairs])
+    _, agree = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, _OUTLIER_PX, 0.999, 2000)
+    if agree is None:
+        return np.empty((0, 4))
+    return np.asarray(np.hstack([a, b])[agree.ravel() > 0], dtype=np.float64)
+
+
+def _working(rig: Rig | None) -> WorkingRig | None:
+    if rig is None or not rig.is_stereo:
+        return None
+    try:
+        return working_rig(rig)
+    except CalibrationError:
+        return None
