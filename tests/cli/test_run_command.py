@@ -128,6 +128,21 @@ def test_help_teaches_with_examples() -> None:
     assert "vo run my_sequence/ --output out/" in result.output
 
 
+def test_help_groups_the_options() -> None:
+    lines = CliRunner().invoke(app, ["run", "--help"]).output.splitlines()
+    heading = ""
+    under: dict[str, str] = {}
+    for line in lines:
+        words = line.strip("╭╮│─* ").split()
+        if line.startswith("╭"):
+            heading = " ".join(words)
+        elif words and words[0].startswith("--"):
+            under[words[0]] = heading
+    assert under["--calibration"] == under["--start"] == "What is read"
+    assert under["--output"] == under["--ply"] == "What is written"
+    assert [name for name, where in under.items() if where == "Options"] == ["--help"]
+
+
 def test_the_command_imports_nothing_heavy_before_it_runs() -> None:
     code = (
         "import sys, vo.cli.run; "

@@ -10,6 +10,10 @@ from typing import Annotated
 
 import typer
 
+# Headings of `--help`, where each option stands under one.
+_INPUT, _ODOMETRY = "What is read", "How it is computed"
+_LOOK, _OUTPUT = "To look at it with rerun", "What is written"
+
 
 class ImageSize(StrEnum):
     """Choices of `--rrd-images`."""
@@ -31,81 +35,55 @@ def run_command(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Recording: an MCAP file (- takes one through a pipe), a ROS bag, a video, a "
-            "folder of KITTI, KITTI raw, EuRoC or TUM RGB-D, a folder of images (or of left/ and "
-            "right/), or a pattern in quotes.",
+            metavar="RECORDING",
+            help="An MCAP file (- takes one through a pipe), a ROS bag, a video, a folder of "
+            "KITTI, KITTI raw, EuRoC or TUM RGB-D, a folder of images (or of left/ and right/), "
+            "or a pattern in quotes.",
         ),
     ],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", help="Folder for the results; made if it is missing."),
-    ],
-    config: Annotated[
-        str | None,
-        typer.Option(help="Preset (default, fast, accurate) or YAML file.", show_default="default"),
-    ] = None,
-    overrides: Annotated[
-        list[str] | None,
         typer.Option(
-            "--set",
-            metavar="SECTION.KEY=VALUE",
-            help="Change one setting, stronger than the file; may be given again.",
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Folder for the results; made if it is missing.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ],
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Calibration instead of the recording's own: that of Kalibr, ROS, OpenCV, "
+            "ORB-SLAM3, Basalt, COLMAP, KITTI, or your own (docs/calibration.md).",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     mode: Annotated[
         ModeChoice,
         typer.Option(
-            help="mono ignores the right camera, stereo insists on it, auto uses it if it is there."
+            help="mono ignores the right camera, stereo insists on it, auto uses it if it is "
+            "there.",
+            rich_help_panel=_INPUT,
         ),
     ] = ModeChoice.AUTO,
-    start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
-    end: Annotated[
-        int | None,
-        typer.Option(min=0, help="Frame to stop before.", show_default="the last"),
-    ] = None,
-    stride: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1,
-    rrd: Annotated[
-        Path | None, typer.Option(help="Record for the rerun viewer into this file.")
-    ] = None,
-    rrd_images: Annotated[
-        ImageSize, typer.Option(help="Size of the images in the recording.")
-    ] = ImageSize.HALF,
-    connect: Annotated[
-        str | None,
-        typer.Option(metavar="HOST:PORT", help="Stream to the rerun viewer that runs there."),
-    ] = None,
-    spawn: Annotated[
-        bool, typer.Option("--spawn", help="Open a rerun viewer and stream to it.")
-    ] = False,
-    serve: Annotated[
-        bool, typer.Option("--serve", help="Stream to a page for the browser of this machine.")
-    ] = False,
-    mcap: Annotated[
-        Path | None, typer.Option(help="Record for Foxglove into this MCAP file.")
-    ] = None,
-    colmap: Annotated[
-        Path | None,
-        typer.Option(help="Write keyframes, their images and points as a COLMAP model here."),
-    ] = None,
-    ply: Annotated[Path | None, typer.Option(help="Write the map's points into this file.")] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(help="Calibration file instead of the recording's own."),
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Camera of a log: left=/cam0/image and right=/cam1/image, or one name alone; may "
+            "be given again. Found out from the names otherwise.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     format: Annotated[
         str | None,
         typer.Option(
-            help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
-            "video, glob, folder.",
-            show_default="found out from its files",
-        ),
-    ] = None,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Topic of a log: left=/cam0/image and right=/cam1/image, or one name alone; may "
-            "be given again.",
-            show_default="found out",
+            metavar="FORMAT",
+            help="mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, video, glob or folder. "
+            "Found out from the files otherwise.",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     follow: Annotated[
@@ -114,22 +92,128 @@ def run_command(
             "--follow",
             help="The MCAP file is still being written: take frames as they come, until it is "
             "closed or has not grown for 10 s.",
+            rich_help_panel=_INPUT,
         ),
     ] = False,
+    start: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="First frame, counted from 0.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = 0,
+    end: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Frame to stop before; the last is taken otherwise.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    stride: Annotated[
+        int,
+        typer.Option(min=1, metavar="N", help="Take every N-th frame.", rich_help_panel=_INPUT),
+    ] = 1,
+    config: Annotated[
+        str,
+        typer.Option(
+            metavar="PRESET|FILE",
+            help="default, fast or accurate, or a YAML file as configs/default.yaml.",
+            rich_help_panel=_ODOMETRY,
+        ),
+    ] = "default",
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SECTION.KEY=VALUE",
+            help="Change one setting, stronger than the file; may be given again.",
+            rich_help_panel=_ODOMETRY,
+        ),
+    ] = None,
     threads: Annotated[
         int | None,
         typer.Option(
             min=0,
-            help="Cores to work on; the result is the same with any number.",
-            show_default="all",
+            metavar="N",
+            help="Cores to work on, all by default; the result is the same with any number.",
+            rich_help_panel=_ODOMETRY,
+        ),
+    ] = None,
+    rrd: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Record for the rerun viewer into this file; `vo view` opens it.",
+            rich_help_panel=_LOOK,
+        ),
+    ] = None,
+    rrd_images: Annotated[
+        ImageSize,
+        typer.Option(help="Size of the images that rerun gets.", rich_help_panel=_LOOK),
+    ] = ImageSize.HALF,
+    spawn: Annotated[
+        bool,
+        typer.Option(
+            "--spawn", help="Open a rerun viewer and stream to it.", rich_help_panel=_LOOK
+        ),
+    ] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT",
+            help="Stream to the rerun viewer that runs there.",
+            rich_help_panel=_LOOK,
+        ),
+    ] = None,
+    serve: Annotated[
+        bool,
+        typer.Option(
+            "--serve",
+            help="Stream to a page for the browser of this machine.",
+            rich_help_panel=_LOOK,
+        ),
+    ] = False,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the run for Foxglove into this MCAP file.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    colmap: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Write keyframes, their images and points as a COLMAP model here.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    ply: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the map's points into this file.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     profile: Annotated[
         bool,
-        typer.Option("--profile", help="Say where the time went, here and in summary.json."),
+        typer.Option(
+            "--profile",
+            help="Say where the time went, here and in summary.json.",
+            rich_help_panel=_OUTPUT,
+        ),
     ] = False,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")
+        bool,
+        typer.Option(
+            "--quiet", "-q", help="Print warnings and errors only.", rich_help_panel=_OUTPUT
+        ),
     ] = False,
 ) -> None:
     """Compute a camera's path from a recording.
@@ -178,7 +262,7 @@ def run_command(
             summary = run(
                 path,
                 output,
-                config=load_config(config or "default", settings),
+                config=load_config(config, settings),
                 mode=mode.value,
                 start=start,
                 end=end,
