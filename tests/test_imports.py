@@ -27,6 +27,7 @@ ALLOWED = {
     "vo.geometry": BASE,
     "vo.formats": BASE | {"vo.geometry"},
     **{room: GROUND for room in ROOMS},
+    "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.pipeline": GROUND | THINKING,
@@ -34,7 +35,8 @@ ALLOWED = {
     "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress"},
     "vo.cli": GROUND
     | ROOMS
-    | {"vo", "vo.report", "vo.inspection", "vo.progress", "vo.odometry", "vo.run", "data_synth"},
+    | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.odometry", "vo.run"}
+    | {"data_synth"},
     "data_synth": {"vo.errors", "vo.types", "vo.settings", "vo.geometry", "vo.formats"},
 }
 ONLY_IN = {"gtsam": "vo.smoothing", "rerun": "vo.recording", "typer": "vo.cli"}

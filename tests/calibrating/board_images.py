@@ -1,0 +1,75 @@
+"""Images of a board as a known camera sees it, without noise."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from vo.calibrating.board import Board
+from vo.geometry.cameras import normalise
+from vo.geometry.transforms import inverse, make_transform, so3_exp
+from vo.types import Bytes, Camera, Floats, Floats32
+
+_PER_SQUARE = 48
+_FINER = 3
+BACKGROUND = 110
+
+
+@lru_cache(maxsize=8)
+def texture_of(board: Board) -> Bytes:
+    """The board with a white margin of one square, `_PER_SQUARE` pixels a square."""
+    size = ((board.columns + 1) * _PER_SQUARE, (board.rows + 1) * _PER_SQUARE)
+    if board.kind == "charuco":
+        squares = board.charuco().generateImage(size, marginSize=0)
+    else:
+        row, column = np.indices((size[1], size[0])) // _PER_SQUARE
+        squares = np.where((row + column) % 2 == 0, 0, 255).astype(np.uint8)
+    return np.pad(squares, _PER_SQUARE, constant_values=255)
+
+
+@lru_cache(maxsize=8)
+def _rays(camera: Camera) -> Floats:
+    """(H n, W n, 2) normalised points at the middle of each of n x n parts of a pixel."""
+    u = (np.arange(camera.width * _FINER) + 0.5) / _FINER - 0.5
+    v = (np.arange(camera.height * _FINER) + 0.5) / _FINER - 0.5
+    pixels = np.stack(np.meshgrid(u, v), axis=2)
+    return normalise(camera, pixels.reshape(-1, 2)).reshape(pixels.shape)
+
+
+def render(board: Board, camera: Camera, cam_from_board: Floats) -> Bytes:
+    """The image (H, W), antialiased."""
+    rays = _rays(camera)
+    board_from_cam = inverse(cam_from_board)
+    directions = np.dstack([rays, np.ones(rays.shape[:2])]) @ board_from_cam[:3, :3].T
+    reach = -board_from_cam[2, 3] / directions[:, :, 2]
+    plane = board_from_cam[:2, 3] + directions[:, :, :2] * reach[:, :, None]
+    # A pixel of the texture covers a 48th of a square, its middle is at whole numbers.
+    place = (plane / board.square_m + 1.0) * _PER_SQUARE - 0.5
+    place[~(reach > 0) | ~np.isfinite(place).all(axis=2)] = -1e4
+    place = np.clip(place, -1e4, 1e4).astype(np.float32)
+    fine: Floats32 = cv2.remap(
+        texture_of(board).astype(np.float32), place, None, cv2.INTER_LINEAR, borderValue=BACKGROUND
+    )
+    image = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    # Never quite black or white, and slightly unsharp, as lenses are.
+    return np.round(cv2.GaussianBlur(30.0 + 0.75 * image, (0, 0), 0.6)).astype(np.uint8)
+
+
+def poses_around(board: Board, camera: Camera, count: int, tilt_deg: float = 35.0) -> list[Floats]:
+    """Poses of the board (cam_from_board) all over the image, near and far, tilted every way."""
+    rng = np.random.default_rng(5)
+    middle = np.array([(board.columns + 1) / 2, (board.rows + 1) / 2, 0.0]) * board.square_m
+    width_m = (board.columns + 1) * board.square_m
+    poses = []
+    for number in range(count):
+        place = np.array([number % 4 / 3, number // 4 % 3 / 2]) * 0.5 + 0.25
+        pixel = place * (camera.width - 1, camera.height - 1)
+        ray = np.append(normalise(camera, pixel[None])[0], 1.0)
+        ray /= np.linalg.norm(ray)
+        facing = so3_exp(np.cross([0.0, 0.0, 1.0], ray))
+        turn = facing @ so3_exp(np.deg2rad(rng.uniform(-tilt_deg, tilt_deg, 3)))
+        centre = ray * width_m * camera.fx / camera.width * rng.uniform(2.0, 3.0)
+        poses.append(make_transform(turn, centre - turn @ middle))
+    return poses

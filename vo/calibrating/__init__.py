@@ -1,0 +1,1 @@
+"""Cameras from images of a chessboard or ChArUco board."""

@@ -1,0 +1,70 @@
+"""Why a board was not found: what there is instead, in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import islice
+
+import cv2
+
+from vo.calibrating.board import Board, dictionaries
+from vo.calibrating.survey import Survey
+from vo.types import Bytes, Frame
+
+_IMAGES = 8
+_SMALLEST = (3, 3)
+_ENOUGH_MARKERS = 4
+
+
+def why_not_found(board: Board, found: Survey, frames: Iterable[Frame]) -> str:
+    """What to tell a user whose board was found nowhere.
+
+    Args:
+        board: that was looked for.
+        found: in how many frames.
+        frames: some or all of them, to look for another board.
+    """
+    every = max(found.frames // _IMAGES, 1)
+    images = [frame.image0 for frame in islice(frames, 0, None, every)][:_IMAGES]
+    message = f"no {board} in any of {found.frames} frames"
+    guess = (
+        _other_chessboard(images) if board.kind == "chessboard" else _other_markers(board, images)
+    )
+    return f"{message}; {guess}"
+
+
+def _other_chessboard(images: list[Bytes]) -> str:
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    sizes = []
+    for image in images:
+        ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, _SMALLEST, flags)
+        if ok:
+            sizes.append((meta.shape[1], meta.shape[0]))
+    if sizes:
+        columns, rows = max(sizes, key=lambda size: size[0] * size[1])
+        return (
+            f"one of {columns} x {rows} inner corners is there: --columns {columns} --rows {rows}?"
+        )
+    return (
+        "check --columns and --rows (corners where four squares meet, not squares); a chessboard "
+        "must be seen whole, with a white margin (a ChArUco board need not)"
+    )
+
+
+def _other_markers(board: Board, images: list[Bytes]) -> str:
+    counts = {name: max(_count(name, image) for image in images) for name in dictionaries()}
+    if counts[board.dictionary] >= _ENOUGH_MARKERS:
+        return (
+            f"markers of {board.dictionary} are there, but not as on such a board: check --columns "
+            "and --rows (inner corners, one less than squares), or try --legacy"
+        )
+    best = max(counts, key=lambda name: counts[name])
+    if counts[best] >= _ENOUGH_MARKERS:
+        return f"there are markers of another dictionary: --dictionary {best}?"
+    return "no markers are seen either; check --board and --dictionary, and that images are sharp"
+
+
+def _count(dictionary: str, image: Bytes) -> int:
+    markers = cv2.aruco.getPredefinedDictionary(dictionaries()[dictionary])
+    _, ids, _ = cv2.aruco.ArucoDetector(markers).detectMarkers(image)
+    return 0 if ids is None else len(ids)

@@ -1,0 +1,59 @@
+"""A board on paper, in true size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vo.calibrating.board import Board
+from vo.errors import OutputError
+from vo.types import Bytes
+
+_SUFFIXES = (".pdf", ".png", ".svg")
+_METRES_PER_INCH = 0.0254
+_DPI = 300
+_PER_SQUARE = 80
+
+
+def save_board(path: Path | str, board: Board) -> None:
+    """Write a board with a white margin of a square for printing at 100 %.
+
+    Raises:
+        OutputError: another suffix, or the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise OutputError(f"{path}: a board for printing ends in {', '.join(_SUFFIXES)}")
+    across, down = board.columns + 3, board.rows + 3
+    inches = board.square_m / _METRES_PER_INCH
+    figure = Figure(figsize=(across * inches, down * inches), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((1 / across, 1 / down, 1 - 2 / across, 1 - 2 / down))
+    axes.imshow(draw_board(board), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    axes.set_axis_off()
+    size = min(0.25 * inches * 72, 14)
+    figure.text(0.5, 0.4 / down, _legend(board), ha="center", va="center", size=size)
+    try:
+        figure.savefig(path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def draw_board(board: Board, per_square: int = _PER_SQUARE) -> Bytes:
+    """The squares without a margin, `per_square` pixels each."""
+    size = ((board.columns + 1) * per_square, (board.rows + 1) * per_square)
+    if board.kind == "charuco":
+        return np.asarray(board.charuco().generateImage(size, marginSize=0), dtype=np.uint8)
+    row, column = np.indices((size[1], size[0])) // per_square
+    return np.where((row + column) % 2 == 0, 0, 255).astype(np.uint8)
+
+
+def _legend(board: Board) -> str:
+    options = f"--columns {board.columns} --rows {board.rows} --square {board.square_m:g}"
+    if board.kind == "charuco":
+        options += f" --marker {board.marker_m:g} --dictionary {board.dictionary}"
+    return f"vo calibrate --board {board.kind} {options}"

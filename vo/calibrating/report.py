@@ -1,0 +1,99 @@
+"""A calibration as figures: for JSON and for the table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vo.calibrating.advice import coverage, tilts_deg, warnings_of
+from vo.calibrating.calibrate import Result
+from vo.types import Camera, Floats
+
+
+def to_dict(result: Result) -> dict[str, Any]:
+    """All figures of a calibration, as JSON can hold them."""
+    fit = result.fit
+    cameras = {f"cam{number}": _camera(result, number) for number in range(result.survey.cameras)}
+    return {
+        "board": str(result.board),
+        "frames": result.survey.frames,
+        "frames_with_board": len(result.survey.views),
+        "views": len(fit.frames),
+        "dropped_views": [
+            {"frame": frame, "rms_px": error} for frame, error in sorted(set(fit.dropped))
+        ],
+        "dropped_corners": fit.dropped_corners,
+        "rms_px": fit.adjusted.rms_px,
+        **cameras,
+        **_pair(result),
+        "warnings": warnings_of(result),
+    }
+
+
+def camera_rms_px(result: Result, camera: int) -> float:
+    """RMS distance of a camera's corners from where they should be."""
+    squares = [np.sum(residual**2, axis=1) for _, residual in result.sights_of(camera)]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def parameters(result: Result, number: int) -> list[tuple[str, float, float]]:
+    """Name, value and standard deviation of what describes a camera."""
+    adjusted = result.fit.adjusted
+    values, sigmas = (
+        each.intrinsics[number].tolist() for each in (adjusted.unknowns, adjusted.sigmas)
+    )
+    return list(zip(result.fit.lenses[number].parameter_names, values, sigmas, strict=True))
+
+
+def baseline(transform: Floats) -> float:
+    """Distance between the cameras in metres."""
+    return float(np.linalg.norm(transform[:3, 3]))
+
+
+def epipolar_rms_px(result: Result) -> float:
+    """RMS distance of corners from the epipolar lines of the other camera's, in pixels."""
+    return float(np.sqrt(np.mean([error**2 for _, error in result.epipolar_px])))
+
+
+def _camera(result: Result, number: int) -> dict[str, Any]:
+    camera = result.rig.cam0 if number == 0 else result.rig.cam1
+    assert isinstance(camera, Camera)
+    fit = result.fit
+    return {
+        "resolution": [camera.width, camera.height],
+        "distortion_model": camera.distortion_model,
+        "parameters": {
+            name: {"value": value, "sigma": sigma}
+            for name, value, sigma in parameters(result, number)
+        },
+        "rms_px": camera_rms_px(result, number),
+        "compared_rms_px": result.compared[number],
+        "coverage": float(coverage(result, number).mean()),
+        "tilt_deg": [round(float(tilt), 2) for tilt in tilts_deg(result, number)],
+        "views": [
+            {
+                "frame": fit.frames[sight.view],
+                "corners": len(sight.ids),
+                "rms_px": float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))),
+            }
+            for sight, residual in result.sights_of(number)
+        ],
+    }
+
+
+def _pair(result: Result) -> dict[str, Any]:
+    transform = result.rig.cam1_from_cam0
+    sigmas = result.fit.adjusted.sigmas.cam1_from_cam0
+    if transform is None or sigmas is None:
+        return {}
+    return {
+        "cam1_from_cam0": transform.tolist(),
+        "cam1_from_cam0_sigma": {
+            "rotation_deg": np.rad2deg(sigmas[:3]).tolist(),
+            "translation_m": sigmas[3:].tolist(),
+        },
+        "baseline_m": baseline(transform),
+        "epipolar_rms_px": epipolar_rms_px(result),
+        "epipolar_px": [{"frame": frame, "rms_px": error} for frame, error in result.epipolar_px],
+    }

@@ -1,0 +1,102 @@
+"""Any recording as images alone, whatever it says of its cameras: to calibrate them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from vo.errors import SourceError
+from vo.formats.calibration import Calibration, ImageSize
+from vo.sources.assembly import Gathered, assemble
+from vo.sources.listing import Shot
+from vo.sources.logs.choice import choose_topics
+from vo.sources.logs.images import list_images
+from vo.sources.registry import FORMATS, choose_format, gather, open_container
+from vo.sources.sequence import ImageSequence
+from vo.types import Camera, Mode, Rig
+
+
+def open_uncalibrated(
+    path: Path | str,
+    *,
+    format: str | None = None,
+    mode: Mode = "auto",
+    topics: Sequence[str] = (),
+) -> ImageSequence:
+    """Open a recording whose cameras nobody knows yet.
+
+    The cameras of its rig have the size of the images and else mean nothing; truth and depth are
+    left out.
+
+    Args:
+        path: folder or file of the recording.
+        format: a key of `FORMATS`; by default found out from the path.
+        mode: as in `open_source`.
+        topics: as in `open_source`.
+
+    Raises:
+        SourceError: the recording is missing, empty, damaged or of no known format, or its cameras
+            give images of different sizes.
+    """
+    path = Path(path)
+    name = choose_format(path, format)
+    if FORMATS[name].has_topics:
+        gathered = _gather_log(path, name, mode, topics)
+    elif topics:
+        raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
+    else:
+        gathered = gather(path, name, None, mode)
+    right = None if mode == "mono" else gathered.right
+    return assemble(
+        replace(
+            gathered,
+            right=right,
+            calibrate=lambda size: Calibration(_placeholder(size, right)),
+            read_truth=lambda _: None,
+            depth=None,
+        ),
+        mode,
+    )
+
+
+def _gather_log(path: Path, name: str, mode: Mode, topics: Sequence[str]) -> Gathered:
+    log = open_container(path, name)
+    choice = choose_topics(log.topics, topics, mode)
+    chosen = [choice.left] if choice.right is None else [choice.left, choice.right]
+    entries = log.entries([topic.name for topic in chosen])
+    left, *others = (list_images(log, topic, entries[topic.name]) for topic in chosen)
+    return Gathered(
+        name=path.resolve().stem,
+        format=name,
+        left=left,
+        right=others[0] if others else None,
+        calibrate=lambda size: Calibration(_placeholder(size, None)),
+        read_truth=lambda _: None,
+    )
+
+
+def _placeholder(size: ImageSize, right: Sequence[Shot] | None) -> Rig:
+    width, height = size
+    camera = Camera(width, height, width, width, (width - 1) / 2, (height - 1) / 2)
+    if not right:
+        return Rig(camera)
+    other = _size_of_any(right)
+    if other != size:
+        raise SourceError(
+            f"left images are {width}x{height}, right ones such as {right[0].image.name} "
+            f"{other[0]}x{other[1]}; both cameras must give the same size (one alone: --mode mono)"
+        )
+    return Rig(camera, camera, np.eye(4))
+
+
+def _size_of_any(shots: Sequence[Shot]) -> ImageSize:
+    for shot in shots:
+        try:
+            height, width = shot.image.read().shape
+        except SourceError:
+            continue
+        return width, height
+    raise SourceError(f"none of {len(shots)} right images can be read; use --mode mono")
