@@ -7,6 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from vo.cli.calibrate import calibrate_command
+from vo.cli.convert import convert_command
 from vo.cli.demo import demo_command
 from vo.cli.eval import eval_command
 from vo.cli.info import info_command
@@ -44,6 +46,8 @@ def _vo() -> None:
 
 app.command("run")(run_command)
 app.command("info")(info_command)
+app.command("convert")(convert_command)
+app.command("calibrate")(calibrate_command)
 app.command("eval")(eval_command)
 app.command("view")(view_command)
 app.command("report")(report_command)

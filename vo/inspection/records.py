@@ -45,7 +45,7 @@ class Timing:
         first_ns: stamp of the first.
         span_s: from the first to the last.
         rate_hz: from the median interval; 0 with fewer than two images.
-        jitter_ms: 95 % of the intervals are no further from the median.
+        jitter_ms: 95 % of the intervals are no further from the median; without gaps.
         gaps: intervals longer than 1.5 times the median.
         repeated_stamps: images that are not used, as their stamp was there before.
     """

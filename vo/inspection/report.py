@@ -126,7 +126,7 @@ def _lens(name: str, camera: Camera) -> LensReport:
         fy=camera.fy,
         cx=camera.cx,
         cy=camera.cy,
-        model=camera.distortion_model,
+        model=camera.distortion_model if camera.is_distorted else "none",
         view_deg=(_number(views[0]), _number(views[1])),
     )
 

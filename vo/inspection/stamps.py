@@ -27,12 +27,13 @@ def timing_of(camera: CameraShots) -> Timing:
         )
         for i in np.flatnonzero(steps > _GAP * median)
     )
+    usual = steps[steps <= _GAP * median]
     return Timing(
         count=len(stamps_ns),
         first_ns=int(stamps_ns[0]),
         span_s=1e-9 * float(stamps_ns[-1] - stamps_ns[0]),
         rate_hz=1e9 / median if median else 0.0,
-        jitter_ms=1e-6 * float(np.percentile(np.abs(steps - median), 95)) if len(steps) else 0.0,
+        jitter_ms=1e-6 * float(np.percentile(np.abs(usual - median), 95)) if len(usual) else 0.0,
         gaps=gaps,
         repeated_stamps=camera.repeated_stamps,
     )

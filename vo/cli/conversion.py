@@ -1,0 +1,361 @@
+"""From any recording to one that the generator's writers put on disk."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data_synth.records import BodyTruth, Recording, Shot
+from data_synth.writers.registry import FORMATS, load_writer
+from data_synth.writers.tables import seconds_text, write_lines
+from vo.errors import ConfigError, OutputError, SourceError
+from vo.formats.trajectory import write_tum
+from vo.geometry.transforms import interpolate, inverse
+from vo.inspection.material import Material, collected_warnings, right_stamps
+from vo.sources.sequence import choose_frames
+from vo.sources.source import Source
+from vo.types import Bools, Bytes, Camera, Floats, Floats32, Frame, Ints, Rig, Trajectory
+
+OnFrame = Callable[[int, int], None]
+_NS_PER_S = 1e9
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What is to become of a recording.
+
+    Attributes:
+        format: a key of the writers' `FORMATS`.
+        codec: `png`, `jpeg` or `raw`.
+        start: first frame.
+        end: frame to stop before; None for the last.
+        stride: take every so many frames.
+        size: width and height of all images, or a factor; None leaves them.
+    """
+
+    format: str
+    codec: str
+    start: int = 0
+    end: int | None = None
+    stride: int = 1
+    size: tuple[int, int] | float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The frames to write: numbers in the source, left and right stamps (-1: no right image)."""
+
+    numbers: Ints
+    left_ns: Ints
+    right_ns: Ints
+    unreadable: set[int] = field(default_factory=set)
+    right_unreadable: set[int] = field(default_factory=set)
+
+
+class _UnreadableError(Exception):
+    """An image that was listed turned out to be damaged while it was written."""
+
+
+def convert(
+    material: Material,
+    output: Path,
+    how: Conversion,
+    *,
+    force: bool = False,
+    on_frame: OnFrame | None = None,
+) -> Recording:
+    """Write a recording anew; it appears when it is whole.
+
+    Args:
+        material: the recording, opened.
+        output: folder or, for MCAP, file to make.
+        how: what to change.
+        force: replace a file that is there.
+        on_frame: called with the frames done and their total.
+
+    Raises:
+        SourceError: a run would refuse the recording, or the numbers choose no frame.
+        ConfigError: the layout cannot hold it.
+        OutputError: there is something already, or the place cannot be written.
+    """
+    source = material.source
+    if source is None:
+        raise SourceError(material.refusal.splitlines()[0])
+    _refuse_existing(output, force)
+    plan = _plan(material, source, how)
+    truth = _around(plan.left_ns, source.ground_truth)
+    while True:
+        recording = _recording(source, truth, plan, how)
+        _check(recording, how)
+        try:
+            with _whole(output, force) as partial:
+                shots = _shots(source, plan, how, on_frame)
+                load_writer(how.format)(partial, recording, shots, how.codec)
+                _settle_truth(partial, how.format, recording, truth)
+            return recording
+        except _UnreadableError:  # now that it is known which are damaged, they can be left out
+            _find_unreadable(source, plan)
+
+
+def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
+    """The same lens on other pixels; the corners of the image, not the pixels' centres, stay."""
+    su, sv = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=su * camera.fx,
+        fy=sv * camera.fy,
+        cx=su * (camera.cx + 0.5) - 0.5,
+        cy=sv * (camera.cy + 0.5) - 0.5,
+    )
+
+
+def _plan(material: Material, source: Source, how: Conversion) -> _Plan:
+    chosen = choose_frames(len(source), how.start, how.end, how.stride)
+    numbers = np.array(chosen, dtype=np.int64)
+    right_ns = np.full(len(numbers), -1, dtype=np.int64)
+    if source.rig.is_stereo:
+        left, right = material.cameras
+        with collected_warnings():  # they were said when it was opened
+            right_ns = right_stamps(left.shots, right.shots)[numbers]
+    left_ns = source.stamps_ns[numbers]
+    if left_ns[0] < 0:
+        raise SourceError(f"stamps begin at {left_ns[0]} ns; only those from 0 on can be written")
+    return _Plan(numbers, left_ns, right_ns)
+
+
+def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conversion) -> Recording:
+    rig = _scaled_rig(source.rig, how.size)
+    no_left = np.isin(plan.numbers, list(plan.unreadable))
+    stamps, dropped = [plan.left_ns], [no_left]
+    if rig.is_stereo:
+        no_right = (plan.right_ns < 0) | no_left
+        no_right |= np.isin(plan.numbers, list(plan.right_unreadable))
+        stamps.append(np.where(plan.right_ns < 0, plan.left_ns, plan.right_ns))
+        dropped.append(no_right)
+    interval = np.median(np.diff(plan.left_ns)) if len(plan.left_ns) > 1 else _NS_PER_S
+    is_log = how.format.startswith("mcap")
+    return Recording(
+        name=source.name,
+        rig=rig,
+        body_from_cam0=np.eye(4),
+        fps=float(_NS_PER_S / interval),
+        stamps_ns=tuple(stamps),
+        dropped=tuple(dropped),
+        cam0_truth=_no_poses() if is_log else _poses_at(plan.left_ns, truth),
+        body_truth=_body_truth(truth),
+        imu=None,
+        movers=(),
+        has_depth=rig.has_depth,
+    )
+
+
+def _scaled_rig(rig: Rig, size: tuple[int, int] | float | None) -> Rig:
+    if size is None:
+        return rig
+    cam1 = None if rig.cam1 is None else _scaled_to(rig.cam1, size)
+    return replace(rig, cam0=_scaled_to(rig.cam0, size), cam1=cam1)
+
+
+def _scaled_to(camera: Camera, size: tuple[int, int] | float) -> Camera:
+    if isinstance(size, tuple):
+        return scaled_camera(camera, *size)
+    width, height = max(1, round(size * camera.width)), max(1, round(size * camera.height))
+    return scaled_camera(camera, width, height)
+
+
+def _check(recording: Recording, how: Conversion) -> None:
+    """Refuse what the layout cannot hold."""
+    known = FORMATS[how.format]
+    if how.codec not in known.codecs:
+        raise ConfigError(
+            f"format {how.format} cannot hold images as {how.codec}; choose --codec "
+            f"{' or '.join(known.codecs)}"
+        )
+    if how.format == "kitti" and any(dropped.any() for dropped in recording.dropped):
+        alone = int(np.sum([dropped.sum() for dropped in recording.dropped]))
+        raise ConfigError(
+            f"format kitti cannot say which images are missing, and {alone} are; choose "
+            "--format euroc, which can, or --mode mono"
+        )
+    if how.format == "tum" and not recording.has_depth:
+        raise ConfigError(
+            "format tum holds one camera with depth, and there is none; choose --format euroc"
+        )
+    known.check(recording.rig, False)
+
+
+def _shots(
+    source: Source, plan: _Plan, how: Conversion, on_frame: OnFrame | None
+) -> Iterator[Shot]:
+    """The frames as they are to be written, each exactly once and in order."""
+    rig = _scaled_rig(source.rig, how.size)
+    total, done = len(plan.numbers), 0
+    for frame in source.frames(how.start, how.end, how.stride):
+        while plan.numbers[done] != frame.index:
+            yield _missing(plan, done, rig)
+            done += 1
+        yield _shot(frame, plan, done, rig)
+        done += 1
+        if on_frame is not None:
+            on_frame(done, total)
+    while done < total:
+        yield _missing(plan, done, rig)
+        done += 1
+
+
+def _shot(frame: Frame, plan: _Plan, row: int, rig: Rig) -> Shot:
+    images: list[Bytes | None] = [_resized(frame.image0, rig.cam0)]
+    if rig.cam1 is not None:
+        right = None if frame.image1 is None else _resized(frame.image1, rig.cam1)
+        is_listed = plan.right_ns[row] >= 0 and frame.index not in plan.right_unreadable
+        if right is None and is_listed:
+            raise _UnreadableError
+        images.append(right)
+    depth = None
+    if rig.has_depth:
+        unknown = np.zeros((rig.cam0.height, rig.cam0.width), dtype=np.float32)
+        depth = unknown if frame.depth is None else _resized_depth(frame.depth, rig.cam0)
+    return Shot(row, tuple(images), depth)
+
+
+def _missing(plan: _Plan, row: int, rig: Rig) -> Shot:
+    if int(plan.numbers[row]) not in plan.unreadable:
+        raise _UnreadableError
+    return Shot(row, (None, None) if rig.is_stereo else (None,))
+
+
+def _resized(image: Bytes, camera: Camera) -> Bytes:
+    size = (camera.width, camera.height)
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
+    way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
+
+
+def _resized_depth(depth: Floats32, camera: Camera) -> Floats32:
+    """Moved, never mixed, as edges are in it."""
+    size = (camera.width, camera.height)
+    if (depth.shape[1], depth.shape[0]) == size:
+        return depth
+    nearest = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return np.asarray(nearest, dtype=np.float32)
+
+
+def _find_unreadable(source: Source, plan: _Plan) -> None:
+    """Go through all frames and note what cannot be read."""
+    first, last = int(plan.numbers[0]), int(plan.numbers[-1])
+    stride = int(plan.numbers[1] - first) if len(plan.numbers) > 1 else 1
+    right_ns = dict(zip(plan.numbers.tolist(), plan.right_ns.tolist(), strict=True))
+    read = set()
+    for frame in source.frames(first, last + 1, stride):
+        read.add(frame.index)
+        if source.rig.is_stereo and frame.image1 is None and right_ns[frame.index] >= 0:
+            plan.right_unreadable.add(frame.index)
+    plan.unreadable.update(set(plan.numbers.tolist()) - read)
+
+
+def _around(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory | None:
+    """The poses at the time of the frames, with one more at either end; None where none are."""
+    if truth is None:
+        return None
+    first = max(0, int(np.searchsorted(truth.stamps_ns, stamps_ns[0], side="right")) - 1)
+    last = int(np.searchsorted(truth.stamps_ns, stamps_ns[-1])) + 1
+    kept = slice(first, last)
+    part = Trajectory(truth.stamps_ns[kept], truth.world_from_cam[kept])
+    return part if _covered(stamps_ns, part).any() else None
+
+
+def _no_poses() -> Trajectory:
+    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+
+
+def _poses_at(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory:
+    """Poses at the frames: interpolated where the truth covers them, else the identity."""
+    poses = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
+    if truth is not None:
+        for row in np.flatnonzero(_covered(stamps_ns, truth)):
+            poses[row] = _pose_at(truth, int(stamps_ns[row]))
+    return Trajectory(stamps_ns, poses)
+
+
+def _covered(stamps_ns: Ints, truth: Trajectory) -> Bools:
+    inside = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
+    return np.asarray(inside, dtype=np.bool_)
+
+
+def _pose_at(truth: Trajectory, stamp_ns: int) -> Floats:
+    after = int(np.searchsorted(truth.stamps_ns, stamp_ns))
+    if truth.stamps_ns[after] == stamp_ns:
+        return np.asarray(truth.world_from_cam[after])
+    before_ns, after_ns = truth.stamps_ns[after - 1], truth.stamps_ns[after]
+    share = float(stamp_ns - before_ns) / float(after_ns - before_ns)
+    return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], share)
+
+
+def _body_truth(truth: Trajectory | None) -> BodyTruth:
+    """The poses of cam0 as those of a body that is cam0; velocities are differences."""
+    truth = truth or _no_poses()
+    count = len(truth)
+    velocity: Floats = np.zeros((count, 3))
+    if count > 1:
+        seconds = 1e-9 * (truth.stamps_ns - truth.stamps_ns[0]).astype(np.float64)
+        velocity = np.asarray(np.gradient(truth.positions, seconds, axis=0))
+    none = np.zeros((count, 3))
+    return BodyTruth(truth.stamps_ns, truth.world_from_cam, velocity, none, none)
+
+
+def _settle_truth(path: Path, format: str, recording: Recording, truth: Trajectory | None) -> None:
+    """Truth at its own stamps in place of that at the frames; none where there was none."""
+    if format.startswith("mcap"):
+        return
+    if truth is None:
+        for name in ("groundtruth.tum", "groundtruth.txt", "poses.txt"):
+            (path / name).unlink(missing_ok=True)
+        shutil.rmtree(path / "mav0" / "state_groundtruth_estimate0", ignore_errors=True)
+    elif format != "kitti":
+        write_tum(path / "groundtruth.tum", truth)
+    if format == "kitti":
+        stamps_ns = recording.stamps_ns[0]
+        # KITTI's time begins with the first frame, ours is kept.
+        write_lines(path / "times.txt", map(seconds_text, stamps_ns.tolist()))
+        if truth is not None and not _covered(stamps_ns, truth).all():
+            (path / "poses.txt").unlink()
+            first_from_world = inverse(truth.world_from_cam[0])
+            moved = Trajectory(truth.stamps_ns, first_from_world @ truth.world_from_cam)
+            write_tum(path / "groundtruth.tum", moved)
+
+
+def _refuse_existing(path: Path, force: bool) -> None:
+    taken = path.exists() and (not path.is_dir() or any(path.iterdir()))
+    if taken and (path.is_dir() or not force):
+        hint = "remove it first" if path.is_dir() else "or --force to replace it"
+        raise OutputError(f"{path} is there already; give another name, {hint}")
+
+
+@contextmanager
+def _whole(path: Path, force: bool) -> Iterator[Path]:
+    """A place beside that takes the name of `path` at the end, or vanishes."""
+    partial = path.parent / f".{path.name}.partial-{os.getpid()}"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        if path.is_dir():
+            path.rmdir()
+        os.replace(partial, path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        with suppress(FileNotFoundError):
+            partial.unlink()

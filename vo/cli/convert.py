@@ -1,0 +1,147 @@
+"""`vo convert`: a recording in another layout, size or codec."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vo.cli.run import ModeChoice
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from vo.cli.conversion import Conversion
+    from vo.inspection.material import Material
+
+
+def convert_command(
+    source: Annotated[Path, typer.Argument(help="Recording: anything that `vo run` takes.")],
+    output: Annotated[Path, typer.Argument(help="Folder to make, or a file that ends in .mcap.")],
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+            show_default="mcap for .mcap, else euroc",
+        ),
+    ] = None,
+    codec: Annotated[
+        str, typer.Option(help="Of the images: png, jpeg (loses), or raw in MCAP.")
+    ] = "png",
+    start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
+    end: Annotated[
+        int | None, typer.Option(min=0, help="Frame to stop before.", show_default="the last")
+    ] = None,
+    stride: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1,
+    resize: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH|FACTOR",
+            help="Scale images and calibration, to 640x400 or by 0.5.",
+        ),
+    ] = None,
+    mode: Annotated[
+        ModeChoice, typer.Option(help="mono leaves the right camera out.")
+    ] = ModeChoice.AUTO,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration file instead of the recording's own.")
+    ] = None,
+    source_format: Annotated[
+        str | None,
+        typer.Option(help="Format of the recording.", show_default="found out from its files"),
+    ] = None,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(help="Topic of a log, as for `vo run`.", show_default="found out"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Write a recording in another layout, shorter or smaller.
+
+    Images become grey with 8 bits, as the odometry sees them; stamps,
+    calibration, depth and truth come along. It appears when it is whole.
+
+      vo convert log.mcap out/euroc --start 100 --end 600
+
+      vo convert kitti/06 small.mcap --resize 0.5 --codec jpeg --format mcap-ros2
+    """
+    from rich.console import Console
+
+    from vo.cli.conversion import Conversion
+    from vo.cli.progress import warnings_on
+    from vo.inspection.material import look_into
+
+    console = Console(stderr=True, highlight=False, quiet=quiet)
+    how = Conversion(_format(format, output), codec, start, end, stride, _size(resize))
+    material = look_into(
+        source, format=source_format, calibration=calibration, mode=mode.value, topics=topic or ()
+    )
+    for line in material.warnings:
+        console.print(f"warning: {line}", markup=False, soft_wrap=True)
+    try:
+        with warnings_on(console):
+            _convert(material, output, how, force, console)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted; {output} was not written", err=True)
+        raise typer.Exit(130) from None
+
+
+def _convert(
+    material: Material, output: Path, how: Conversion, force: bool, console: Console
+) -> None:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from vo.cli.conversion import convert
+
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    still = console.quiet or not console.is_terminal
+    with Progress(*columns, console=console, disable=still, transient=True) as bar:
+        task = bar.add_task("converting", total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        made = convert(material, output, how, force=force, on_frame=show)
+    kind = "stereo" if made.rig.is_stereo else "mono"
+    camera = made.rig.cam0
+    truth = f"{len(made.body_truth.stamps_ns)} true poses"
+    if not console.quiet:
+        typer.echo(
+            f"{output}: {len(made.stamps_ns[0])} {kind} frames, {camera.width}x{camera.height} "
+            f"grey, {how.format} ({how.codec}), {truth}"
+        )
+
+
+def _format(format: str | None, output: Path) -> str:
+    from data_synth.writers.registry import FORMATS
+    from vo.errors import ConfigError
+
+    is_file = output.suffix.lower() == ".mcap"
+    chosen = format or ("mcap" if is_file else "euroc")
+    if chosen not in FORMATS:
+        raise ConfigError(f"format '{chosen}' cannot be written; {', '.join(FORMATS)} can")
+    if bool(FORMATS[chosen].suffix) != is_file:
+        wanted = "a file that ends in .mcap" if FORMATS[chosen].suffix else "a folder"
+        raise ConfigError(f"format {chosen} is {wanted}, and {output} is not")
+    return chosen
+
+
+def _size(text: str | None) -> tuple[int, int] | float | None:
+    from vo.errors import ConfigError
+
+    if text is None:
+        return None
+    sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if sides is not None and min(int(sides[1]), int(sides[2])) > 0:
+        return int(sides[1]), int(sides[2])
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not 0.01 <= factor <= 10.0:
+        raise ConfigError(f"--resize {text} is neither a size such as 640x400 nor a factor as 0.5")
+    return factor
