@@ -1,13 +1,17 @@
 """Least squares over lenses, the board's poses and where the second camera is.
 
-All views of all cameras are adjusted at once by Levenberg and Marquardt's method; the inverse of
-the normal equations gives the standard deviations.
+All views of all cameras are adjusted at once by Levenberg and Marquardt's method. The poses are
+eliminated from the normal equations (Schur complement), so that what is solved is as small as the
+cameras' unknowns; its inverse gives their standard deviations.
+
+Source: Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, section 6.1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,6 +21,7 @@ from vo.types import Floats, Ints
 
 _MAX_ITERATIONS = 100
 _CONVERGED = 1e-7
+_LOWEST_DAMPING, _HIGHEST_DAMPING = 1e-12, 1e9
 _SMALLEST_EIGENVALUE = 1e-16
 
 
@@ -75,7 +80,8 @@ class Adjusted:
 
     Attributes:
         unknowns: the best values.
-        sigmas: their standard deviations, under the errors that the residuals show.
+        sigmas: standard deviations of the cameras, under the errors that the residuals show; the
+            poses are left out.
         residuals: (N, 2) of each sight: where the corner is minus where it should be, in pixels.
     """
 
@@ -95,6 +101,31 @@ def rms(residuals: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(np.sum(every**2, axis=1))))
 
 
+class _System(NamedTuple):
+    """Normal equations of p unknowns of the cameras and 6 of each of V poses.
+
+    Attributes:
+        outer: (p, p) of the cameras alone.
+        mixed: (V, p, 6) of cameras and poses.
+        inner: (V, 6, 6) of the poses alone.
+        outer_gradient: (p,).
+        inner_gradient: (V, 6).
+        residuals: (N, 2) of each sight.
+    """
+
+    outer: Floats
+    mixed: Floats
+    inner: Floats
+    outer_gradient: Floats
+    inner_gradient: Floats
+    residuals: list[Floats]
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared residuals."""
+        return float(sum(np.sum(each**2) for each in self.residuals))
+
+
 def adjust(
     lenses: Sequence[Lens], sights: Sequence[Sight], points: Floats, start: Unknowns
 ) -> Adjusted:
@@ -102,32 +133,30 @@ def adjust(
 
     Args:
         lenses: of each camera.
-        sights: all of them.
+        sights: all of them; every view has one at least.
         points: (M, 3) corners on the board, by id.
         start: where to begin.
     """
     unknowns = start
-    matrix, gradient, residuals = _normal_equations(lenses, sights, points, unknowns)
-    cost, damping = _cost(residuals), 1e-3
+    system = _normal_equations(lenses, sights, points, unknowns)
+    cost, damping = system.cost, 1e-3
     for _ in range(_MAX_ITERATIONS):
-        step = _solved(matrix, gradient, damping)
-        trial = unknowns.moved(step)
-        system = _normal_equations(lenses, sights, points, trial)
-        trial_cost = _cost(system[2])
-        if not trial_cost < cost:
+        trial = unknowns.moved(_step(system, damping))
+        moved = _normal_equations(lenses, sights, points, trial)
+        if not moved.cost < cost:  # nor where it is NaN
             damping *= 10.0
-            if damping > 1e9:
+            if damping > _HIGHEST_DAMPING:
                 break
             continue
-        has_converged = cost - trial_cost < _CONVERGED * cost
-        unknowns, cost, damping = trial, trial_cost, max(damping / 10.0, 1e-12)
-        matrix, gradient, residuals = system
+        has_converged = cost - moved.cost < _CONVERGED * cost
+        unknowns, system, cost = trial, moved, moved.cost
+        damping = max(damping / 10.0, _LOWEST_DAMPING)
         if has_converged:
             break
-    return Adjusted(unknowns, _sigmas(matrix, cost, residuals, unknowns), tuple(residuals))
+    return Adjusted(unknowns, _sigmas(system, unknowns), tuple(system.residuals))
 
 
-def look(
+def _look(
     lenses: Sequence[Lens], sight: Sight, points: Floats, unknowns: Unknowns
 ) -> tuple[Seen, Floats | None]:
     """A sight as it should be, and for the second camera its derivative by cam1_from_cam0."""
@@ -146,53 +175,73 @@ def look(
 
 def _normal_equations(
     lenses: Sequence[Lens], sights: Sequence[Sight], points: Floats, unknowns: Unknowns
-) -> tuple[Floats, Floats, list[Floats]]:
-    size = len(unknowns.vector())
-    matrix, gradient, residuals = np.zeros((size, size)), np.zeros(size), []
-    after_lenses = sum(lens.size for lens in lenses)
-    after_rig = after_lenses + (0 if unknowns.cam1_from_cam0 is None else 6)
+) -> _System:
+    begins = [sum(lens.size for lens in lenses[:camera]) for camera in range(len(lenses) + 1)]
+    size = begins[-1] + (0 if unknowns.cam1_from_cam0 is None else 6)
+    views = len(unknowns.poses)
+    system = _System(
+        np.zeros((size, size)),
+        np.zeros((views, size, 6)),
+        np.zeros((views, 6, 6)),
+        np.zeros(size),
+        np.zeros((views, 6)),
+        [],
+    )
     for sight in sights:
-        seen, by_other = look(lenses, sight, points, unknowns)
-        begin = sum(lens.size for lens in lenses[: sight.camera])
-        blocks = [
-            (begin, seen.by_lens),
-            *([] if by_other is None else [(after_lenses, by_other)]),
-            (after_rig + 6 * sight.view, seen.by_pose),
-        ]
-        where = np.concatenate([np.arange(at, at + block.shape[1]) for at, block in blocks])
-        jacobian = np.concatenate([block for _, block in blocks], axis=1)
+        seen, by_rig = _look(lenses, sight, points, unknowns)
+        jacobian = np.zeros((2 * len(sight.ids), size))
+        begin = begins[sight.camera]
+        jacobian[:, begin : begin + lenses[sight.camera].size] = seen.by_lens
+        if by_rig is not None:
+            jacobian[:, begins[-1] :] = by_rig
         residual = sight.xy - seen.xy
-        matrix[np.ix_(where, where)] += jacobian.T @ jacobian
-        gradient[where] += jacobian.T @ residual.ravel()
-        residuals.append(residual)
-    return matrix, gradient, residuals
+        system.outer[:] += jacobian.T @ jacobian
+        system.mixed[sight.view] += jacobian.T @ seen.by_pose
+        system.inner[sight.view] += seen.by_pose.T @ seen.by_pose
+        system.outer_gradient[:] += jacobian.T @ residual.ravel()
+        system.inner_gradient[sight.view] += seen.by_pose.T @ residual.ravel()
+        system.residuals.append(residual)
+    return system
 
 
-def _cost(residuals: Sequence[Floats]) -> float:
-    return float(sum(np.sum(each**2) for each in residuals))
+def _step(system: _System, damping: float) -> Floats:
+    """Where to go from here, as long as `Unknowns.vector`; diagonals raised by the damping."""
+    inner = system.inner * (1.0 + damping * np.eye(6))
+    outer = system.outer * (1.0 + damping * np.eye(len(system.outer)))
+    reduced, through = _reduced(outer, system.mixed, inner)
+    gradient = system.outer_gradient - np.einsum("vpi,vi->p", through, system.inner_gradient)
+    scale = _scale(outer)
+    unit = reduced * scale[:, None] * scale
+    cameras = scale * np.linalg.lstsq(unit, scale * gradient, rcond=None)[0]
+    rest = system.inner_gradient - np.einsum("vpi,p->vi", system.mixed, cameras)
+    poses = np.linalg.solve(inner, rest[:, :, None])
+    return np.concatenate([cameras, poses.ravel()])
 
 
-def _solved(matrix: Floats, gradient: Floats, damping: float) -> Floats:
-    diagonal = np.maximum(np.diag(matrix), 1e-12)
-    scale = 1.0 / np.sqrt(diagonal)
-    # Unit diagonal: pixels, radians and coefficients differ by many orders of magnitude.
-    scaled = matrix * scale[:, None] * scale + damping * np.eye(len(scale))
-    return np.asarray(scale * np.linalg.solve(scaled, scale * gradient))
+def _reduced(outer: Floats, mixed: Floats, inner: Floats) -> tuple[Floats, Floats]:
+    """The Schur complement (p, p), and mixed times inverse inner (V, p, 6)."""
+    through = np.linalg.solve(inner, mixed.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return np.asarray(outer - np.einsum("vpi,vqi->pq", through, mixed)), np.asarray(through)
 
 
-def _sigmas(
-    matrix: Floats, cost: float, residuals: Sequence[Floats], unknowns: Unknowns
-) -> Unknowns:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
-    values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
+def _scale(matrix: Floats) -> Floats:
+    """Makes the diagonal 1: pixels, radians and coefficients differ by orders of magnitude."""
+    return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12)))
+
+
+def _sigmas(system: _System, unknowns: Unknowns) -> Unknowns:
+    inner = system.inner * (1.0 + _LOWEST_DAMPING * np.eye(6))
+    reduced, _ = _reduced(system.outer, system.mixed, inner)
+    scale = _scale(system.outer)
+    values, vectors = np.linalg.eigh(reduced * scale[:, None] * scale)
     # What the views do not determine gets a huge deviation instead of none.
     inverse = vectors**2 @ (1.0 / np.maximum(values, _SMALLEST_EIGENVALUE))
-    freedom = max(2 * sum(len(each) for each in residuals) - len(scale), 1)
-    deviations = scale * np.sqrt(inverse * cost / freedom)
-    zero = replace(
-        unknowns,
-        intrinsics=tuple(np.zeros_like(each) for each in unknowns.intrinsics),
-        poses=np.zeros_like(unknowns.poses),
-        cam1_from_cam0=None if unknowns.cam1_from_cam0 is None else np.zeros(6),
+    count = 2 * sum(len(each) for each in system.residuals)
+    freedom = max(count - len(scale) - unknowns.poses.size, 1)
+    deviations = scale * np.sqrt(inverse * system.cost / freedom)
+    zero = Unknowns(
+        tuple(np.zeros_like(each) for each in unknowns.intrinsics),
+        np.zeros((0, 6)),
+        None if unknowns.cam1_from_cam0 is None else np.zeros(6),
     )
     return zero.moved(deviations)
