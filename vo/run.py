@@ -23,6 +23,7 @@ from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
 from vo.recording.recorder import ImageChoice, NullRecorder, Recorder
 from vo.results.account import Account
+from vo.results.claim import claimed, refuse_to_overwrite
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
@@ -90,8 +91,11 @@ def run(
         SourceError: the recording is missing, damaged, or holds no frame that can be read.
         CalibrationError: its calibration is missing or cannot be true.
         ConfigError: a log that is followed is to be tracked in part.
-        OutputError: the folder or the recording cannot be written, or no viewer answers.
+        OutputError: the folder or the recording cannot be written, another run is writing there,
+            it holds files of others with names of a run's, or no viewer answers.
     """
+    exports = exports or Exports()
+    refuse_to_overwrite((Path(source), calibration), (exports.mcap, exports.ply))
     every = config.tracking.every
     if follow and every > 1:
         raise ConfigError(f"tracking.every is {every}; a log that is followed needs 1")
@@ -100,12 +104,13 @@ def run(
     )
     facts = partial(_facts, opened, source, config, start, end, stride, calibration, topics)
     frames = opened.frames(start, end, stride * every)
-    with closing(Odometry(opened.rig, config)) as odometry:
+    with claimed(Path(output)), closing(Odometry(opened.rig, config)) as odometry:
         if every > 1:
             odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
-        folder = RunFolder(Path(output), dump_config(config))
         recorder = recorder or _make_recorder(rrd, rrd_images, viewer)
-        recorder = with_exports(recorder, exports or Exports())
+        recorder = with_exports(recorder, exports)
+        recorder.begin(opened.name, opened.rig, opened.ground_truth)
+        folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run
         job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
         job.profile_since = profile_since
         try:
@@ -146,7 +151,6 @@ class _Run:
     def begin(self) -> None:
         """Tell everyone; leave a summary that is true if the process is killed from here on."""
         self._summarise("interrupted")
-        self._recorder.begin(self._source.name, self._source.rig, self._source.ground_truth)
         self._progress.begin(self._source.name, self._facts.requested)
 
     def go_through(self, frames: Iterator[Frame]) -> None:

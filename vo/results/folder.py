@@ -22,6 +22,8 @@ SUMMARY = "summary.json"
 CONFIG = "config.yaml"
 
 _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
+RESULTS = (*_GROWING, SUMMARY, CONFIG)
+PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 
 class RunFolder:
@@ -47,7 +49,7 @@ class RunFolder:
         self.path = path
         try:
             path.mkdir(parents=True, exist_ok=True)
-            for name in (*_GROWING, *(n + PARTIAL_SUFFIX for n in _GROWING), SUMMARY, CONFIG):
+            for name in (*RESULTS, *PARTIAL_FILES):
                 (path / name).unlink(missing_ok=True)
         except OSError as error:
             raise OutputError(

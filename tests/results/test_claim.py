@@ -1,0 +1,74 @@
+"""Output folders that belong to others: another run, or files that are no run's."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vo.config import load_config
+from vo.errors import OutputError
+from vo.recording.exports import Exports
+from vo.results.claim import claimed
+from vo.run import run
+
+FAST = load_config("fast")
+
+
+def test_two_runs_do_not_write_to_one_folder(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom vo.errors import OutputError\n"
+        "from vo.results.claim import claimed\n"
+        "try:\n    with claimed(Path(sys.argv[1])): print('mine')\n"
+        "except OutputError as error: print(error)\n"
+    )
+
+    def other() -> str:
+        command = [sys.executable, "-c", code, str(tmp_path)]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    with claimed(tmp_path):
+        assert "another run is writing there; give another --output" in other()
+    assert other() == "mine\n"
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "poses.csv", "summary.json"])
+def test_files_of_others_are_not_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("[mine]\n", encoding="utf-8")
+    with pytest.raises(OutputError, match=f"{name} is not of an earlier run"), claimed(tmp_path):
+        pass
+    assert (tmp_path / name).read_text(encoding="utf-8") == "[mine]\n"
+
+
+def test_a_run_replaces_an_earlier_one_also_one_that_was_killed(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    assert run(synthetic_stereo, tmp_path, config=FAST, end=2).tracked == 2
+    assert run(synthetic_stereo, tmp_path, config=FAST, end=2).tracked == 2
+    (tmp_path / "summary.json").unlink()
+    (tmp_path / "frames.csv").rename(tmp_path / "frames.csv.partial")
+    assert run(synthetic_stereo, tmp_path, config=FAST, end=2).tracked == 2
+
+
+def test_an_output_that_cannot_be_made_costs_no_earlier_run(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    run(synthetic_stereo, tmp_path, config=FAST, end=2)
+    before = (tmp_path / "trajectory.tum").read_bytes()
+    with pytest.raises(OutputError, match="cannot write the recording"):
+        run(synthetic_stereo, tmp_path, config=FAST, end=2, rrd=tmp_path)
+    assert (tmp_path / "trajectory.tum").read_bytes() == before
+
+
+def test_a_recording_is_never_written_over(synthetic_stereo: Path, tmp_path: Path) -> None:
+    recording = shutil.copytree(synthetic_stereo, tmp_path / "recording")
+    inside = recording / "log.mcap"
+    inside.write_bytes(b"precious")
+    with pytest.raises(OutputError, match="log.mcap belongs to what is read"):
+        run(recording, tmp_path / "out", config=FAST, exports=Exports(mcap=inside))
+    with pytest.raises(OutputError, match="belongs to what is read"):
+        run(inside, tmp_path / "out", config=FAST, exports=Exports(mcap=inside))
+    assert inside.read_bytes() == b"precious"

@@ -1,0 +1,89 @@
+"""Whose an output folder is: no other run's at this moment, and not full of files of others."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from vo.errors import OutputError
+from vo.results.folder import PARTIAL_FILES, RESULTS, SUMMARY
+
+_TAKEN = (errno.EAGAIN, errno.EACCES)
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[None]:
+    """A folder that no other run writes to inside this block; made if it is missing.
+
+    Nothing in it is touched.
+
+    Raises:
+        OutputError: it cannot be written to, another run writes to it at this moment, or it
+            holds files of others that are called like those of a run.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        folder = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        is_file = path.exists() and not path.is_dir()
+        why = "it is a file" if is_file else error.strerror or str(error)
+        raise _refusal(path, why) from error
+    try:
+        if not os.access(path, os.W_OK):
+            raise _refusal(path, os.strerror(errno.EACCES))
+        _lock(folder, path)
+        _refuse_foreign(path)
+        yield
+    finally:
+        os.close(folder)  # the lock goes with it
+
+
+def refuse_to_overwrite(inputs: Iterable[Path | None], outputs: Iterable[Path | None]) -> None:
+    """Protect what a run reads from what it writes.
+
+    Args:
+        inputs: recording, calibration; those that are None or do not exist do not count.
+        outputs: files to write.
+
+    Raises:
+        OutputError: an output is an input, or is a file of a recording that is a folder.
+    """
+    read = [path for path in inputs if path is not None and path.exists()]
+    for target in outputs:
+        if target is None or not target.exists():
+            continue
+        if any(path.samefile(target) or path.samefile(target.parent) for path in read):
+            raise OutputError(f"{target} belongs to what is read; choose another file to write")
+
+
+def _lock(folder: int, path: Path) -> None:
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _TAKEN:  # some file systems of a network know no locks: go on there
+            raise _refusal(path, "another run is writing there") from error
+
+
+def _refuse_foreign(path: Path) -> None:
+    found = [path / name for name in RESULTS if (path / name).exists()]
+    partial = any((path / name).exists() for name in PARTIAL_FILES)
+    if found and not partial and not _is_summary(path / SUMMARY):
+        raise OutputError(
+            f"{found[0]} is not of an earlier run and would be replaced; give another --output"
+        )
+
+
+def _is_summary(path: Path) -> bool:
+    try:
+        return "schema_version" in json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError):
+        return False
+
+
+def _refusal(path: Path, why: str) -> OutputError:
+    return OutputError(f"cannot write to folder {path}: {why}; give another --output")
