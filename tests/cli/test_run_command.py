@@ -359,3 +359,26 @@ def test_a_terminal_gets_a_bar(synthetic_stereo: Path, out: Path) -> None:
     assert run.returncode == 0
     assert "getting ready" in shown.decode()
     assert "frames/s" in shown.decode()
+
+
+def test_says_its_version() -> None:
+    from vo import __version__
+
+    result = CliRunner().invoke(app, ["--version"])
+    assert (result.exit_code, result.stdout) == (0, f"vo {__version__}\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")
+def test_output_on_a_full_disk_is_one_line_of_error(tmp_path: Path) -> None:
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = np.arange(5)
+    path = tmp_path / "path.tum"
+    write_tum(path, Trajectory(np.arange(5, dtype=np.int64) * 10**8, poses))
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [VO, "eval", path, path], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert (done.returncode, done.stderr) == (
+        1,
+        "error: what is printed: No space left on device\n",
+    )

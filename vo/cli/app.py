@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+import errno
+import os
+import sys
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -20,7 +23,10 @@ from vo.errors import VoError
 
 
 class _Group(TyperGroup):
-    """Turns a `VoError` of any command into one line on stderr and exit status 1."""
+    """Turns a `VoError` of any command into one line on stderr and exit status 1.
+
+    So it does with what the system refuses, such as standard output on a full disk.
+    """
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -28,6 +34,21 @@ class _Group(TyperGroup):
         except VoError as error:
             typer.echo(f"error: {error}", err=True)
             raise typer.Exit(1) from error
+        except OSError as error:
+            if error.errno is None or error.errno == errno.EPIPE:  # a pipe that was closed is none
+                raise
+            where = "what is printed" if error.filename is None else error.filename
+            typer.echo(f"error: {where}: {error.strerror}", err=True)
+            _give_up_stdout()
+            raise typer.Exit(1) from error
+
+
+def _give_up_stdout() -> None:
+    """What is still to be printed would fail again as the program ends."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError, AttributeError):  # it is closed already, or no file
+        return
 
 
 app = typer.Typer(
@@ -39,8 +60,23 @@ app = typer.Typer(
 )
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from vo import __version__
+
+        typer.echo(f"vo {__version__}")
+        raise typer.Exit()
+
+
 @app.callback()
-def _vo() -> None:
+def _vo(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and stop."
+        ),
+    ] = False,
+) -> None:
     """Keeps `vo` a group of commands even with one command."""
 
 
