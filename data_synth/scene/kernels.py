@@ -23,7 +23,6 @@ from vo.types import Floats, Floats32, Ints
 BAND_ROWS = 32
 _LIST_TILE, _CAST_TILE, _SMOOTH_TILE = 32, 8, 8
 _MAX_ANISOTROPY = 8
-_SPACING = 1.3  # of samples, in shorter sides of a footprint; each is two texels wide
 _INVERSE = (0.0, *(1.0 / n for n in range(1, _MAX_ANISOTROPY + 1)))
 _ONE_SAMPLE = 1.6**2  # up to this ratio of a footprint's sides, squared
 _GROUPS = 5
@@ -313,7 +312,6 @@ def _mean_of_rays(
                 scratch,
                 sweep,
                 middles,
-                level == 0,
             )
 
 
@@ -328,15 +326,13 @@ def _mean_radiance(
     scratch: tuple[Floats, Ints],
     sweep: _Sweep,
     middles: tuple[Floats32, Floats32, NDArray[np.int32]],
-    is_still: bool,
 ) -> float:
     """Mean shade over the area and the exposure of one pixel.
 
     Many rays find the share of each surface, then each is shaded once: where its rays are on
     average, and over as much of the pixel and of its motion as they take up. If the first half meet
-    the surface that the ray in the middle met, so will the others. Where little moves, the radiance
-    of a surface is taken from the pixels around that see it. `before` has what is likely to be met,
-    whether that may be nothing, and all that may be.
+    the surface that the ray in the middle met, so will the others. `before` has what is likely to
+    be met, whether that may be nothing, and all that may be.
     """
     (row, column), (groups, numbers), (likely, is_open, seen) = pixel, scratch, before
     rows, many = rays.shape[0], len(grains)
@@ -383,11 +379,6 @@ def _mean_radiance(
         size = groups[group, 0]
         u, v, share = groups[group, 1] / size, groups[group, 2] / size, groups[group, 3] / size
         inverse = groups[group, 4] / size
-        if is_still:
-            shade = _shade_around(middles, (row, column), (u, v), inverse, numbers[group])
-            if not np.isnan(shade):
-                total += size * shade
-                continue
         if shutter.width > 0.0:
             turn, start, time = _pose(shutter, rows, row, share)
         to = _turned(turn, _within(ray, across, down, u, v))
@@ -432,28 +423,6 @@ def _around(
                     solids[count] = solid
                     count += 1
     return count, below, is_open
-
-
-@_compiled
-def _shade_around(
-    middles: tuple[Floats32, Floats32, NDArray[np.int32]],
-    pixel: tuple[int, int],
-    offset: _Pair,
-    inverse: float,
-    number: int,
-) -> float:
-    """Radiance of a surface in the pixel nearest to an offset that sees it, or NaN."""
-    (sharp, depth, surface), (row, column) = middles, pixel
-    best, shade = np.inf, np.nan
-    for i in range(max(row - 1, 0), min(row + 2, surface.shape[0])):
-        for j in range(max(column - 1, 0), min(column + 2, surface.shape[1])):
-            if surface[i, j] != number:
-                continue
-            right, low = j - column - offset[0], i - row - offset[1]
-            away = right * right + low * low
-            if away < best and abs(inverse * depth[i, j] - 1.0) <= 0.05:
-                best, shade = away, sharp[i, j]
-    return float(shade)
 
 
 @_compiled
@@ -1537,7 +1506,7 @@ def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, seco
         # Rather a little blur than aliasing.
         return _trilinear(world, texture, _level(long), u, v) * _PER_GREY
     count = 2
-    while count < _MAX_ANISOTROPY and long >= (_SPACING * count + 0.8) ** 2 * max(short, 1.0):
+    while count < _MAX_ANISOTROPY and long >= (count + 0.6) ** 2 * max(short, 1.0):
         count += 1
     step = _INVERSE[count]
     level = _level(max(short, long * step * step))
