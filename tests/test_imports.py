@@ -24,6 +24,7 @@ ALLOWED = {
     "vo.config": BASE,
     "vo.settings": BASE,
     "vo.progress": BASE,
+    "vo.interrupts": BASE,
     "vo.geometry": BASE,
     "vo.formats": BASE | {"vo.geometry"},
     **{room: GROUND for room in ROOMS},
@@ -32,7 +33,7 @@ ALLOWED = {
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.pipeline": GROUND | THINKING,
     "vo.odometry": GROUND | THINKING | {"vo.pipeline"},
-    "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress"},
+    "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress", "vo.interrupts"},
     "vo.cli": GROUND
     | ROOMS
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.odometry", "vo.run"}

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import logging
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
 from pathlib import Path
-from types import FrameType
 
 from vo.config import Config, dump_config
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.formats.trajectory import tum_line
+from vo.interrupts import interrupts_between_frames
 from vo.odometry import Odometry
 from vo.pipeline.history import Untracked
 from vo.pipeline.pose_log import PoseLog
@@ -162,7 +160,7 @@ class _Run:
         clock = Stopwatch()
         if self.profile_since is not None:
             self._start_up_ms = (time.perf_counter() - self.profile_since) * 1e3
-        with _interrupt_between_frames() as check:
+        with interrupts_between_frames() as check:
             for estimate in self._odometry.steps(_timed(frames, clock)):
                 self._take_in(estimate, clock)
                 self._folder.frames.append(frame_line(estimate, clock.stage_ms))
@@ -309,35 +307,6 @@ def _make_recorder(rrd: Path | None, images: ImageChoice, viewer: str | None) ->
     from vo.recording.rerun_recorder import RerunRecorder  # rerun takes long to import
 
     return BackgroundRecorder(RerunRecorder(rrd, images=images, viewer=viewer))
-
-
-@contextmanager
-def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
-    """Ctrl-C waits until the frame in hand is done and `check` is called; a second one does not.
-
-    In the middle of a frame it could leave the map half changed, and compiled code answers it
-    with an error of its own.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None  # signals reach the main thread only
-        return
-    asked = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-
-    def check() -> None:
-        if asked:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _timed(frames: Iterator[Frame], clock: Stopwatch) -> Iterator[Frame]:

@@ -184,6 +184,43 @@ def test_ctrl_c_exits_130_with_one_line(synthetic_stereo: Path, out: Path) -> No
     assert (summary["status"], summary["tracked"]) == ("interrupted", len(poses))
 
 
+def test_sigterm_ends_a_run_as_ctrl_c_does(synthetic_stereo: Path, out: Path) -> None:
+    with start_and_signal(synthetic_stereo, out, signal.SIGTERM) as running:
+        _, stderr = running.communicate(timeout=60)
+    assert running.returncode == 128 + signal.SIGTERM, stderr
+    assert stderr.splitlines()[-1] == f"interrupted; what was computed until now is in {out}"
+    poses, summary = read_tum(out / "trajectory.tum"), summary_in(out)
+    assert (summary["status"], summary["tracked"]) == ("interrupted", len(poses))
+
+
+def test_a_run_that_is_stopped_early_does_not_claim_results(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys\nfrom pathlib import Path\n"
+        "from vo.cli.stopping import stops_gently\n"
+        "try:\n    with stops_gently(Path(sys.argv[1])): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "except BaseException as error: print(error.exit_code)\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "143\n"
+    assert done.stderr == "interrupted before the first frame; nothing was written\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")
+def test_a_run_does_not_end_because_nobody_can_be_told(synthetic_stereo: Path, out: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [VO, "run", synthetic_stereo, "-o", out, "--end", "3", "--config", "fast"]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=full, text=True)
+    assert done.returncode == 0
+    assert "all 3 frames have a pose" in done.stdout
+
+
+def test_prints_where_only_ascii_is_known() -> None:
+    env = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    done = subprocess.run([VO, "synth", "--list"], capture_output=True, text=True, env=env)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_killed_run_can_still_be_evaluated(synthetic_stereo: Path, out: Path) -> None:
     with start_and_signal(synthetic_stereo, out, signal.SIGKILL) as running:
         running.communicate(timeout=60)

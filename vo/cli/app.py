@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import sys
 from typing import Annotated, Any
@@ -29,6 +30,7 @@ class _Group(TyperGroup):
     """
 
     def invoke(self, ctx: Any) -> Any:
+        _print_whatever_the_locale()
         try:
             return super().invoke(ctx)
         except VoError as error:
@@ -41,6 +43,13 @@ class _Group(TyperGroup):
             typer.echo(f"error: {where}: {error.strerror}", err=True)
             _give_up_stdout()
             raise typer.Exit(1) from error
+
+
+def _print_whatever_the_locale() -> None:
+    """Where it knows ASCII only, other letters become question marks instead of an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _give_up_stdout() -> None:

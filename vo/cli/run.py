@@ -237,12 +237,13 @@ def run_command(
       vo run images/ -o out/ --calibration camera.yaml
 
     Exit status: 0 done, also if nothing could be tracked (a warning says
-    so), 1 error, 2 wrong use, 130 stopped by Ctrl-C.
+    so), 1 error, 2 wrong use, 130 stopped by Ctrl-C, 143 by kill.
     """
     begun = _process_begun()
-    try:
-        from rich.console import Console
+    from vo.cli.stopping import stops_gently
 
+    with stops_gently(output):
+        from vo.cli.console import standard_error
         from vo.cli.live import live_viewer
         from vo.cli.progress import make_progress, warnings_on
         from vo.cli.run_table import print_summary
@@ -254,7 +255,7 @@ def run_command(
         settings = list(overrides or ())
         if threads is not None:
             settings.append(f"threads={threads}")
-        console = Console(stderr=True, highlight=False)
+        console = standard_error()
         watched = live_viewer(connect, spawn=spawn, serve=serve)
         through_pipe = str(source) == "-"
         origin = spooled_input() if through_pipe else nullcontext(source)
@@ -280,9 +281,6 @@ def run_command(
             )
             if not quiet:
                 print_summary(summary, output, rrd)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted; what was computed until now is in {output}", err=True)
-        raise typer.Exit(130) from None
 
 
 def _process_begun() -> float:
