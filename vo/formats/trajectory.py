@@ -159,7 +159,7 @@ def stamp_ns_from_seconds(text: str) -> int:
     except InvalidOperation as error:
         raise ValueError(f"'{text}' is not a number of seconds") from error
     if not seconds.is_finite() or not -_MAX_S <= seconds <= _MAX_S:
-        raise ValueError(f"stamp {text} is out of range for seconds")
+        raise ValueError(f"{text} is out of range for seconds")
     return int((seconds * _NS_PER_S).to_integral_value())
 
 

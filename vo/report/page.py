@@ -78,7 +78,7 @@ def write_page(path: Path, page: str) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
+        path.write_text(page, encoding="utf-8", errors="replace")  # names may be no UTF-8
     except OSError as error:
         raise OutputError(
             f"report {path} cannot be written: {error.strerror or error}; choose another file"

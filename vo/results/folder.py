@@ -86,7 +86,8 @@ def _write_whole(path: Path, text: str) -> None:
     """Write beside and rename, so that a reader never sees half a file."""
     partial = path.with_name(path.name + PARTIAL_SUFFIX)
     try:
-        partial.write_text(text, encoding="utf-8")
+        # A file name may hold bytes that are no UTF-8; in JSON this form is read back.
+        partial.write_text(text, encoding="utf-8", errors="backslashreplace")
         os.replace(partial, path)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error

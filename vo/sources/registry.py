@@ -167,6 +167,8 @@ def detect_format(path: Path) -> str:
             return name
     if path.is_file():
         raise SourceError(f"{path} is a file of no known kind; give the folder of a recording")
+    if not path.is_dir():
+        raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
     looked_for = ", ".join(
         f"{known.inside[0]} ({n})" for n, known in FORMATS.items() if known.inside
     )
