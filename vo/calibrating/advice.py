@@ -10,6 +10,8 @@ from vo.types import Bools, Floats
 
 _FEW_VIEWS = 15
 _GRID = (8, 6)
+_EDGE = 2
+_BARE = 0.25
 _TILTED_DEG = 15.0
 _FEW_TILTED = 0.3
 _LARGE_RMS_PX = 0.5
@@ -96,34 +98,24 @@ def _of_camera(result: Result, camera: int) -> list[str]:
 
 
 def _of_coverage(seen: Bools) -> list[str]:
-    rows, columns = seen.shape
-    half_rows, half_columns = rows // 2, columns // 2
-    parts = {
-        "top left": seen[:2, :2],
-        "top right": seen[:2, -2:],
-        "bottom left": seen[-2:, :2],
-        "bottom right": seen[-2:, -2:],
+    places = {
+        "left edge": seen[:, :_EDGE],
+        "right edge": seen[:, -_EDGE:],
+        "top edge": seen[:_EDGE],
+        "bottom edge": seen[-_EDGE:],
+        "top left corner": seen[:_EDGE, :_EDGE],
+        "top right corner": seen[:_EDGE, -_EDGE:],
+        "bottom left corner": seen[-_EDGE:, :_EDGE],
+        "bottom right corner": seen[-_EDGE:, -_EDGE:],
     }
-    empty = [name for name, part in parts.items() if not part.any()]
-    halves = {
-        "left": seen[:, :half_columns],
-        "right": seen[:, half_columns:],
-        "top": seen[:half_rows],
-        "bottom": seen[half_rows:],
-    }
-    bare = [name for name, part in halves.items() if part.mean() < 0.25]
-    lines = []
-    if bare:
-        lines.append(
-            f"the {' and the '.join(bare)} half of the image hardly saw the board; the lens is "
-            "guessed there"
-        )
-    elif empty:
-        lines.append(
-            f"no corner of the board in the {', '.join(empty)} of the image; the lens is guessed "
-            "there: hold the board into the corners, nearer or farther"
-        )
-    return lines
+    bare = [name for name, part in places.items() if part.mean() < _BARE]
+    edges = [name for name in bare if "edge" in name]
+    if not bare:
+        return []
+    return [
+        f"hardly a corner of the board at the {', '.join(edges or bare)} of the image, where the "
+        "lens is guessed: hold the board there too"
+    ]
 
 
 def _of_pair(result: Result) -> list[str]:

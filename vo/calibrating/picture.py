@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vo.calibrating.advice import coverage
 from vo.calibrating.calibrate import Result
 from vo.calibrating.report import camera_rms_px
 from vo.errors import OutputError
@@ -60,7 +61,10 @@ def _draw_corners(axes: Axes, result: Result, camera: int) -> None:
     residuals = np.concatenate([residual for _, residual in sights])
     typical = float(np.median(np.linalg.norm(residuals, axis=1)))
     longer = _round(_ARROW_SHARE * width / max(typical, 1e-6))
-    axes.plot(*xy.T, ".", color=_CORNER, ms=2.5, alpha=0.5, mew=0)
+    bare = ~coverage(result, camera)
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(bare, cmap="Greys", vmin=0.0, vmax=6.0, extent=extent, zorder=0)
+    axes.plot(*xy.T, ".", color=_CORNER, ms=4.0, alpha=0.6, mew=0)
     axes.quiver(
         *xy.T,
         *(longer * residuals).T,
@@ -76,7 +80,7 @@ def _draw_corners(axes: Axes, result: Result, camera: int) -> None:
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
     axes.set_aspect("equal")
-    title = f"cam{camera}: {len(xy)} corners; residuals {longer} times as long; + principal point"
+    title = f"cam{camera}: {len(xy)} corners, errors drawn {longer} times as long; grey: none seen"
     axes.set_title(title, loc="left", fontsize=10)
     axes.tick_params(labelsize=9)
 
