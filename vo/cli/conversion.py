@@ -6,22 +6,20 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from data_synth.records import BodyTruth, Recording, Shot
+from data_synth.records import Recording, Shot
 from data_synth.writers.registry import FORMATS, load_writer
-from data_synth.writers.tables import seconds_text, write_lines
+from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
+from vo.cli.conversion_truth import around, body_truth, no_poses, poses_at, settle_truth
 from vo.errors import ConfigError, OutputError, SourceError
-from vo.formats.trajectory import write_tum
-from vo.geometry.transforms import interpolate, inverse
 from vo.inspection.material import Material, collected_warnings, right_stamps
 from vo.sources.sequence import choose_frames
 from vo.sources.source import Source
-from vo.types import Bools, Bytes, Camera, Floats, Floats32, Frame, Ints, Rig, Trajectory
+from vo.types import Bytes, Frame, Ints, Rig, Trajectory
 
 OnFrame = Callable[[int, int], None]
 _NS_PER_S = 1e9
@@ -45,7 +43,7 @@ class Conversion:
     start: int = 0
     end: int | None = None
     stride: int = 1
-    size: tuple[int, int] | float | None = None
+    size: Size | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +88,7 @@ def convert(
         raise SourceError(material.refusal.splitlines()[0])
     _refuse_existing(output, force)
     plan = _plan(material, source, how)
-    truth = _around(plan.left_ns, source.ground_truth)
+    truth = around(plan.left_ns, source.ground_truth)
     while True:
         recording = _recording(source, truth, plan, how)
         _check(recording, how)
@@ -98,24 +96,10 @@ def convert(
             with _whole(output, force) as partial:
                 shots = _shots(source, plan, how, on_frame)
                 load_writer(how.format)(partial, recording, shots, how.codec)
-                _settle_truth(partial, how.format, recording, truth)
+                settle_truth(partial, how.format, recording, truth)
             return recording
         except _UnreadableError:  # now that it is known which are damaged, they can be left out
             _find_unreadable(source, plan)
-
-
-def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
-    """The same lens on other pixels; the corners of the image, not the pixels' centres, stay."""
-    su, sv = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=su * camera.fx,
-        fy=sv * camera.fy,
-        cx=su * (camera.cx + 0.5) - 0.5,
-        cy=sv * (camera.cy + 0.5) - 0.5,
-    )
 
 
 def _plan(material: Material, source: Source, how: Conversion) -> _Plan:
@@ -133,7 +117,7 @@ def _plan(material: Material, source: Source, how: Conversion) -> _Plan:
 
 
 def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conversion) -> Recording:
-    rig = _scaled_rig(source.rig, how.size)
+    rig = scaled_rig(source.rig, how.size)
     no_left = np.isin(plan.numbers, list(plan.unreadable))
     stamps, dropped = [plan.left_ns], [no_left]
     if rig.is_stereo:
@@ -150,26 +134,12 @@ def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conve
         fps=float(_NS_PER_S / interval),
         stamps_ns=tuple(stamps),
         dropped=tuple(dropped),
-        cam0_truth=_no_poses() if is_log else _poses_at(plan.left_ns, truth),
-        body_truth=_body_truth(truth),
+        cam0_truth=no_poses() if is_log else poses_at(plan.left_ns, truth),
+        body_truth=body_truth(truth),
         imu=None,
         movers=(),
         has_depth=rig.has_depth,
     )
-
-
-def _scaled_rig(rig: Rig, size: tuple[int, int] | float | None) -> Rig:
-    if size is None:
-        return rig
-    cam1 = None if rig.cam1 is None else _scaled_to(rig.cam1, size)
-    return replace(rig, cam0=_scaled_to(rig.cam0, size), cam1=cam1)
-
-
-def _scaled_to(camera: Camera, size: tuple[int, int] | float) -> Camera:
-    if isinstance(size, tuple):
-        return scaled_camera(camera, *size)
-    width, height = max(1, round(size * camera.width)), max(1, round(size * camera.height))
-    return scaled_camera(camera, width, height)
 
 
 def _check(recording: Recording, how: Conversion) -> None:
@@ -197,7 +167,7 @@ def _shots(
     source: Source, plan: _Plan, how: Conversion, on_frame: OnFrame | None
 ) -> Iterator[Shot]:
     """The frames as they are to be written, each exactly once and in order."""
-    rig = _scaled_rig(source.rig, how.size)
+    rig = scaled_rig(source.rig, how.size)
     total, done = len(plan.numbers), 0
     for frame in source.frames(how.start, how.end, how.stride):
         while plan.numbers[done] != frame.index:
@@ -213,9 +183,9 @@ def _shots(
 
 
 def _shot(frame: Frame, plan: _Plan, row: int, rig: Rig) -> Shot:
-    images: list[Bytes | None] = [_resized(frame.image0, rig.cam0)]
+    images: list[Bytes | None] = [resized(frame.image0, rig.cam0)]
     if rig.cam1 is not None:
-        right = None if frame.image1 is None else _resized(frame.image1, rig.cam1)
+        right = None if frame.image1 is None else resized(frame.image1, rig.cam1)
         is_listed = plan.right_ns[row] >= 0 and frame.index not in plan.right_unreadable
         if right is None and is_listed:
             raise _UnreadableError
@@ -223,7 +193,7 @@ def _shot(frame: Frame, plan: _Plan, row: int, rig: Rig) -> Shot:
     depth = None
     if rig.has_depth:
         unknown = np.zeros((rig.cam0.height, rig.cam0.width), dtype=np.float32)
-        depth = unknown if frame.depth is None else _resized_depth(frame.depth, rig.cam0)
+        depth = unknown if frame.depth is None else resized_depth(frame.depth, rig.cam0)
     return Shot(row, tuple(images), depth)
 
 
@@ -231,24 +201,6 @@ def _missing(plan: _Plan, row: int, rig: Rig) -> Shot:
     if int(plan.numbers[row]) not in plan.unreadable:
         raise _UnreadableError
     return Shot(row, (None, None) if rig.is_stereo else (None,))
-
-
-def _resized(image: Bytes, camera: Camera) -> Bytes:
-    size = (camera.width, camera.height)
-    if (image.shape[1], image.shape[0]) == size:
-        return image
-    shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
-    way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
-
-
-def _resized_depth(depth: Floats32, camera: Camera) -> Floats32:
-    """Moved, never mixed, as edges are in it."""
-    size = (camera.width, camera.height)
-    if (depth.shape[1], depth.shape[0]) == size:
-        return depth
-    nearest = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    return np.asarray(nearest, dtype=np.float32)
 
 
 def _find_unreadable(source: Source, plan: _Plan) -> None:
@@ -262,77 +214,6 @@ def _find_unreadable(source: Source, plan: _Plan) -> None:
         if source.rig.is_stereo and frame.image1 is None and right_ns[frame.index] >= 0:
             plan.right_unreadable.add(frame.index)
     plan.unreadable.update(set(plan.numbers.tolist()) - read)
-
-
-def _around(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory | None:
-    """The poses at the time of the frames, with one more at either end; None where none are."""
-    if truth is None:
-        return None
-    first = max(0, int(np.searchsorted(truth.stamps_ns, stamps_ns[0], side="right")) - 1)
-    last = int(np.searchsorted(truth.stamps_ns, stamps_ns[-1])) + 1
-    kept = slice(first, last)
-    part = Trajectory(truth.stamps_ns[kept], truth.world_from_cam[kept])
-    return part if _covered(stamps_ns, part).any() else None
-
-
-def _no_poses() -> Trajectory:
-    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
-
-
-def _poses_at(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory:
-    """Poses at the frames: interpolated where the truth covers them, else the identity."""
-    poses = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
-    if truth is not None:
-        for row in np.flatnonzero(_covered(stamps_ns, truth)):
-            poses[row] = _pose_at(truth, int(stamps_ns[row]))
-    return Trajectory(stamps_ns, poses)
-
-
-def _covered(stamps_ns: Ints, truth: Trajectory) -> Bools:
-    inside = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
-    return np.asarray(inside, dtype=np.bool_)
-
-
-def _pose_at(truth: Trajectory, stamp_ns: int) -> Floats:
-    after = int(np.searchsorted(truth.stamps_ns, stamp_ns))
-    if truth.stamps_ns[after] == stamp_ns:
-        return np.asarray(truth.world_from_cam[after])
-    before_ns, after_ns = truth.stamps_ns[after - 1], truth.stamps_ns[after]
-    share = float(stamp_ns - before_ns) / float(after_ns - before_ns)
-    return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], share)
-
-
-def _body_truth(truth: Trajectory | None) -> BodyTruth:
-    """The poses of cam0 as those of a body that is cam0; velocities are differences."""
-    truth = truth or _no_poses()
-    count = len(truth)
-    velocity: Floats = np.zeros((count, 3))
-    if count > 1:
-        seconds = 1e-9 * (truth.stamps_ns - truth.stamps_ns[0]).astype(np.float64)
-        velocity = np.asarray(np.gradient(truth.positions, seconds, axis=0))
-    none = np.zeros((count, 3))
-    return BodyTruth(truth.stamps_ns, truth.world_from_cam, velocity, none, none)
-
-
-def _settle_truth(path: Path, format: str, recording: Recording, truth: Trajectory | None) -> None:
-    """Truth at its own stamps in place of that at the frames; none where there was none."""
-    if format.startswith("mcap"):
-        return
-    if truth is None:
-        for name in ("groundtruth.tum", "groundtruth.txt", "poses.txt"):
-            (path / name).unlink(missing_ok=True)
-        shutil.rmtree(path / "mav0" / "state_groundtruth_estimate0", ignore_errors=True)
-    elif format != "kitti":
-        write_tum(path / "groundtruth.tum", truth)
-    if format == "kitti":
-        stamps_ns = recording.stamps_ns[0]
-        # KITTI's time begins with the first frame, ours is kept.
-        write_lines(path / "times.txt", map(seconds_text, stamps_ns.tolist()))
-        if truth is not None and not _covered(stamps_ns, truth).all():
-            (path / "poses.txt").unlink()
-            first_from_world = inverse(truth.world_from_cam[0])
-            moved = Trajectory(truth.stamps_ns, first_from_world @ truth.world_from_cam)
-            write_tum(path / "groundtruth.tum", moved)
 
 
 def _refuse_existing(path: Path, force: bool) -> None:

@@ -46,7 +46,7 @@ def info_command(
 
       vo info log.mcap --contact-sheet sheet.png
 
-    Exit status: 0 if `vo run` would take the recording, 1 if not.
+    Exit status: 1 if there is a problem, 0 if there are warnings at most.
     """
     import json
     from dataclasses import asdict

@@ -6,23 +6,18 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from vo.errors import CalibrationError
-from vo.geometry.rectification import working_rig
+from vo.inspection.calibration_findings import in_calibration, in_pair
 from vo.inspection.material import Material
 from vo.inspection.pictures import stretches
-from vo.inspection.records import CameraReport, Finding, LensReport, Level, Look, Report
+from vo.inspection.records import CameraReport, Finding, Level, Look, Report
+from vo.types import Rig
 
 _DARK_GREY = 25.0
 _BRIGHT_SHARE = 0.3
 _BLURRED = 0.62
 _FEW_CORNERS = 150
-_USUAL_VIEW_DEG = (15.0, 150.0)
-_USUAL_BASELINE_M = (0.005, 5.0)
-_USUAL_DEPTH_M = (0.1, 300.0)
-_ROWS_APART_PX = 1.0
-_ROWS_SPREAD_PX = 1.5
 _OFFSET_MS = 3.0
-_SAID_BETTER = ("have no left partner", "images repeat a stamp")
+_SAID_BETTER = ("have no left partner", "images repeat a stamp", "if that is millimetres")
 """In warnings of sources that come as findings of our own."""
 
 _SEVERITY: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
@@ -33,7 +28,7 @@ def find_all(report: Report, material: Material) -> Report:
     findings = [*_refusal(material)]
     for camera in report.cameras:
         findings += [*_time(camera), *_images(camera)]
-    findings += [*_pair(report), *_calibration(report, material), *_truth(report)]
+    findings += [*_pair(report), *in_calibration(report, material.rig), *_truth(report)]
     said = " ".join(finding.what for finding in findings)
     findings += [
         Finding("warning", line)
@@ -42,11 +37,6 @@ def find_all(report: Report, material: Material) -> Report:
     ]
     ordered = sorted(findings, key=lambda finding: _SEVERITY[finding.level])
     return replace(report, findings=tuple(ordered), command=_command(report, material))
-
-
-def is_swapped(report: Report) -> bool:
-    """Whether what is called left was seen by the right camera."""
-    return report.stereo is not None and report.stereo.positive < 0.3
 
 
 def _refusal(material: Material) -> Iterator[Finding]:
@@ -157,107 +147,6 @@ def _pair(report: Report) -> Iterator[Finding]:
         )
 
 
-def _calibration(report: Report, material: Material) -> Iterator[Finding]:
-    known = report.calibration
-    if known is None:
-        return
-    for lens, camera in zip(known.lenses, report.cameras, strict=False):
-        yield from _lens(lens, camera)
-    if known.baseline_m is None:
-        yield from _without_pair(report)
-        return
-    low, high = _USUAL_BASELINE_M
-    if not low <= known.baseline_m <= high:
-        unit = 1000 if known.baseline_m / 1000 > low else 100
-        yield Finding(
-            "error" if known.baseline_m > high else "warning",
-            f"the baseline is {known.baseline_m:g} m",
-            f"lengths are in metres; if it is {known.baseline_m / unit:g} m, divide by {unit}"
-            if known.baseline_m > high
-            else "check its unit: lengths are in metres",
-        )
-    yield from _rig(report, material)
-
-
-def _rig(report: Report, material: Material) -> Iterator[Finding]:
-    assert material.rig is not None
-    try:
-        working_rig(material.rig)
-    except CalibrationError as error:
-        yield Finding("error", str(error))
-    stereo = report.stereo
-    if is_swapped(report):
-        yield Finding(
-            "error",
-            "left and right are swapped: points lie further right in the right image "
-            f"({100 * (1 - report.stereo.positive):.0f} % of them)"
-            if report.stereo
-            else "",
-            "swap the cameras and their calibration, or use --mode mono",
-        )
-    elif stereo is not None and stereo.rectified:
-        if abs(stereo.row_offset_px) > _ROWS_APART_PX or stereo.row_spread_px > _ROWS_SPREAD_PX:
-            yield Finding(
-                "error",
-                "after rectification, rows of left and right differ by "
-                f"{stereo.row_offset_px:+.2f} px and scatter by {stereo.row_spread_px:.2f} px",
-                "the calibration does not fit these images: calibrate again",
-            )
-        if stereo.depth_m is not None and not (
-            _USUAL_DEPTH_M[0] <= stereo.depth_m <= _USUAL_DEPTH_M[1]
-        ):
-            yield Finding(
-                "warning",
-                f"with this baseline, points are {stereo.depth_m:.3g} m away (median)",
-                "check the unit of the baseline: metres",
-            )
-
-
-def _without_pair(report: Report) -> Iterator[Finding]:
-    stereo = report.stereo
-    if stereo is not None and len(report.cameras) == 2:
-        rows = abs(stereo.row_offset_px) < 0.5 and stereo.row_spread_px < 0.7
-        yield Finding(
-            "note",
-            "the right camera is not calibrated; its images "
-            + ("look rectified" if rows else "are not rectified")
-            + f" (rows differ by {stereo.row_offset_px:+.2f} px)",
-            "with its calibration lengths would be metric",
-        )
-
-
-def _lens(lens: LensReport, camera: CameraReport) -> Iterator[Finding]:
-    if camera.width and (lens.width, lens.height) != (camera.width, camera.height):
-        yield Finding(
-            "error",
-            f"{lens.name}: the calibration is for {lens.width}x{lens.height}, the images are "
-            f"{camera.width}x{camera.height}",
-            "give the calibration of these images; vo convert --resize scales both together",
-        )
-    view = lens.view_deg[0]
-    if view is not None and not _USUAL_VIEW_DEG[0] <= view <= _USUAL_VIEW_DEG[1]:
-        yield Finding(
-            "warning",
-            f"{lens.name}: a focal length of {lens.fx:g} px for {lens.width} px of width is a view "
-            f"of {view:.0f} degrees",
-            "compare with the lens; the focal length is in pixels of these very images",
-        )
-    if abs(lens.fx / lens.fy - 1.0) > 0.05:
-        yield Finding(
-            "warning",
-            f"{lens.name}: fx {lens.fx:g} and fy {lens.fy:g} differ by more than 5 %",
-            "most pixels are square; was the image stretched?",
-        )
-    off = max(abs(lens.cx / lens.width - 0.5), abs(lens.cy / lens.height - 0.5))
-    if off > 0.12:
-        yield Finding(
-            "warning",
-            f"{lens.name}: the principal point ({lens.cx:.1f}, {lens.cy:.1f}) is {100 * off:.0f} % "
-            "off the middle of the image",
-            "true of cropped images; else the calibration is of another size",
-        )
-
-
 def _truth(report: Report) -> Iterator[Finding]:
     truth = report.truth
     if truth is not None and truth.covered < 0.5:
@@ -285,13 +174,16 @@ def _command(report: Report, material: Material) -> str:
         words += ["--topic", f"right={report.cameras[1].name}"]
     if material.rig is None:
         words += ["--calibration", "camera.yaml"]
-    elif any(finding for finding in _pair_errors(report, material)):
+    elif _pair_is_wrong(report, material.rig):
         words += ["--mode", "mono"]
     return shlex.join(words)
 
 
-def _pair_errors(report: Report, material: Material) -> Iterator[Finding]:
-    if report.calibration is not None and report.calibration.baseline_m is not None:
-        yield from (each for each in _rig(report, material) if each.level == "error")
-        if report.pair is not None and not report.pair.pairs:
-            yield from _pair(report)
+def _pair_is_wrong(report: Report, rig: Rig) -> bool:
+    """Whether the left camera alone promises more."""
+    if not rig.is_stereo:
+        return False
+    found = list(in_pair(report, rig))
+    if report.pair is not None and not report.pair.pairs:
+        found += _pair(report)
+    return any(each.level == "error" for each in found)

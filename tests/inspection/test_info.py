@@ -1,0 +1,201 @@
+"""The doctor names what is wrong with recordings that were made wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from mcap.writer import Writer
+from typer.testing import CliRunner
+
+from vo.cli.app import app
+from vo.formats.foxglove import FOXGLOVE
+from vo.formats.messages import ImageMessage
+from vo.inspection.material import look_into
+from vo.inspection.records import Finding, Report
+from vo.inspection.report import inspect
+from vo.types import Bytes
+
+
+def report_of(path: Path, images: int | None = 8) -> Report:
+    return inspect(look_into(path), images)
+
+
+def finding(report: Report, words: str) -> Finding:
+    found = [each for each in report.findings if words in each.what]
+    assert len(found) == 1, [each.what for each in report.findings]
+    return found[0]
+
+
+@pytest.fixture
+def walk(synthetic_stereo: Path, tmp_path: Path) -> Path:
+    """A copy that may be spoiled."""
+    return Path(shutil.copytree(synthetic_stereo, tmp_path / "walk"))
+
+
+def spoil(
+    walk: Path, change: Callable[[Bytes], Bytes], frames: slice, camera: str = "cam0"
+) -> None:
+    for file in sorted((walk / "mav0" / camera / "data").iterdir())[frames]:
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        assert cv2.imwrite(str(file), change(np.asarray(image, dtype=np.uint8)))
+
+
+def test_a_sound_recording_has_no_findings(synthetic_stereo: Path) -> None:
+    report = report_of(synthetic_stereo)
+    assert report.findings == ()
+    left = report.cameras[0]
+    assert (left.timing.count, left.timing.gaps, left.timing.repeated_stamps) == (30, (), 0)
+    assert report.pair is not None and report.pair.pairs == 30
+    assert report.calibration is not None and report.calibration.is_rectified
+    width_deg = report.calibration.lenses[0].view_deg[0]
+    lens = report.calibration.lenses[0]
+    half = np.degrees(np.arctan(0.5 * (lens.width - 1) / lens.fx))
+    assert width_deg == pytest.approx(2 * half, abs=0.2)
+    assert report.stereo is not None and abs(report.stereo.row_offset_px) < 0.2
+    assert report.stereo.positive > 0.95
+    assert report.truth is not None and report.truth.covered == 1.0
+    assert report.command.startswith("vo run ") and "--" not in report.command
+
+
+def test_swapped_cameras_are_seen_in_the_images(walk: Path) -> None:
+    mav0 = walk / "mav0"
+    for name in ("data", "data.csv"):
+        (mav0 / "cam0" / name).rename(mav0 / f"{name}.left")
+        (mav0 / "cam1" / name).rename(mav0 / "cam0" / name)
+        (mav0 / f"{name}.left").rename(mav0 / "cam1" / name)
+    report = report_of(walk)
+    assert finding(report, "swapped").level == "error"
+    assert report.command.endswith("--mode mono")
+
+
+def test_a_baseline_in_millimetres_is_named(walk: Path) -> None:
+    sensor = walk / "mav0" / "cam1" / "sensor.yaml"
+    data = yaml.safe_load(sensor.read_text())
+    left = yaml.safe_load((walk / "mav0" / "cam0" / "sensor.yaml").read_text())["T_BS"]["data"]
+    for row in (3, 7, 11):
+        apart = data["T_BS"]["data"][row] - left[row]
+        data["T_BS"]["data"][row] = left[row] + 1000.0 * apart
+    sensor.write_text(yaml.safe_dump(data))
+    assert "divide by 1000" in finding(report_of(walk), "the baseline is").advice
+
+
+def test_rows_that_do_not_correspond_are_measured(walk: Path) -> None:
+    spoil(walk, lambda image: np.roll(image, 3, axis=0), slice(None), "cam1")
+    report = report_of(walk)
+    assert finding(report, "rows of left and right differ").level == "error"
+    assert report.stereo is not None
+    assert report.stereo.row_offset_px == pytest.approx(3.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda image: image // 12, "are dark"),
+        (lambda image: np.minimum(image.astype(int) * 4, 255).astype(np.uint8), "over-exposed"),
+        (lambda image: cv2.blur(image, (25, 5)), "blurred"),
+        (lambda image: np.full_like(image, 128), "hardly a corner"),
+    ],
+)
+def test_spoiled_images_are_found_where_they_are(
+    walk: Path, change: Callable[[Bytes], Bytes], words: str
+) -> None:
+    spoil(walk, change, slice(10, 20))
+    report = report_of(walk, None)
+    assert "10 of 30" in finding(report, words).what
+    assert "frames 10 to 19" in finding(report, words).what
+
+
+def test_repeated_images_and_gaps_are_found(walk: Path) -> None:
+    files = sorted((walk / "mav0" / "cam0" / "data").iterdir())
+    shutil.copy(files[6], files[7])
+    table = walk / "mav0" / "cam0" / "data.csv"
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join([*lines[:21], *lines[24:]]))  # frames 20, 21, 22
+    report = report_of(walk, None)
+    assert "frames 7;" in f"{finding(report, 'the same as the one before').what};"
+    assert "1 gap, about 3 images missing" in finding(report, "gap").what
+    assert report.cameras[0].timing.gaps[0].after_frame == 19
+    assert "0 left and 3 right images have no partner" in finding(report, "no partner").what
+
+
+def test_damaged_images_do_not_stop_it(walk: Path) -> None:
+    file = sorted((walk / "mav0" / "cam0" / "data").iterdir())[4]
+    file.write_bytes(file.read_bytes()[:500])
+    assert finding(report_of(walk, None), "cannot be read").what.endswith("frames 4")
+
+
+def test_it_shows_what_there_is_without_calibration(walk: Path) -> None:
+    for camera in ("cam0", "cam1"):
+        (walk / "mav0" / camera / "sensor.yaml").unlink()
+    (walk / "calibration.yaml").unlink()
+    report = report_of(walk)
+    assert report.calibration is None and len(report.cameras) == 2
+    assert finding(report, "no calibration found").level == "error"
+    assert report.stereo is not None and not report.stereo.rectified
+    assert abs(report.stereo.row_offset_px) < 0.2
+    assert report.command.endswith("--calibration camera.yaml")
+
+
+@pytest.fixture
+def three_cameras(tmp_path: Path) -> Path:
+    """A log of which nobody can tell the pair."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = FOXGLOVE.schema(ImageMessage)
+        number = writer.register_schema(schema.name, FOXGLOVE.schema_encoding, schema.definition)
+        names = ("/front", "/rear", "/top")
+        channels = [
+            writer.register_channel(f"{name}/image_raw", FOXGLOVE.message_encoding, number)
+            for name in names
+        ]
+        noise = np.random.default_rng(1)
+        for stamp_ns in range(10**9, 2 * 10**9, 10**8):
+            for channel, name in zip(channels, names, strict=True):
+                pixels = noise.integers(0, 256, 64 * 48, dtype=np.uint8).tobytes()
+                message = ImageMessage(stamp_ns, name, 64, 48, "mono8", pixels)
+                writer.add_message(channel, stamp_ns, FOXGLOVE.encode(message), stamp_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_a_log_with_too_many_cameras_is_shown_whole(three_cameras: Path, tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.png"
+    result = CliRunner().invoke(
+        app, ["info", str(three_cameras), "--json", "--contact-sheet", str(sheet)]
+    )
+    assert result.exit_code == 1
+    report = json.loads(result.stdout)
+    assert [camera["name"] for camera in report["cameras"]] == [
+        "/front/image_raw",
+        "/rear/image_raw",
+        "/top/image_raw",
+    ]
+    assert [topic["count"] for topic in report["topics"]] == [10, 10, 10]
+    assert report["cameras"][0]["timing"]["rate_hz"] == pytest.approx(10.0)
+    assert "which of 3 cameras" in report["findings"][0]["what"]
+    assert "left=/front/image_raw" in report["command"]
+    picture = cv2.imread(str(sheet), cv2.IMREAD_GRAYSCALE)
+    assert picture is not None and picture.shape[1] > 1000 and picture.std() > 10
+
+
+def test_the_text_ends_with_the_command(synthetic_stereo: Path) -> None:
+    result = CliRunner().invoke(app, ["info", str(synthetic_stereo)])
+    assert result.exit_code == 0, result.output
+    assert "nothing is wrong" in result.stdout
+    assert result.stdout.splitlines()[-1].startswith(f"try: vo run {synthetic_stereo}")
+
+
+def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["info", str(tmp_path / "nothing")])
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1

@@ -1,0 +1,61 @@
+"""Images and cameras in another size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from vo.types import Bytes, Camera, Floats32, Rig
+
+Size = tuple[int, int] | float
+"""Width and height of all images, or a factor."""
+
+
+def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
+    """The same lens on other pixels; the corners of the image, not the pixels' centres, stay."""
+    su, sv = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=su * camera.fx,
+        fy=sv * camera.fy,
+        cx=su * (camera.cx + 0.5) - 0.5,
+        cy=sv * (camera.cy + 0.5) - 0.5,
+    )
+
+
+def scaled_rig(rig: Rig, size: Size | None) -> Rig:
+    """Every camera scaled, their distance as it was."""
+    if size is None:
+        return rig
+    cam1 = None if rig.cam1 is None else _scaled_to(rig.cam1, size)
+    return replace(rig, cam0=_scaled_to(rig.cam0, size), cam1=cam1)
+
+
+def _scaled_to(camera: Camera, size: Size) -> Camera:
+    if isinstance(size, tuple):
+        return scaled_camera(camera, *size)
+    width, height = max(1, round(size * camera.width)), max(1, round(size * camera.height))
+    return scaled_camera(camera, width, height)
+
+
+def resized(image: Bytes, camera: Camera) -> Bytes:
+    """An image in the size of a camera."""
+    size = (camera.width, camera.height)
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
+    way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
+
+
+def resized_depth(depth: Floats32, camera: Camera) -> Floats32:
+    """Moved, never mixed, as edges are in it."""
+    size = (camera.width, camera.height)
+    if (depth.shape[1], depth.shape[0]) == size:
+        return depth
+    nearest = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return np.asarray(nearest, dtype=np.float32)
