@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import subprocess
 import sys
@@ -72,3 +74,15 @@ def test_a_recording_is_never_written_over(synthetic_stereo: Path, tmp_path: Pat
     with pytest.raises(OutputError, match="belongs to what is read"):
         run(inside, tmp_path / "out", config=FAST, exports=Exports(mcap=inside))
     assert inside.read_bytes() == b"precious"
+
+
+def test_names_that_are_no_utf8_cost_nothing(synthetic_stereo: Path, tmp_path: Path) -> None:
+    name = os.fsdecode(b"w\xe4lk")
+    try:
+        recording = shutil.copytree(synthetic_stereo, tmp_path / name)
+    except OSError:
+        pytest.skip("this file system has UTF-8 names only")
+    out, rrd = tmp_path / "out", tmp_path / "run.rrd"
+    assert run(recording, out, config=FAST, end=2, rrd=rrd).tracked == 2
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["source"] == str(recording)
