@@ -54,6 +54,21 @@ def test_a_second_ctrl_c_does_not_wait(synthetic_stereo: Path, tmp_path: Path) -
     assert len(read_tum(tmp_path / "trajectory.tum")) == 3
 
 
+class MoreImpatient(Impatient):
+    """Presses it once more while the results are saved."""
+
+    def finish(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_ctrl_c_while_results_are_saved_costs_none(synthetic_stereo: Path, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(synthetic_stereo, tmp_path, config=FAST, progress=MoreImpatient(1))
+    assert len(read_tum(tmp_path / "trajectory.tum")) == 3
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["status"], summary["tracked"]) == ("interrupted", 3)
+
+
 def test_outside_the_main_thread_signals_are_left_alone(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:

@@ -187,14 +187,15 @@ class _Run:
     def end_early(self, error: BaseException) -> None:
         """Save what there is before an error goes its way."""
         status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
-        self._progress.finish()
         reason = None if status == "interrupted" else _one_line(error)
         try:
-            if status == "interrupted":
-                self._odometry.finish()
-            self._save(self._finish_files)
+            with interrupts_between_frames():  # people press Ctrl-C twice: that costs no result
+                self._progress.finish()
+                if status == "interrupted":
+                    self._odometry.finish()
+                self._save(self._finish_files)
+                self._save(lambda: self._summarise(status, reason))
             self._save(self._finish_recording)
-            self._save(lambda: self._summarise(status, reason))
         finally:
             self._folder.close()
 
