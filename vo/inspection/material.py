@@ -137,7 +137,7 @@ def _log_at(
     path: Path, name: str, calibration: Path | None, mode: Mode, wishes: Sequence[str]
 ) -> Material:
     log = open_container(path, name)
-    found = Material(path, name, topics=tuple(log.topics))
+    found = Material(path, name, topics=_with_own_spans(log))
     try:
         choice = choose_topics(log.topics, wishes, mode)
     except SourceError as error:
@@ -153,6 +153,16 @@ def _log_at(
     except VoError as error:
         return replace(found, refusal=str(error))
     return replace(found, source=source, rig=source.rig, truth=source.ground_truth)
+
+
+def _with_own_spans(log: Log) -> tuple[Topic, ...]:
+    """Topics whose rates are exact: an MCAP's summary only knows the span of the whole file."""
+    entries = log.entries([topic.name for topic in log.topics])
+    spans_ns = {
+        name: max(e.log_ns for e in listed) - min(e.log_ns for e in listed) if listed else 0
+        for name, listed in entries.items()
+    }
+    return tuple(replace(topic, span_ns=spans_ns[topic.name]) for topic in log.topics)
 
 
 def _cameras(log: Log, topics: dict[str, Topic]) -> tuple[CameraShots, ...]:
