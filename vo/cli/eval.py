@@ -25,10 +25,14 @@ class Align(StrEnum):
 
 def eval_command(
     estimate: Annotated[
-        Path, typer.Argument(help="Trajectory file (TUM, KITTI or EuRoC) or the folder of a run.")
+        Path,
+        typer.Argument(
+            metavar="ESTIMATE", help="Trajectory file (TUM, KITTI or EuRoC) or the folder of a run."
+        ),
     ],
     reference: Annotated[
-        Path, typer.Argument(help="Ground truth file, or a recording that has one.")
+        Path,
+        typer.Argument(metavar="TRUTH", help="Ground truth file, or a recording that has one."),
     ],
     align: Annotated[
         Align,
@@ -66,7 +70,9 @@ def eval_command(
     ] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(help="Draw path and errors into this file: .png, .pdf or .svg."),
+        typer.Option(
+            metavar="FILE", help="Draw path and errors into this file: .png, .pdf or .svg."
+        ),
     ] = None,
 ) -> None:
     """Compare an estimated trajectory with the true one.

@@ -15,10 +15,14 @@ if TYPE_CHECKING:
 
 def report_command(
     runs: Annotated[
-        list[Path], typer.Argument(help="Folders that `vo run` wrote; several are compared.")
+        list[Path],
+        typer.Argument(metavar="RUN", help="Folders that `vo run` wrote; several are compared."),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The HTML file; overwritten where it exists.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="The HTML file; overwritten where it exists."
+        ),
     ] = Path("report.html"),
     truth: Annotated[
         Path | None,
@@ -28,7 +32,8 @@ def report_command(
         ),
     ] = None,
     plots: Annotated[
-        Path | None, typer.Option(help="Write each figure as PNG and PDF into this folder.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write each figure as PNG and PDF into this folder."),
     ] = None,
     images: Annotated[
         bool, typer.Option(help="Show small images of where something happened.")

@@ -18,7 +18,10 @@ _LOCALHOST = "127.0.0.1"
 
 def view_command(
     recording: Annotated[
-        Path, typer.Argument(help="An .rrd file, or the folder of a run that has one in it.")
+        Path,
+        typer.Argument(
+            metavar="RECORDING", help="An .rrd file, or the folder of a run that has one in it."
+        ),
     ],
     web: Annotated[
         bool, typer.Option("--web", help="Serve it for a browser instead of opening a window.")
