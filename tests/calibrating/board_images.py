@@ -9,7 +9,7 @@ import numpy as np
 
 from vo.calibrating.board import Board
 from vo.geometry.cameras import normalise
-from vo.geometry.transforms import inverse, make_transform, so3_exp
+from vo.geometry.transforms import make_transform, so3_exp
 from vo.types import Bytes, Camera, Floats, Floats32
 
 _PER_SQUARE = 48
@@ -30,31 +30,29 @@ def texture_of(board: Board) -> Bytes:
 
 
 @lru_cache(maxsize=8)
-def _rays(camera: Camera) -> Floats:
+def _rays(camera: Camera) -> Floats32:
     """(H n, W n, 2) normalised points at the middle of each of n x n parts of a pixel."""
     u = (np.arange(camera.width * _FINER) + 0.5) / _FINER - 0.5
     v = (np.arange(camera.height * _FINER) + 0.5) / _FINER - 0.5
     pixels = np.stack(np.meshgrid(u, v), axis=2)
-    return normalise(camera, pixels.reshape(-1, 2)).reshape(pixels.shape)
+    return normalise(camera, pixels.reshape(-1, 2)).reshape(pixels.shape).astype(np.float32)
 
 
 def render(board: Board, camera: Camera, cam_from_board: Floats) -> Bytes:
-    """The image (H, W), antialiased."""
-    rays = _rays(camera)
-    board_from_cam = inverse(cam_from_board)
-    directions = np.dstack([rays, np.ones(rays.shape[:2])]) @ board_from_cam[:3, :3].T
-    reach = -board_from_cam[2, 3] / directions[:, :, 2]
-    plane = board_from_cam[:2, 3] + directions[:, :, :2] * reach[:, :, None]
+    """The image (H, W) of a board that lies wholly before the camera, antialiased."""
     # A pixel of the texture covers a 48th of a square, its middle is at whole numbers.
-    place = (plane / board.square_m + 1.0) * _PER_SQUARE - 0.5
-    place[~(reach > 0) | ~np.isfinite(place).all(axis=2)] = -1e4
-    place = np.clip(place, -1e4, 1e4).astype(np.float32)
-    fine: Floats32 = cv2.remap(
-        texture_of(board).astype(np.float32), place, None, cv2.INTER_LINEAR, borderValue=BACKGROUND
+    squares = _PER_SQUARE / board.square_m
+    texture_from_board = np.array(
+        [[squares, 0, _PER_SQUARE - 0.5], [0, squares, _PER_SQUARE - 0.5], [0, 0, 1]]
     )
+    board_from_ray = np.linalg.inv(cam_from_board[:3, [0, 1, 3]])
+    place = cv2.perspectiveTransform(_rays(camera), texture_from_board @ board_from_ray)
+    place = np.clip(np.nan_to_num(place, nan=-1e4), -1e4, 1e4)
+    fine = cv2.remap(texture_of(board), place, None, cv2.INTER_LINEAR, borderValue=BACKGROUND)
     image = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     # Never quite black or white, and slightly unsharp, as lenses are.
-    return np.round(cv2.GaussianBlur(30.0 + 0.75 * image, (0, 0), 0.6)).astype(np.uint8)
+    soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.6)
+    return np.round(30.0 + 0.75 * soft).astype(np.uint8)
 
 
 def poses_around(board: Board, camera: Camera, count: int, tilt_deg: float = 35.0) -> list[Floats]:
@@ -64,12 +62,20 @@ def poses_around(board: Board, camera: Camera, count: int, tilt_deg: float = 35.
     width_m = (board.columns + 1) * board.square_m
     poses = []
     for number in range(count):
-        place = np.array([number % 4 / 3, number // 4 % 3 / 2]) * 0.5 + 0.25
+        # Smaller ones farther out; a chessboard must be seen whole.
+        reach = 0.5 if number % 2 else (0.62 if board.kind == "chessboard" else 0.8)
+        place = (np.array([number % 4 / 3, number // 4 % 3 / 2]) - 0.5) * reach + 0.5
         pixel = place * (camera.width - 1, camera.height - 1)
         ray = np.append(normalise(camera, pixel[None])[0], 1.0)
         ray /= np.linalg.norm(ray)
         facing = so3_exp(np.cross([0.0, 0.0, 1.0], ray))
         turn = facing @ so3_exp(np.deg2rad(rng.uniform(-tilt_deg, tilt_deg, 3)))
-        centre = ray * width_m * camera.fx / camera.width * rng.uniform(2.0, 3.0)
+        centre = (
+            ray
+            * width_m
+            * camera.fx
+            / camera.width
+            * (rng.uniform(2.0, 2.6) if number % 2 else rng.uniform(3.0, 3.6))
+        )
         poses.append(make_transform(turn, centre - turn @ middle))
     return poses

@@ -1,0 +1,144 @@
+"""Cameras that are known come out of images of a board."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from board_images import poses_around, render
+
+from vo.calibrating.advice import warnings_of
+from vo.calibrating.board import Board, make_board
+from vo.calibrating.calibrate import Result, calibrate
+from vo.calibrating.survey import survey
+from vo.geometry.cameras import distort, normalise
+from vo.geometry.transforms import inverse, make_transform, rotation_angle, so3_exp
+from vo.types import Camera, Floats, Frame
+
+SIZE = (480, 360)
+RADTAN = Camera(*SIZE, 343.0, 342.0, 247.0, 186.0, "radtan", (-0.28, 0.074, 2e-4, 2e-5))
+FISHEYE = Camera(*SIZE, 190.0, 189.0, 242.0, 177.0, "equidistant", (-0.01, 0.02, -0.008, 0.001))
+CHESSBOARD = make_board("chessboard", 8, 5, 0.03)
+CHARUCO = make_board("charuco", 7, 5, 0.03)
+CAM1_FROM_CAM0 = make_transform(so3_exp(np.array([0.01, -0.02, 0.005])), np.array([-0.1, 2e-3, 0]))
+
+
+def recorded(board: Board, cameras: Sequence[Camera], poses: Sequence[Floats]) -> list[Frame]:
+    """A frame for each pose of the board in cam0."""
+    return [
+        Frame(
+            i,
+            i * 10**8,
+            render(board, cameras[0], pose),
+            render(board, cameras[1], CAM1_FROM_CAM0 @ pose) if len(cameras) == 2 else None,
+        )
+        for i, pose in enumerate(poses)
+    ]
+
+
+def calibrated(board: Board, *cameras: Camera, count: int = 22, model: str = "auto") -> Result:
+    frames = recorded(board, cameras, poses_around(board, cameras[0], count))
+    return calibrate(board, survey(board, frames, len(cameras), threads=2), SIZE, model)
+
+
+def assert_alike(found: Camera | None, true: Camera, board: Board) -> None:
+    # The outermost corners of the image see no chessboard, as that must be seen whole.
+    reach = 0.8 if board.kind == "chessboard" else 1.0
+    assert found is not None
+    assert found.distortion_model == true.distortion_model
+    assert found.fx == pytest.approx(true.fx, rel=0.002)
+    assert found.fy == pytest.approx(true.fy, rel=0.002)
+    assert found.cx == pytest.approx(true.cx, abs=1.0)
+    assert found.cy == pytest.approx(true.cy, abs=1.0)
+    assert field_difference_px(found, true, reach).max() < 0.3
+
+
+def field_difference_px(found: Camera, true: Camera, reach: float) -> Floats:
+    """How far the same rays fall apart, with the cameras turned to agree at best.
+
+    An error of the principal point is nearly one of where the camera looks, which the poses of the
+    board make up for. `reach` is how much of the way to the image's corners is looked at.
+    """
+    u, v = np.meshgrid(np.arange(0, SIZE[0], 12.0), np.arange(0, SIZE[1], 12.0))
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    middle = np.array(SIZE) / 2
+    pixels = pixels[np.linalg.norm(pixels - middle, axis=1) < reach * np.linalg.norm(middle)]
+    rays = np.column_stack([normalise(true, pixels), np.ones(len(pixels))])
+
+    def difference(turn: Floats) -> Floats:
+        turned = rays @ so3_exp(turn).T
+        return (distort(found, turned[:, :2] / turned[:, 2:]) - pixels).ravel()
+
+    turn = np.zeros(3)
+    for _ in range(3):
+        now = difference(turn)
+        slopes = [(difference(turn + step) - now) / 1e-6 for step in 1e-6 * np.eye(3)]
+        turn = turn - np.linalg.lstsq(np.stack(slopes, axis=1), now, rcond=None)[0]
+    return np.asarray(np.linalg.norm(difference(turn).reshape(-1, 2), axis=1))
+
+
+@pytest.mark.parametrize(
+    ("board", "camera"), [(CHARUCO, RADTAN), (CHESSBOARD, FISHEYE)], ids=["charuco", "chessboard"]
+)
+def test_one_camera(board: Board, camera: Camera) -> None:
+    result = calibrated(board, camera)
+    assert_alike(result.rig.cam0, camera, board)
+    assert result.rig.cam1 is None
+    assert result.fit.adjusted.rms_px < 0.1
+
+
+@pytest.mark.parametrize(
+    ("board", "camera"), [(CHESSBOARD, RADTAN), (CHARUCO, FISHEYE)], ids=["chessboard", "charuco"]
+)
+def test_a_pair(board: Board, camera: Camera) -> None:
+    right = replace(camera, fx=1.01 * camera.fx, cx=camera.cx - 4.0)
+    result = calibrated(board, camera, right)
+    assert_alike(result.rig.cam0, camera, board)
+    assert result.rig.cam1 is not None and result.rig.cam1_from_cam0 is not None
+    assert result.rig.cam1.fx == pytest.approx(right.fx, rel=0.002)
+    found = result.rig.cam1_from_cam0
+    length = np.linalg.norm(CAM1_FROM_CAM0[:3, 3])
+    assert np.linalg.norm(found[:3, 3]) == pytest.approx(length, rel=0.005)
+    error = inverse(CAM1_FROM_CAM0) @ found
+    assert np.rad2deg(rotation_angle(error[:3, :3])) < 0.05
+    assert max(miss for _, miss in result.epipolar_px) < 0.2
+
+
+def test_standard_deviations_hold_the_errors() -> None:
+    result = calibrated(CHESSBOARD, FISHEYE, count=16, model="equidistant")
+    known, sigmas = result.fit.adjusted.unknowns, result.fit.adjusted.sigmas
+    true = np.array([FISHEYE.fx, FISHEYE.fy, FISHEYE.cx, FISHEYE.cy, *FISHEYE.distortion])
+    assert np.all(np.abs(known.intrinsics[0] - true) < 6.0 * sigmas.intrinsics[0])
+    assert np.all(sigmas.intrinsics[0][:2] < 0.1)
+
+
+def test_a_view_that_does_not_fit_is_left_out() -> None:
+    poses = poses_around(CHARUCO, RADTAN, 16)
+    frames = recorded(CHARUCO, [RADTAN], poses)
+    # A frame from another camera: the same scene a tenth larger along one axis.
+    stretched = np.repeat(frames[5].image0, 2, axis=1)[:, : 2 * SIZE[0] : 2]
+    bent = np.roll(stretched, 1, axis=0)
+    bent[:, SIZE[0] // 2 :] = np.roll(bent[:, SIZE[0] // 2 :], 3, axis=0)
+    frames[5] = replace(frames[5], image0=bent)
+    result = calibrate(CHARUCO, survey(CHARUCO, frames, 1, 2), SIZE, "radtan")
+    assert 5 in {frame for frame, _ in result.fit.dropped}
+    assert result.rig.cam0.fx == pytest.approx(RADTAN.fx, rel=0.004)
+
+
+def test_a_board_that_always_faces_the_camera_is_warned_of() -> None:
+    poses = [make_transform(np.eye(3), np.array([-0.12, -0.09, 0.3 + 0.03 * i])) for i in range(8)]
+    result = calibrate(CHARUCO, survey(CHARUCO, recorded(CHARUCO, [RADTAN], poses), 1, 2), SIZE)
+    lines = warnings_of(result)
+    assert any("views; 15 to 40" in line for line in lines)
+    assert any("focal length is poorly determined" in line for line in lines)
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
+    frames = recorded(CHARUCO, [RADTAN], poses_around(CHARUCO, RADTAN, 6))
+    first, second = (
+        calibrate(CHARUCO, survey(CHARUCO, frames, 1, threads), SIZE, "radtan")
+        for threads in (1, 3)
+    )
+    assert first.rig.cam0 == second.rig.cam0
