@@ -144,6 +144,15 @@ def test_it_shows_what_there_is_without_calibration(walk: Path) -> None:
     assert report.command.endswith("--calibration camera.yaml")
 
 
+def test_a_table_that_goes_back_in_time_is_named_with_its_line(walk: Path) -> None:
+    table = walk / "mav0" / "cam0" / "data.csv"
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join([*lines[:5], lines[4], *lines[5:]]))
+    report = report_of(walk)
+    assert "data.csv:6" in finding(report, "does not come after").what
+    assert "--calibration" not in report.command
+
+
 @pytest.fixture
 def three_cameras(tmp_path: Path) -> Path:
     """A log of which nobody can tell the pair."""

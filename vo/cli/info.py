@@ -61,6 +61,8 @@ def info_command(
             source, format=format, calibration=calibration, mode=mode.value, topics=topic or ()
         )
         report = inspect(material, None if all_images else DEFAULT_IMAGES)
+        if not material.cameras:
+            contact_sheet = None  # the report says why there is nothing to draw
         if contact_sheet is not None:
             from vo.inspection.sheet import write_sheet
 

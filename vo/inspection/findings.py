@@ -172,6 +172,8 @@ def _command(report: Report, material: Material) -> str:
     if not material.is_decided and len(report.cameras) > 1:
         words += ["--topic", f"left={report.cameras[0].name}"]
         words += ["--topic", f"right={report.cameras[1].name}"]
+    if not report.cameras:  # what is wrong comes first
+        return shlex.join(words)
     if material.rig is None:
         words += ["--calibration", "camera.yaml"]
     elif _pair_is_wrong(report, material.rig):
