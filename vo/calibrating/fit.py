@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vo.calibrating.adjustment import Adjusted, Sight, Unknowns, adjust, rms
-from vo.calibrating.projection import LENSES, Lens
+from vo.calibrating.projection import Lens
 from vo.calibrating.start import first_cam1_from_cam0, first_intrinsics, first_pose
 from vo.errors import CalibrationError
 from vo.types import Floats
-
-_log = logging.getLogger(__name__)
 
 FEWEST_VIEWS = 3
 _ROUNDS = 5
@@ -90,7 +87,6 @@ def fit_pair(left: Fit, right: Fit, points: Floats, size: tuple[int, int]) -> Fi
         CalibrationError: no view is seen by both.
     """
     frames = sorted({*left.frames, *right.frames})
-    number = {frame: i for i, frame in enumerate(frames)}
     poses = [_poses_by_frame(fit) for fit in (left, right)]
     both = [frame for frame in frames if frame in poses[0] and frame in poses[1]]
     if len(both) < FEWEST_VIEWS:
@@ -230,6 +226,3 @@ def _from_simpler(lens: Lens, fits: Sequence[Fit]) -> Floats | None:
 
 def _poses_by_frame(fit: Fit) -> dict[int, Floats]:
     return dict(zip(fit.frames, fit.adjusted.unknowns.poses, strict=True))
-
-
-LENSES_BY_NAME = {lens.name: lens for lens in LENSES}
