@@ -67,6 +67,7 @@ def summary_of(
     poses: PlacedFrames,
     skipped: Sequence[Skipped] = (),
     mode: str = "stereo",
+    offset_px: float = 0.0,
 ) -> Summary:
     account = Account()
     for each in estimates:
@@ -81,6 +82,7 @@ def summary_of(
         skipped=skipped,
         unpaired=0,
         wall_s=2.0,
+        disparity_offset_px=offset_px,
     )
 
 
@@ -137,6 +139,14 @@ def test_warns_of_what_a_reader_must_know() -> None:
     none = summary_of([estimate(0, State.STARTING, "3 matches")], placed([]))
     assert none.warnings == ("no frame was tracked (3 matches)",)
     assert summary_of([estimate(0)], placed([0])).warnings == ()
+
+
+def test_an_offset_of_many_pixels_is_called_a_wrong_calibration() -> None:
+    (slight,) = summary_of([estimate(0)], placed([0]), offset_px=-0.26).warnings
+    assert "-0.26 px and have been corrected" in slight
+    (wrong,) = summary_of([estimate(0)], placed([0]), offset_px=13.8).warnings
+    assert "calibration is wrong" in wrong
+    assert "corrected" not in wrong
 
 
 def test_landmarks_are_counted_once() -> None:

@@ -19,6 +19,7 @@ Status = Literal["finished", "interrupted", "failed"]
 SCHEMA_VERSION = 1
 
 _WORTH_TELLING_PX = 0.05
+_BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
 
@@ -223,10 +224,7 @@ def _warnings(summary: Summary) -> list[str]:
     if summary.tracked and (summary.median_inliers or 0.0) < _FEW_INLIERS:
         warnings.append(f"poor tracking: median of {summary.median_inliers or 0:.0f} inliers")
     if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX:
-        warnings.append(
-            f"all disparities were off by {summary.disparity_offset_px:+.2f} px and have been "
-            "corrected: the stereo calibration is slightly wrong"
-        )
+        warnings.append(_of_offset(summary.disparity_offset_px))
     if len(summary.segments) > 1:
         warnings.append(f"{len(summary.segments)} segments, each in a world of its own")
     if summary.facts.mode == "mono" and summary.tracked:
@@ -234,3 +232,15 @@ def _warnings(summary: Summary) -> list[str]:
             "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
         )
     return warnings
+
+
+def _of_offset(offset_px: float) -> str:
+    if abs(offset_px) < _BEYOND_TRUST_PX:
+        return (
+            f"all disparities were off by {offset_px:+.2f} px and have been corrected: the stereo "
+            "calibration is slightly wrong"
+        )
+    return (
+        f"all disparities seem to be off by {offset_px:+.2f} px: the stereo calibration is wrong, "
+        "and so are all lengths; check focal length, baseline and image size (vo info shows them)"
+    )
