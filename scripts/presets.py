@@ -20,15 +20,13 @@ FOLDER = Path(__file__).resolve().parent.parent / "configs"
 TITLES = {
     "default": "What `vo run` does unless told otherwise. A file of your own needs only the\n"
     "# keys that it changes: `vo run … --config mine.yaml`.",
-    "fast": "For speed: fewer features, pyramid levels and landmarks, a smaller window.",
+    "fast": "For speed: fewer features and landmarks, a smaller window.",
     "accurate": "For accuracy: more features and landmarks, a larger window.",
 }
 CHANGES: dict[str, dict[str, Any]] = {
     "default": {},
     "fast": {
         "features.count": 600,
-        "features.levels": 4,
-        "features.scale_factor": 1.44,
         "tracking.max_landmarks": 400,
         "mapping.new_per_keyframe": 250,
         "mapping.look_back": 3,

@@ -27,8 +27,8 @@ class FeaturesConfig(Section):
     """ORB features, spread over the image by a grid."""
 
     count: int = Field(1500, ge=50, le=20000, description="features per image")
-    levels: int = Field(8, ge=1, le=16, description="pyramid levels")
-    scale_factor: float = Field(1.2, gt=1.0, le=2.0, description="size ratio between two levels")
+    levels: int = Field(4, ge=1, le=16, description="pyramid levels")
+    scale_factor: float = Field(1.44, gt=1.0, le=2.0, description="size ratio between two levels")
     threshold: int = Field(20, ge=1, le=200, description="least corner contrast in grey levels")
     low_threshold: int = Field(7, ge=1, le=200, description="the same where a cell has no corner")
 
