@@ -19,7 +19,15 @@ from statistics import median_low
 from typing import Any
 
 import cv2
-from benchmark_table import CASES, Case, document, generator_document, suite_cases, suite_document
+from benchmark_table import (
+    CASES,
+    Case,
+    document,
+    generator_document,
+    reading_document,
+    suite_cases,
+    suite_document,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
@@ -57,6 +65,14 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, dict[st
 
         report = {**_circumstances(options), "results": measure_generator(_say)}
         return "generator", generator_document(report), report
+    if options.reading:
+        from benchmark_reading import measure_reading, measure_recording
+
+        sequences = (options.data / "kitti06_stereo_000-050", options.data / "rendered_hall_stereo")
+        recording = [r for s in sequences if s.is_dir() for r in measure_recording(s, _say)]
+        reading = measure_reading(options.cache, _say)
+        report = {**_circumstances(options), "reading": reading, "recording": recording}
+        return "reading", reading_document(report), report
     cases = _suite(options) if options.synth else [(c, options.data / c.folder) for c in CASES]
     report = _measure(_chosen(cases, options), options, work)
     known = {case.name: case for case, _ in cases}
@@ -77,6 +93,7 @@ def _options() -> argparse.Namespace:
     add = parser.add_argument
     add("--synth", action="store_true", help="the synthetic suite instead of real recordings")
     add("--generator", action="store_true", help="how fast synthetic recordings are made")
+    add("--reading", action="store_true", help="how fast recordings are read, what an .rrd costs")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="where these are kept")
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
     add(

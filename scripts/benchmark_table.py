@@ -229,6 +229,33 @@ def generator_document(report: dict[str, Any]) -> str:
     ])  # fmt: skip
 
 
+def reading_document(report: dict[str, Any]) -> str:
+    """The section on reading, and on what an .rrd costs, as Markdown."""
+    head = ["recording", "stereo frames/s", "CPU, ms/frame", "MB for 100 frames"]
+    rows = [
+        [r["name"], number(r["fps"], 0), number(r["cpu_ms"], 1), number(r["mb"], 0)]
+        for r in report["reading"]
+    ]
+    plain = {r["sequence"]: r["wall_ms"] for r in report["recording"] if not r["kb"]}
+    costs = [
+        [r["sequence"], r["name"], number(r["wall_ms"], 1),
+         number(100.0 * (r["wall_ms"] / plain[r["sequence"]] - 1.0), 0) if r["kb"] else "–",
+         number(r["kb"], 0) if r["kb"] else "–"]
+        for r in report["recording"]
+    ]  # fmt: skip
+    return "\n".join([
+        f"Made by `scripts/benchmark --reading --write`. {report['date']}, {report['machine']}; "
+        f"{report['versions']}. Medians of 5. Reading alone, 752 x 480, 100 stereo frames with "
+        "noise, from the disk's cache:",
+        "",
+        *table(head, rows),
+        "",
+        "`vo run` with and without `--rrd`; wall time of the run without start-up:",
+        "",
+        *table(["sequence", "recording", "wall, ms/frame", "cost, %", "kB/frame"], costs),
+    ])  # fmt: skip
+
+
 def _circumstances(report: dict[str, Any]) -> str:
     chosen = f"of {report['runs']} runs each the one with the median wall time"
     chosen = "one run each" if report["runs"] == 1 else chosen

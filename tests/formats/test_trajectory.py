@@ -140,7 +140,7 @@ def test_repeated_stamps_keep_the_first(tmp_path: Path, caplog: pytest.LogCaptur
         (TUM + "2.5 1 2 3 0 0 0 0\n", r"path\.txt:2: the quaternion is zero"),
         (TUM + "1.25 1 2 3 0 0 0 1\n", r"path\.txt:2: stamp goes back by 0\.25 s"),
         ("soon 1 2 3 0 0 0 1\n", r"path\.txt:1: 'soon' is not a number of seconds"),
-        ("nan 1 2 3 0 0 0 1\n", r"path\.txt:1: stamp nan is out of range"),
+        ("nan 1 2 3 0 0 0 1\n", r"path\.txt:1: nan is out of range for seconds"),
         ("1e99999999 1 2 3 0 0 0 1\n", "out of range"),
         ("1600000000000000000 1 2 3 0 0 0 1\n", "out of range"),
         ("1 2 3\n", r"path\.txt:1: 3 columns are no trajectory"),

@@ -1,0 +1,93 @@
+"""How fast recordings are read, by container and codec, and what recording a run costs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from data_synth.cache import cached_sequence
+from data_synth.recipe import load_recipe
+
+VO = Path(sys.executable).with_name("vo")
+FRAMES = 100
+RUNS = 5
+KINDS = {
+    "EuRoC folder, PNG": ("euroc", "png"),
+    "EuRoC folder, JPEG": ("euroc", "jpeg"),
+    "MCAP (Foxglove), raw": ("mcap", "raw"),
+    "MCAP (Foxglove), PNG": ("mcap", "png"),
+    "MCAP (Foxglove), JPEG": ("mcap", "jpeg"),
+    "MCAP (ROS 2), raw": ("mcap-ros2", "raw"),
+    "MCAP (ROS 2), PNG": ("mcap-ros2", "png"),
+}
+
+# In a process of its own, so that nothing of the file is in its memory before.
+_PROGRAM = """
+import json, sys, time
+from vo.sources.registry import open_source
+open_source(sys.argv[1])  # imports
+wall, cpu = time.perf_counter(), time.process_time()
+count = sum(1 for _ in open_source(sys.argv[1]).frames())
+wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+print(json.dumps({"fps": count / wall, "cpu_ms": 1e3 * cpu / count, "frames": count}))
+"""
+
+
+def measure_reading(cache: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Stereo frames per second of reading alone, and CPU time by frame, at 752 x 480."""
+    recipe = load_recipe(None, [f"seconds={FRAMES / 20}"])
+    original = cached_sequence(recipe, cache, "reading")
+    results = []
+    with tempfile.TemporaryDirectory(prefix="vo-reading-") as folder:
+        for name, (layout, codec) in KINDS.items():
+            made = Path(folder) / (f"{layout}-{codec}" + (".mcap" if "mcap" in layout else ""))
+            _vo("convert", original, made, "--format", layout, "--codec", codec, "--quiet")
+            runs = [_read(made) for _ in range(RUNS)]
+            best = sorted(runs, key=lambda run: run["fps"])[RUNS // 2]
+            size = sum(p.stat().st_size for p in [made, *made.rglob("*")] if p.is_file())
+            results.append({"name": name, **best, "mb": size / 1e6})
+            say(f"{name}: {best['fps']:.0f} stereo frames/s")
+    return results
+
+
+def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Wall time of `vo run` without and with an .rrd, and the file's size by frame."""
+    results = []
+    with tempfile.TemporaryDirectory(prefix="vo-recording-") as name:
+        rrd = Path(name) / "run.rrd"
+        variants = {"no recording": []} | {
+            f"--rrd-images {images}": ["--rrd", str(rrd), "--rrd-images", images]
+            for images in ("none", "half", "full")
+        }
+        summaries: dict[str, list[dict[str, Any]]] = {each: [] for each in variants}
+        for _ in range(RUNS):  # in turn, so that a slow minute hits all of them
+            for each, more in variants.items():
+                _vo("run", sequence, "--output", Path(name) / "out", "--quiet", *more)
+                text = (Path(name) / "out" / "summary.json").read_text(encoding="utf-8")
+                size = rrd.stat().st_size if more else 0
+                summaries[each].append({**json.loads(text), "size": size})
+        for each, runs in summaries.items():
+            frames = runs[0]["frames"]
+            wall_ms = 1e3 * median(run["wall_s"] for run in runs) / frames
+            kb = runs[0]["size"] / frames / 1e3
+            results.append({"sequence": sequence.name, "name": each, "wall_ms": wall_ms, "kb": kb})
+            say(f"{sequence.name}, {each}: {wall_ms:.1f} ms a frame, {kb:.0f} kB a frame")
+    return results
+
+
+def _read(recording: Path) -> dict[str, Any]:
+    command = [sys.executable, "-c", _PROGRAM, str(recording)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+def _vo(*arguments: str | Path) -> None:
+    command = [str(VO), *map(str, arguments)]
+    subprocess.run(command, capture_output=True, text=True, check=True)
