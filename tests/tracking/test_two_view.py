@@ -5,7 +5,7 @@ import pytest
 
 from vo.config import StartConfig
 from vo.geometry.transforms import rotation_angle, se3_exp, transform_points
-from vo.tracking.two_view import TwoView, start_two_view
+from vo.tracking.two_view import TwoView, _trial, start_two_view
 from vo.types import Floats
 
 MATRIX = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
@@ -150,3 +150,12 @@ def test_matches_without_any_sense_make_no_map() -> None:
     rng = np.random.default_rng(0)
     first, second = rng.uniform((0, 0), (640, 480), (2, 300, 2))
     assert isinstance(start_two_view(first, second, MATRIX, CONFIG), str)
+
+
+def test_matches_with_parallel_rays_make_no_point_and_no_warning() -> None:
+    pixels = _project(_room(20))
+    moved = pixels.copy()
+    moved[1:] -= [7.0, 0.0]
+    motion = se3_exp(np.array([0.0, 0.0, 0.0, -0.1, 0.0, 0.0]))
+    _, good, _ = _trial(motion, np.ones(20, np.bool_), pixels, moved, MATRIX, CONFIG)
+    assert good.tolist() == [False, *[True] * 19]

@@ -105,8 +105,8 @@ def _trial(
     focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
     points, angle = triangulate(motion, (first - centre) / focal, (second - centre) / focal)
     good = inlier & in_front(points, motion)
-    moved = points @ motion[:3, :3].T + motion[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # points of parallel rays are infinite
+        moved = points @ motion[:3, :3].T + motion[:3, 3]
         error_first = points[:, :2] / points[:, 2:] * focal + centre - first
         error_second = moved[:, :2] / moved[:, 2:] * focal + centre - second
         close = np.maximum(np.sum(error_first**2, axis=1), np.sum(error_second**2, axis=1))
