@@ -1,0 +1,64 @@
+"""Ctrl-C at any moment of the program `vo`: while it loads, while it works, while it ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+VO = Path(sys.executable).with_name("vo")
+
+# Read by Python as it starts: presses Ctrl-C when a module is first asked for, or at the very end.
+AS_IT_LOADS = """
+import os, signal, sys
+
+class Presser:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Presser())
+"""
+AS_IT_ENDS = "import atexit, os, signal\natexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+
+
+def vo(folder: Path, start: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    (folder / "sitecustomize.py").write_text(start, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    command = [VO, *words]
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.parametrize("name", ["vo.cli.app", "typer", "vo.cli.synth"])
+def test_ctrl_c_while_the_commands_are_loaded_gives_no_traceback(tmp_path: Path, name: str) -> None:
+    result = vo(tmp_path, AS_IT_LOADS.format(name=name), "--help")
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("name", ["numba", "cv2", "vo.run", "vo.smoothing.smoother"])
+def test_ctrl_c_while_a_run_is_loaded_gives_one_line(tmp_path: Path, name: str) -> None:
+    result = vo(tmp_path, AS_IT_LOADS.format(name=name), "run", tmp_path, "-o", tmp_path / "out")
+    assert result.returncode == 130
+    assert result.stderr == "interrupted before the first frame; nothing was written\n"
+
+
+@pytest.mark.parametrize("command", ["info", "eval", "report", "convert"])
+def test_ctrl_c_while_another_command_is_loaded_gives_one_line_at_most(
+    tmp_path: Path, command: str
+) -> None:
+    second = [tmp_path / "out"] if command in ("eval", "convert") else []
+    result = vo(tmp_path, AS_IT_LOADS.format(name="numpy"), command, tmp_path, *second)
+    assert result.returncode == 130, result.stderr
+    assert len(result.stderr.splitlines()) <= 1
+
+
+def test_ctrl_c_after_the_last_line_changes_nothing(tmp_path: Path) -> None:
+    result = vo(tmp_path, AS_IT_ENDS, "--version")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.startswith("vo ")

@@ -1,0 +1,32 @@
+"""Where the program `vo` begins and ends: Ctrl-C is answered there too, and with no traceback."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+from types import FrameType
+
+_INTERRUPTED = 128 + signal.SIGINT
+
+
+def main() -> None:
+    """Load the command line and hand over to it."""
+    answers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if answers:
+        # While modules are loaded, an exception could be swallowed or turned into another one.
+        signal.signal(signal.SIGINT, _leave)
+    from vo.cli.app import app
+
+    if answers:
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # all is done by then
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        app()
+    except KeyboardInterrupt:  # before a command began, or after it
+        _leave(signal.SIGINT, None)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """End at once: nothing has been begun that would have to be tidied up."""
+    os._exit(_INTERRUPTED)
