@@ -349,20 +349,3 @@ class WindowProblem:
     xy: Floats
     disparity: Floats
     sigma_px: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class AdjustedWindow:
-    """Where the poses and points of a `WindowProblem` come to lie.
-
-    Attributes:
-        world_from_cam: (K, 4, 4) adjusted.
-        points: (M, 3) adjusted.
-        point_ok: (M,) False for points that were dropped as degenerate.
-        converged: False if nothing could be adjusted; all is then as it was given.
-    """
-
-    world_from_cam: Floats
-    points: Floats
-    point_ok: Bools
-    converged: bool

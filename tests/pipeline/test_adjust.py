@@ -12,7 +12,7 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import adjoint, inverse, se3_exp, se3_log, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import make_window, take_in
-from vo.smoothing.smoother import smooth
+from vo.smoothing.solution import smooth
 from vo.types import Floats, Ints, Keypoints
 
 WIDTH, HEIGHT = 64, 40  # of images that nothing looks at

@@ -8,7 +8,7 @@ from windows import Window, drive
 
 from vo.config import SmoothingConfig
 from vo.smoothing.disparity_offset import DisparityOffset
-from vo.smoothing.smoother import smooth
+from vo.smoothing.solution import smooth
 
 CONFIG = SmoothingConfig()
 

@@ -20,7 +20,7 @@ from vo.config import SmoothingConfig
 from vo.smoothing.covariance import propagated
 from vo.smoothing.information import OF_PATCHES, ErrorModel, pose_information
 from vo.smoothing.linearisation import linearise
-from vo.smoothing.smoother import smooth
+from vo.smoothing.solution import smooth
 from vo.smoothing.solution import WindowSolution
 from vo.types import Floats
 

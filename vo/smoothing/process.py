@@ -13,12 +13,10 @@ import threading
 import weakref
 from concurrent.futures import Future
 
-import numpy as np
-
 from vo.config import SmoothingConfig
 from vo.smoothing.messages import receive, send
-from vo.smoothing.solution import WindowSolution, complete
-from vo.types import AdjustedWindow, WindowProblem
+from vo.smoothing.solution import WindowSolution, unsolved
+from vo.types import WindowProblem
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +68,7 @@ class _Child:
         self._lock = threading.Lock()
         self._process = _start()
 
-    def adjust(self, problem: WindowProblem, config: SmoothingConfig) -> AdjustedWindow:
+    def adjust(self, problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
         """Have a window adjusted; left as it is if the process dies over it time and again."""
         for _ in range(_ATTEMPTS):
             try:
@@ -83,8 +81,7 @@ class _Child:
             return answer
         if not self._has_answered:
             raise RuntimeError("the smoother's process does not start; try with one thread")
-        nothing_ok = np.zeros(len(problem.points), dtype=bool)
-        return AdjustedWindow(problem.world_from_cam, problem.points, nothing_ok, False)
+        return unsolved(problem)
 
     def stop(self) -> None:
         """End it for good."""
@@ -92,11 +89,11 @@ class _Child:
             self._stopped = True
             _end(self._process)
 
-    def _exchange(self, problem: WindowProblem, config: SmoothingConfig) -> AdjustedWindow | str:
+    def _exchange(self, problem: WindowProblem, config: SmoothingConfig) -> WindowSolution | str:
         process = self._process
         assert process.stdin is not None and process.stdout is not None
         send(process.stdin, (problem, config))
-        answer: AdjustedWindow | str = receive(process.stdout)
+        answer: WindowSolution | str = receive(process.stdout)
         self._has_answered = True
         return answer
 
@@ -137,6 +134,6 @@ def _fulfil(
     answer: Future[WindowSolution],
 ) -> None:
     try:
-        answer.set_result(complete(problem, child.adjust(problem, config), config))
+        answer.set_result(child.adjust(problem, config))
     except BaseException as error:  # whoever waits for the answer gets it
         answer.set_exception(error)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from vo.config import SmoothingConfig
 from vo.smoothing.process import SmootherProcess
-from vo.smoothing.solution import WindowSolution, complete
+from vo.smoothing.solution import WindowSolution, smooth
 from vo.types import WindowProblem
 
 _log = logging.getLogger(__name__)
@@ -49,13 +49,6 @@ class SmootherHere:
 
     def close(self) -> None:
         """There is nothing to let go of."""
-
-
-def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
-    """Adjust a window in this process."""
-    from vo.smoothing.window import adjust_window  # GTSAM takes long to import
-
-    return complete(problem, adjust_window(problem, config), config)
 
 
 def make_smoother(config: SmoothingConfig, threads: int) -> Smoother:

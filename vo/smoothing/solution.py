@@ -12,7 +12,7 @@ from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.information import pose_information
 from vo.smoothing.linearisation import linearise
 from vo.smoothing.pose_system import pose_system
-from vo.types import AdjustedWindow, Bools, Floats, WindowProblem
+from vo.types import Bools, Floats, WindowProblem
 
 
 class WindowSolution(NamedTuple):
@@ -38,15 +38,15 @@ class WindowSolution(NamedTuple):
     converged: bool
 
 
-def complete(
-    problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
-) -> WindowSolution:
-    """Add information and disparity offset to an adjusted window."""
-    poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
+def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
+    """Adjust a window in this process, and tell what it then says."""
+    from vo.smoothing.window import adjust_window  # GTSAM takes long to import
+
+    adjusted = adjust_window(problem, config)
+    if adjusted is None:
+        return unsolved(problem)
+    poses, points, ok = adjusted
     held, scaled, sigmas = anchors(problem)
-    if not adjusted.converged:
-        nothing = np.zeros((6 * len(poses), 6 * len(poses)))
-        return WindowSolution(poses, held, nothing, points, ok, None, False)
     linear = linearise(problem, poses, points, ok, config)
     information = pose_information(linear, config.covariance_scale)
     if scaled is not None:
@@ -54,3 +54,11 @@ def complete(
         information[rows, rows] += sigmas**-2.0
     offset = disparity_offset(pose_system(linear)) if problem.baseline_m > 0.0 else None
     return WindowSolution(poses, held, information, points, ok, offset, True)
+
+
+def unsolved(problem: WindowProblem) -> WindowSolution:
+    """A window that is left as it was given, and says nothing."""
+    poses, points = problem.world_from_cam, problem.points
+    nothing = np.zeros((6 * len(poses), 6 * len(poses)))
+    ok = np.ones(len(points), dtype=bool)
+    return WindowSolution(poses, anchors(problem).held, nothing, points, ok, None, False)

@@ -8,8 +8,7 @@ import traceback
 from typing import IO
 
 from vo.smoothing.messages import receive, send
-from vo.smoothing.window import adjust_window
-from vo.types import AdjustedWindow
+from vo.smoothing.solution import WindowSolution, smooth
 
 
 def main() -> None:
@@ -33,9 +32,9 @@ def serve(questions: IO[bytes], answers: IO[bytes]) -> None:
     """
     while True:
         problem, config = receive(questions)
-        answer: AdjustedWindow | str
+        answer: WindowSolution | str
         try:
-            answer = adjust_window(problem, config)
+            answer = smooth(problem, config)
         except Exception:
             answer = traceback.format_exc()
         send(answers, answer)
