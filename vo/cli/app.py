@@ -29,6 +29,10 @@ class _Group(TyperGroup):
     So it does with what the system refuses, such as standard output on a full disk.
     """
 
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        _refuse_empty_words(args)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         _print_whatever_the_locale()
         try:
@@ -43,6 +47,18 @@ class _Group(TyperGroup):
             typer.echo(f"error: {where}: {error.strerror}", err=True)
             _give_up_stdout()
             raise typer.Exit(1) from error
+
+
+def _refuse_empty_words(words: list[str]) -> None:
+    """As a path an empty word would be the current folder, which nobody means by it."""
+    for number, word in enumerate(words):
+        name, equals, value = word.partition("=")
+        if word.strip() and not (equals and name.startswith("--") and not value.strip()):
+            continue
+        before = name if equals else words[number - 1] if number else ""
+        what = f"what follows {before}" if before.startswith("-") else "an argument"
+        typer.echo(f"error: {what} is empty; is a variable of the shell not set?", err=True)
+        raise typer.Exit(2)
 
 
 def _print_whatever_the_locale() -> None:
