@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from vo.cli.app import app
+
+CHOICES = ("mode", "rrd_images", "align", "board", "model")  # typer lists what there is to choose
+METAVAR = r"[A-Z][A-Z.=:,…|xN-]*"
 
 
 @pytest.mark.parametrize(
@@ -43,3 +48,16 @@ def test_an_empty_value_of_a_setting_is_left_to_the_settings(tmp_path: Path) -> 
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 1
     assert "features.count" in result.stderr
+
+
+COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_says_of_every_word_what_it_is(name: str) -> None:
+    command = get_command(app).commands[name]  # type: ignore[attr-defined]
+    for parameter in command.params:
+        assert parameter.help.endswith("."), parameter.name
+        choice_or_flag = getattr(parameter, "is_flag", False) or parameter.name in CHOICES
+        if not choice_or_flag:
+            assert re.fullmatch(METAVAR, parameter.metavar or ""), parameter.name

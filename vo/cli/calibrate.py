@@ -47,21 +47,27 @@ def calibrate_command(
         ),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="File for the calibration.")
+        Path, typer.Option("--output", "-o", metavar="FILE", help="File for the calibration.")
     ] = Path("calibration.yaml"),
     board: Annotated[BoardKind, typer.Option(help="Kind of the board.")] = BoardKind.CHESSBOARD,
     columns: Annotated[
-        int, typer.Option(help="Inner corners in a row: squares less one.", min=1)
+        int, typer.Option(metavar="N", help="Inner corners in a row: squares less one.", min=1)
     ] = 9,
     rows: Annotated[
-        int, typer.Option(help="Inner corners in a column: squares less one.", min=1)
+        int, typer.Option(metavar="N", help="Inner corners in a column: squares less one.", min=1)
     ] = 6,
-    square: Annotated[float, typer.Option(help="Side of a square in metres, measured.")] = 0.03,
+    square: Annotated[
+        float, typer.Option(metavar="METRES", help="Side of a square, measured.")
+    ] = 0.03,
     marker: Annotated[
         float | None,
-        typer.Option(help="Side of a ChArUco marker in metres.", show_default="0.75 squares"),
+        typer.Option(
+            metavar="METRES", help="Side of a ChArUco marker.", show_default="0.75 squares"
+        ),
     ] = None,
-    dictionary: Annotated[str, typer.Option(help="Dictionary of the ChArUco markers.")] = "4X4_50",
+    dictionary: Annotated[
+        str, typer.Option(metavar="NAME", help="Dictionary of the ChArUco markers.")
+    ] = "4X4_50",
     legacy: Annotated[
         bool, typer.Option("--legacy", help="A ChArUco board as made by OpenCV before 4.6.")
     ] = False,
@@ -73,35 +79,51 @@ def calibrate_command(
     ] = ModeChoice.AUTO,
     format: Annotated[
         str | None,
-        typer.Option(help="Format of the recording.", show_default="found out from its files"),
+        typer.Option(
+            metavar="FORMAT",
+            help="Of the recording, as for `vo run`.",
+            show_default="found out from its files",
+        ),
     ] = None,
     topic: Annotated[
         list[str] | None,
         typer.Option(
-            help="Topic of a log: left=/cam0/image and right=/cam1/image, or one name alone.",
-            show_default="found out",
+            metavar="TOPIC",
+            help="Camera of a log, as for `vo run`; may be given again.",
+            show_default="found out from the names",
         ),
     ] = None,
-    start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
+    start: Annotated[
+        int, typer.Option(min=0, metavar="N", help="First frame, counted from 0.")
+    ] = 0,
     end: Annotated[
-        int | None, typer.Option(min=0, help="Frame to stop before.", show_default="the last")
+        int | None,
+        typer.Option(min=0, metavar="N", help="Frame to stop before.", show_default="the last"),
     ] = None,
     look_at: Annotated[
-        int, typer.Option(min=1, help="Most frames to look for the board in, evenly spread.")
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Most frames to look for the board in, evenly spread."
+        ),
     ] = 400,
     views: Annotated[
-        int, typer.Option(min=3, help="Most views to calibrate with, the most different.")
+        int,
+        typer.Option(min=3, metavar="N", help="Most views to calibrate with, the most different."),
     ] = 60,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Draw coverage, residuals and errors: .png, .pdf or .svg."),
+        typer.Option(
+            metavar="FILE", help="Draw coverage, residuals and errors: .png, .pdf or .svg."
+        ),
     ] = None,
     json_output: Annotated[
         bool, typer.Option("--json", help="Print JSON for machines instead of a table.")
     ] = False,
     print_board: Annotated[
         Path | None,
-        typer.Option(help="Write the board for printing, in true size: .pdf, .png or .svg."),
+        typer.Option(
+            metavar="FILE", help="Write the board for printing, in true size: .pdf, .png or .svg."
+        ),
     ] = None,
 ) -> None:
     """Calibrate one camera or two from a recording of a chessboard or ChArUco board.

@@ -19,23 +19,31 @@ if TYPE_CHECKING:
 
 
 def convert_command(
-    source: Annotated[Path, typer.Argument(help="Recording: anything that `vo run` takes.")],
-    output: Annotated[Path, typer.Argument(help="Folder to make, or a file that ends in .mcap.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Anything that `vo run` takes.")
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUTPUT", help="Folder to make, or a file that ends in .mcap.")
+    ],
     format: Annotated[
         str | None,
         typer.Option(
+            metavar="FORMAT",
             help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
             show_default="mcap for .mcap, else euroc",
         ),
     ] = None,
     codec: Annotated[
-        str, typer.Option(help="Of the images: png, jpeg (loses), or raw in MCAP.")
+        str, typer.Option(metavar="CODEC", help="Of the images: png, jpeg (loses), or raw in MCAP.")
     ] = "png",
-    start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
+    start: Annotated[
+        int, typer.Option(min=0, metavar="N", help="First frame, counted from 0.")
+    ] = 0,
     end: Annotated[
-        int | None, typer.Option(min=0, help="Frame to stop before.", show_default="the last")
+        int | None,
+        typer.Option(min=0, metavar="N", help="Frame to stop before.", show_default="the last"),
     ] = None,
-    stride: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1,
+    stride: Annotated[int, typer.Option(min=1, metavar="N", help="Take every N-th frame.")] = 1,
     resize: Annotated[
         str | None,
         typer.Option(
@@ -47,15 +55,24 @@ def convert_command(
         ModeChoice, typer.Option(help="mono leaves the right camera out.")
     ] = ModeChoice.AUTO,
     calibration: Annotated[
-        Path | None, typer.Option(help="Calibration file instead of the recording's own.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Calibration instead of the recording's own."),
     ] = None,
     source_format: Annotated[
         str | None,
-        typer.Option(help="Format of the recording.", show_default="found out from its files"),
+        typer.Option(
+            metavar="FORMAT",
+            help="Of the recording, as --format of `vo run`.",
+            show_default="found out from its files",
+        ),
     ] = None,
     topic: Annotated[
         list[str] | None,
-        typer.Option(help="Topic of a log, as for `vo run`.", show_default="found out"),
+        typer.Option(
+            metavar="TOPIC",
+            help="Camera of a log, as for `vo run`; may be given again.",
+            show_default="found out from the names",
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,

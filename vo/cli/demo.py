@@ -20,7 +20,13 @@ if TYPE_CHECKING:
 
 def demo_command(
     output: Annotated[
-        Path, typer.Option(help="Folder for the recording, which is kept, and the results.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Folder for the recording, which is kept, and the results.",
+        ),
     ] = Path("out/demo"),
 ) -> None:
     """Show the odometry at work on a synthetic stereo recording with exact truth.

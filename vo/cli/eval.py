@@ -42,7 +42,10 @@ def eval_command(
         ),
     ] = Align.AUTO,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Largest difference between stamps, in seconds.")
+        float,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="Largest difference between stamps that count as one."
+        ),
     ] = 0.01,
     interpolate: Annotated[
         bool,
@@ -53,12 +56,14 @@ def eval_command(
         ),
     ] = False,
     delta: Annotated[
-        int, typer.Option(min=1, help="Relative error over this many matched poses.")
+        int, typer.Option(min=1, metavar="N", help="Relative error over this many matched poses.")
     ] = 1,
     delta_m: Annotated[
         float | None,
         typer.Option(
-            help="Relative error over this many metres. Default: about a tenth of the path."
+            metavar="METRES",
+            help="Relative error over this many metres.",
+            show_default="about a tenth of the path",
         ),
     ] = None,
     all_segments: Annotated[

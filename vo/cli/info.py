@@ -12,11 +12,14 @@ from vo.cli.run import ModeChoice
 
 def info_command(
     source: Annotated[
-        Path, typer.Argument(help="Recording: anything that `vo run` takes, sound or not.")
+        Path,
+        typer.Argument(metavar="RECORDING", help="Anything that `vo run` takes, sound or not."),
     ],
     contact_sheet: Annotated[
         Path | None,
-        typer.Option(help="Draw images spread over the recording into this PNG file."),
+        typer.Option(
+            metavar="FILE", help="Draw images spread over the recording into this PNG file."
+        ),
     ] = None,
     json_output: Annotated[
         bool, typer.Option("--json", help="Print JSON for machines instead of text.")
@@ -25,18 +28,27 @@ def info_command(
         bool, typer.Option("--all", help="Look at every image, not at 24 of each camera.")
     ] = False,
     calibration: Annotated[
-        Path | None, typer.Option(help="Calibration file instead of the recording's own.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Calibration instead of the recording's own."),
     ] = None,
     format: Annotated[
         str | None,
-        typer.Option(help="Format of the recording.", show_default="found out from its files"),
+        typer.Option(
+            metavar="FORMAT",
+            help="Of the recording, as for `vo run`.",
+            show_default="found out from its files",
+        ),
     ] = None,
     topic: Annotated[
         list[str] | None,
-        typer.Option(help="Topic of a log, as for `vo run`.", show_default="found out"),
+        typer.Option(
+            metavar="TOPIC",
+            help="Camera of a log, as for `vo run`; may be given again.",
+            show_default="found out from the names",
+        ),
     ] = None,
     mode: Annotated[
-        ModeChoice, typer.Option(help="mono ignores the right camera.")
+        ModeChoice, typer.Option(help="mono ignores the right camera, stereo insists on it.")
     ] = ModeChoice.AUTO,
 ) -> None:
     """Show what a recording holds, what is wrong with it, and how to run it.

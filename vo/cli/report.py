@@ -27,7 +27,8 @@ def report_command(
     truth: Annotated[
         Path | None,
         typer.Option(
-            help="Ground truth: a trajectory file, or the folder of a recording that has one.",
+            metavar="TRUTH",
+            help="Ground truth file, or a recording that has one.",
             show_default="that of the recording, if it is still there",
         ),
     ] = None,

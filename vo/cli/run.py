@@ -139,7 +139,7 @@ def run_command(
         typer.Option(
             min=0,
             metavar="N",
-            help="Cores to work on, all by default; the result is the same with any number.",
+            help="Cores to work on, all by default (0); the result is the same with any number.",
             rich_help_panel=_ODOMETRY,
         ),
     ] = None,
@@ -219,10 +219,10 @@ def run_command(
     """Compute a camera's path from a recording.
 
     The folder gets trajectory.tum (smoothed), causal.tum (as known at
-    the time), covariance.csv, summary.json and config.yaml, in the place
-    of those of an earlier run. They are written as the run goes: Ctrl-C
-    keeps what was computed. Frames that cannot be placed are listed in
-    the summary, never made up.
+    the time), poses.csv, covariance.csv, frames.csv, summary.json and
+    config.yaml, in the place of those of an earlier run. They are written
+    as the run goes: Ctrl-C keeps what was computed. Frames that cannot be
+    placed are listed in the summary, never made up.
 
     A recording with two cameras, to be looked at with rerun:
 

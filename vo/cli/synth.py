@@ -30,22 +30,33 @@ Then: vo run out/street -o out/run; vo eval out/run out/street
 def synth_command(
     output: Annotated[
         Path | None,
-        typer.Argument(help="Folder to make, or a file for MCAP.", show_default=False),
+        typer.Argument(
+            metavar="OUTPUT", help="Folder to make, or a file for MCAP.", show_default=False
+        ),
     ] = None,
     preset: Annotated[
         str | None,
-        typer.Option(help="Where to start from: a preset (see --list) or a YAML file."),
+        typer.Option(
+            metavar="PRESET|FILE",
+            help="Where to start from: a preset (see --list) or a YAML file.",
+        ),
     ] = None,
     world: Annotated[
-        str | None, typer.Option(help="room, corridor, street, warehouse or terrain.")
+        str | None,
+        typer.Option(metavar="WORLD", help="room, corridor, street, warehouse or terrain."),
     ] = None,
     motion: Annotated[
         str | None,
-        typer.Option(help="car, robot, handheld, drone, rotate, stop_and_go or loop."),
+        typer.Option(
+            metavar="MOTION", help="car, robot, handheld, drone, rotate, stop_and_go or loop."
+        ),
     ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(help="Name of a camera (see --list), or a calibration file of your own."),
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Name of a camera (see --list), or a calibration file of your own.",
+        ),
     ] = None,
     mono: Annotated[
         bool | None, typer.Option("--mono/--stereo", help="One camera, or both.")
@@ -58,14 +69,23 @@ def synth_command(
             "perfect one, also as the first of the list.",
         ),
     ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Length.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second.")] = None,
-    seed: Annotated[int | None, typer.Option(help="The same seed gives the same bytes.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Length of the recording.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Frames per second.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="The same seed gives the same bytes.")
+    ] = None,
     format: Annotated[
         str | None,
-        typer.Option(help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2."),
+        typer.Option(
+            metavar="FORMAT", help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2."
+        ),
     ] = None,
-    codec: Annotated[str | None, typer.Option(help="png, jpeg or raw.")] = None,
+    codec: Annotated[
+        str | None,
+        typer.Option(metavar="CODEC", help="Of the images: png, jpeg (loses), or raw in MCAP."),
+    ] = None,
     depth: Annotated[
         bool | None, typer.Option("--depth/--no-depth", help="Write the true depth too.")
     ] = None,

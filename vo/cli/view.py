@@ -20,7 +20,7 @@ def view_command(
     recording: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORDING", help="An .rrd file, or the folder of a run that has one in it."
+            metavar="RUN", help="Folder of a run that was recorded with --rrd, or an .rrd file."
         ),
     ],
     web: Annotated[
@@ -28,14 +28,22 @@ def view_command(
     ] = False,
     port: Annotated[
         int,
-        typer.Option(min=0, max=65535, help="Of the web page.", show_default="a free one"),
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="PORT",
+            help="Where to serve the page.",
+            show_default="a free one",
+        ),
     ] = 0,
     bind: Annotated[
         str,
-        typer.Option(help="Address to serve on; 0.0.0.0 lets other machines see it."),
+        typer.Option(
+            metavar="ADDRESS", help="Address to serve on; 0.0.0.0 lets other machines see it."
+        ),
     ] = _LOCALHOST,
 ) -> None:
-    """Look at a recording in the rerun viewer.
+    """Look at a run in the rerun viewer.
 
     Record a run, and look at it:
 
