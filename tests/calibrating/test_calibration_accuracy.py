@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from board_images import poses_around, render
 
+from vo.calibrating.adjustment import Sight
 from vo.calibrating.advice import warnings_of
 from vo.calibrating.board import Board, make_board
 from vo.calibrating.calibrate import Result, calibrate
+from vo.calibrating.projection import LENSES
+from vo.calibrating.start import first_pose
 from vo.calibrating.survey import survey
 from vo.geometry.cameras import distort, normalise
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, so3_exp
@@ -142,3 +145,10 @@ def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
         for threads in (1, 3)
     )
     assert first.rig.cam0 == second.rig.cam0
+
+
+def test_a_single_row_of_corners_has_no_pose() -> None:
+    lens, intrinsics = LENSES[0], np.array([343.0, 342.0, 247.0, 186.0, 0.0, 0.0, 0.0, 0.0])
+    row = np.arange(7)
+    sight = Sight(0, 0, row, np.column_stack([100.0 + 30.0 * row, 50.0 + 0.2 * row**2]))
+    assert first_pose(lens, intrinsics, sight, CHARUCO.points, SIZE) is None

@@ -54,6 +54,8 @@ def first_pose(
     if np.count_nonzero(usable) < 6:
         return None
     known = points[sight.ids][usable]
+    if np.linalg.matrix_rank(known - known[0]) < 2:  # a single row or column has no pose
+        return None
     ok, turn, shift = cv2.solvePnP(known, rays[usable], np.eye(3), None)
     pose = np.concatenate([turn, shift]).ravel()
     return pose if ok and np.isfinite(pose).all() and pose[5] > 0 else None
