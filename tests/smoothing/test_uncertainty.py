@@ -20,8 +20,7 @@ from vo.config import SmoothingConfig
 from vo.smoothing.covariance import propagated
 from vo.smoothing.information import OF_PATCHES, ErrorModel, pose_information
 from vo.smoothing.linearisation import linearise
-from vo.smoothing.solution import smooth
-from vo.smoothing.solution import WindowSolution
+from vo.smoothing.solution import WindowSolution, smooth
 from vo.types import Floats
 
 KINDS = [pytest.param(False, 2, id="mono"), pytest.param(True, 1, id="stereo")]

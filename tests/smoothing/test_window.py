@@ -8,8 +8,7 @@ from windows import Window, covariance_given_held, drive
 
 from vo.config import SmoothingConfig
 from vo.smoothing.residuals import residuals
-from vo.smoothing.solution import smooth
-from vo.smoothing.solution import WindowSolution
+from vo.smoothing.solution import WindowSolution, smooth
 from vo.types import Floats, Ints, WindowProblem
 
 CONFIG = SmoothingConfig()
