@@ -79,12 +79,25 @@ def read_frames(log: Log, listed: Sequence[tuple[Topic, Sequence[Entry]]]) -> Fr
     tree = FrameTree()
     for topic, entries in listed:
         step = 1 if topic.name.endswith("_static") else max(1, len(entries) // _MOST_LOOKED_AT)
-        for entry in entries[::step]:
-            try:
-                message = topic.codec.decode(log.read(entry))
-            except VoError as error:
-                _log.warning("%s: a message is left out: %s", topic.name, error)
-                continue
-            if isinstance(message, TransformsMessage):
-                tree.add(message)
+        _add_transforms(tree, log, topic, entries[::step])
     return tree
+
+
+def _add_transforms(tree: FrameTree, log: Log, topic: Topic, entries: Sequence[Entry]) -> None:
+    lost = []
+    for entry in entries:
+        try:
+            message = topic.codec.decode(log.read(entry))
+        except VoError as error:
+            lost.append(error)
+            continue
+        if isinstance(message, TransformsMessage):
+            tree.add(message)
+    if lost:
+        _log.warning(
+            "%s: %d of the %d transforms looked at cannot be read and are left out; the first: %s",
+            topic.name,
+            len(lost),
+            len(entries),
+            lost[0],
+        )
