@@ -12,10 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vo.types import Bools, Bytes, Floats, Floats32, Ints, Rig, Trajectory
+from vo.types import Bools, Floats, Floats32, Ints, Rig, Trajectory
 
 GRAVITY_M_S2 = 9.81
+
+Pixels = NDArray[np.unsignedinteger]
+"""(H, W) grey or (H, W, 3) blue, green, red; uint8 or uint16. What is rendered is grey, uint8."""
+
+BODY = "body"
+"""Name of the frame whose poses are the truth."""
 
 
 @dataclass(frozen=True)
@@ -37,21 +44,23 @@ class ImuNoise:
 
 @dataclass(frozen=True, eq=False)
 class Imu:
-    """What the inertial sensor measured, in the body frame.
+    """What the inertial sensor measured, in its own frame.
 
     Attributes:
         stamps_ns: (N,).
         gyro: (N, 3) rad/s.
         accel: (N, 3) m/s², specific force: (0, 0, +9.81) at rest.
         rate_hz: samples per second.
-        noise: its noise.
+        noise: its noise; None where nobody knows.
+        frame: its name; `BODY`, or another of which nobody knows where on the body it is.
     """
 
     stamps_ns: Ints
     gyro: Floats
     accel: Floats
     rate_hz: float
-    noise: ImuNoise
+    noise: ImuNoise | None
+    frame: str = BODY
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +107,7 @@ class Recording:
         imu: the inertial sensor, or None.
         movers: what moves in the world.
         has_depth: whether shots bring the depth of cam0.
+        has_colour: whether their images are in colour.
     """
 
     name: str
@@ -111,6 +121,7 @@ class Recording:
     imu: Imu | None
     movers: tuple[MoverTruth, ...]
     has_depth: bool
+    has_colour: bool = False
 
     def __len__(self) -> int:
         return len(self.cam0_truth)
@@ -128,12 +139,12 @@ class Shot:
 
     Attributes:
         index: number of the frame, 0…F-1.
-        images: for each camera (H, W) uint8, or None where it was dropped.
+        images: for each camera, None where it was dropped.
         depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
     """
 
     index: int
-    images: tuple[Bytes | None, ...]
+    images: tuple[Pixels | None, ...]
     depth: Floats32 | None = None
 
 

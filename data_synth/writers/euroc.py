@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from data_synth.records import Imu, Recording, Shot
+from data_synth.records import BODY, Imu, Recording, Shot
 from data_synth.writers.image_files import SUFFIXES, write_images
 from data_synth.writers.tables import (
     write_imu,
@@ -101,16 +101,18 @@ def _camera_sensor(recording: Recording, number: int) -> dict[str, Any]:
 
 
 def _imu_sensor(imu: Imu) -> dict[str, Any]:
-    return {
-        "sensor_type": "imu",
-        "comment": "imu0",
-        "T_BS": _matrix(np.eye(4)),
-        "rate_hz": float(imu.rate_hz),
-        "gyroscope_noise_density": float(imu.noise.gyro_noise),
-        "gyroscope_random_walk": float(imu.noise.gyro_walk),
-        "accelerometer_noise_density": float(imu.noise.accel_noise),
-        "accelerometer_random_walk": float(imu.noise.accel_walk),
-    }
+    sensor: dict[str, Any] = {"sensor_type": "imu", "comment": "imu0"}
+    if imu.frame == BODY:
+        sensor["T_BS"] = _matrix(np.eye(4))
+    sensor["rate_hz"] = float(imu.rate_hz)
+    if imu.noise is not None:
+        sensor |= {
+            "gyroscope_noise_density": float(imu.noise.gyro_noise),
+            "gyroscope_random_walk": float(imu.noise.gyro_walk),
+            "accelerometer_noise_density": float(imu.noise.accel_noise),
+            "accelerometer_random_walk": float(imu.noise.accel_walk),
+        }
+    return sensor
 
 
 def _matrix(a_from_b: Floats) -> dict[str, Any]:

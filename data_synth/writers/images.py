@@ -8,9 +8,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
+import numpy as np
 
-from data_synth.records import Shot
-from vo.types import Bytes, Floats32
+from data_synth.records import Pixels, Shot
+from vo.types import Floats32
 
 FRAMES_AHEAD = 3
 """How many frames are in memory besides the one in use."""
@@ -33,23 +34,32 @@ class EncodedShot:
     Attributes:
         index: number of the frame, 0…F-1.
         data: for each camera the encoded image, or None where it was dropped.
+        pixel_formats: for each camera what raw pixels are called; empty where it was dropped.
         depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
         depth_data: the same as `encode_depth` gave it, or None.
     """
 
     index: int
     data: tuple[bytes | None, ...]
+    pixel_formats: tuple[str, ...]
     depth: Floats32 | None
     depth_data: bytes | None
+
+
+def pixel_format(image: Pixels | None) -> str:
+    """What ROS and Foxglove call the pixels of an image; empty where there is none."""
+    if image is None:
+        return ""
+    return f"{'mono' if image.ndim == 2 else 'bgr'}{8 if image.dtype == np.uint8 else 16}"
 
 
 EncodeDepth = Callable[[Floats32], bytes]
 
 
-def encode(image: Bytes, codec: str) -> bytes:
-    """An image (H, W) as a `png` or `jpeg` file, or `raw`: its pixels row by row."""
+def encode(image: Pixels, codec: str) -> bytes:
+    """An image as a `png` or `jpeg` file (8 bits), or `raw`: its pixels row by row."""
     if codec == "raw":
-        return image.tobytes()
+        return image.astype(image.dtype.newbyteorder("<"), copy=False).tobytes()
     if codec == "png":
         _, data = cv2.imencode(".png", image, _PNG)
     else:
@@ -92,6 +102,7 @@ class _Job:
         return EncodedShot(
             self.shot.index,
             tuple(None if image is None else image.result() for image in self.images),
+            tuple(map(pixel_format, self.shot.images)),
             self.shot.depth,
             None if self.depth is None else self.depth.result(),
         )

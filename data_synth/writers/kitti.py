@@ -19,6 +19,8 @@ from vo.types import Floats, Rig, Trajectory
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
     """Write `image_0`, `image_1`, `calib.txt`, `times.txt` and `poses.txt`.
 
+    Images in colour go to `image_2` and `image_3`, as KITTI has them.
+
     As KITTI has it, time begins with the first frame and the world is cam0 at that moment; both
     images of a pair have the time of cam0. Depth, if there is any, goes to `depth/` as float32
     TIFF, and what moves to `movers.csv`. There is no place for the inertial sensor.
@@ -29,8 +31,10 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     """
     check_kitti(recording.rig, any(dropped.any() for dropped in recording.dropped))
     recording = _from_first_frame(recording)
-    for camera in range(len(recording.stamps_ns)):
-        (path / f"image_{camera}").mkdir(parents=True)
+    first = 2 if recording.has_colour else 0
+    homes = [path / f"image_{first + camera}" for camera in range(len(recording.stamps_ns))]
+    for home in homes:
+        home.mkdir(parents=True)
     write_lines(path / "calib.txt", _calibration(recording.rig))
     write_lines(path / "times.txt", map(seconds_text, recording.stamps_ns[0].tolist()))
     poses = recording.cam0_truth.world_from_cam
@@ -42,7 +46,7 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     write_images(
         shots,
         codec,
-        lambda camera, index: path / f"image_{camera}" / f"{index:06d}{suffix}",
+        lambda camera, index: homes[camera] / f"{index:06d}{suffix}",
         lambda index: path / "depth" / f"{index:06d}.tiff",
     )
 
@@ -65,10 +69,10 @@ def _from_first_frame(recording: Recording) -> Recording:
 
 
 def _calibration(rig: Rig) -> Iterator[str]:
-    """P0…P3; the colour pair, that there is not, is that of the grey cameras."""
+    """P0…P3; grey and colour pair are the same, of which one is there."""
     left = np.hstack([rig.cam0.matrix, np.zeros((3, 1))])
     if rig.cam1_from_cam0 is None:
-        yield f"P0: {_row(left)}"
+        yield from (f"P{camera}: {_row(left)}" for camera in (0, 2))
         return
     right = rig.cam0.matrix @ rig.cam1_from_cam0[:3]
     right[:, :3] = rig.cam0.matrix

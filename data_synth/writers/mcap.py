@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
@@ -110,12 +111,7 @@ def _metadata(recording: Recording) -> dict[str, dict[str, str]]:
     }
     if recording.imu is None:
         return {"recording": about}
-    noise = recording.imu.noise
-    imu = {
-        "rate_hz": recording.imu.rate_hz,
-        "gyro_noise": noise.gyro_noise,
-        "gyro_walk": noise.gyro_walk,
-        "accel_noise": noise.accel_noise,
-        "accel_walk": noise.accel_walk,
-    }
+    imu = {"rate_hz": recording.imu.rate_hz}
+    if recording.imu.noise is not None:
+        imu |= asdict(recording.imu.noise)
     return {"recording": about, "imu0": {name: repr(float(value)) for name, value in imu.items()}}

@@ -102,12 +102,13 @@ def _body_poses(recording: Recording) -> _Stream:
 
 def _samples(imu: Imu) -> _Stream:
     # White noise of density n, sampled at rate r, has variance n² r.
-    gyro_variance = imu.noise.gyro_noise**2 * imu.rate_hz
-    accel_variance = imu.noise.accel_noise**2 * imu.rate_hz
+    noise = imu.noise
+    gyro_variance = 0.0 if noise is None else noise.gyro_noise**2 * imu.rate_hz
+    accel_variance = 0.0 if noise is None else noise.accel_noise**2 * imu.rate_hz
 
     def say(i: int) -> Iterator[OnTopic]:
         stamp, gyro, accel = int(imu.stamps_ns[i]), imu.gyro[i], imu.accel[i]
-        yield "/imu0", ImuMessage(stamp, "body", gyro, accel, gyro_variance, accel_variance)
+        yield "/imu0", ImuMessage(stamp, imu.frame, gyro, accel, gyro_variance, accel_variance)
 
     return _Stream(imu.stamps_ns, say)
 
@@ -166,7 +167,7 @@ def _camera(
         data = shot.data[number]
         assert data is not None, f"frame {shot.index} of {frame} is missing, but was not dropped"
         yield f"/{frame}/camera_info", CalibrationMessage(stamp, frame, camera, *rectified)
-        yield _image(stamp, frame, camera, data, codec)
+        yield _image(stamp, frame, camera, data, codec, shot.pixel_formats[number])
         if number == 0 and shot.depth is not None:
             size, depth = (camera.width, camera.height), shot.depth.astype("<f4").tobytes()
             yield f"/{frame}/depth", ImageMessage(stamp, frame, *size, "32FC1", depth)
@@ -174,10 +175,13 @@ def _camera(
     return _Stream(stamps, say)
 
 
-def _image(stamp_ns: int, frame: str, camera: Camera, data: bytes, codec: str) -> OnTopic:
+def _image(
+    stamp_ns: int, frame: str, camera: Camera, data: bytes, codec: str, pixel_format: str
+) -> OnTopic:
     topic = f"/{frame}/image_raw"
     if codec == "raw":
-        return topic, ImageMessage(stamp_ns, frame, camera.width, camera.height, "mono8", data)
+        size = (camera.width, camera.height)
+        return topic, ImageMessage(stamp_ns, frame, *size, pixel_format, data)
     message = CompressedImageMessage(stamp_ns, frame, _IMAGE_FORMATS[codec], data)
     return f"{topic}/compressed", message
 

@@ -97,7 +97,8 @@ def _state_lines(truth: BodyTruth) -> Iterator[str]:
 def _imu_lines(imu: Imu) -> Iterator[str]:
     yield _IMU_HEADING
     for stamp, gyro, accel in zip(imu.stamps_ns.tolist(), imu.gyro, imu.accel, strict=True):
-        yield f"{stamp},{numbers_text([*gyro, *accel])}"
+        numbers = [float(value) for value in (*gyro, *accel)]
+        yield f"{stamp},{','.join(map(repr, numbers))}"
 
 
 def _mover_lines(recording: Recording) -> Iterator[str]:

@@ -39,7 +39,8 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
         (path / name).mkdir(parents=True)
     stamps = [seconds_text(stamp) for stamp in recording.stamps_ns[0].tolist()]
     suffix = SUFFIXES[codec]
-    _write_list(path / "rgb.txt", "rgb images (grey)", recording, "rgb", suffix)
+    title = "rgb images" if recording.has_colour else "rgb images (grey)"
+    _write_list(path / "rgb.txt", title, recording, "rgb", suffix)
     _write_list(path / "depth.txt", "depth images, 5000 a metre", recording, "depth", ".png")
     write_lines(path / "groundtruth.txt", _truth_lines(recording))
     write_tum(path / "groundtruth.tum", written_truth(recording))

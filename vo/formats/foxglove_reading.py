@@ -1,4 +1,4 @@
-"""Reads Foxglove's messages, in protobuf and in JSON."""
+"""Reads Foxglove's messages, in protobuf and in JSON, and our own for inertial sensors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from vo.errors import SourceError
 from vo.formats.camera_messages import RawCalibration, calibration_message
-from vo.formats.message_poses import rigid_transform
+from vo.formats.foxglove import imu_class
+from vo.formats.message_poses import rigid_transform, vector3
 from vo.formats.messages import (
     CalibrationMessage,
     Codec,
@@ -29,6 +30,7 @@ from vo.formats.messages import (
     CompressedVideoMessage,
     FrameTransform,
     ImageMessage,
+    ImuMessage,
     PoseMessage,
     ReadMessage,
     TransformsMessage,
@@ -140,6 +142,11 @@ def _calibration(record: Any) -> CalibrationMessage:
     )
 
 
+def _imu(record: Any) -> ImuMessage:
+    gyro, accel = vector3(record.angular_velocity), vector3(record.linear_acceleration)
+    return ImuMessage(_stamp_ns(record.timestamp), record.frame_id, gyro, accel)
+
+
 def _pose(record: Any) -> PoseMessage:
     pose = rigid_transform(record.pose.position, record.pose.orientation)
     return PoseMessage(_stamp_ns(record.timestamp), record.frame_id, pose)
@@ -170,4 +177,5 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], type[PbMessage], Callable[[Any],
     "foxglove.FrameTransform": (TransformsMessage, PbTransform, _one_transform),
     "foxglove.FrameTransforms": (TransformsMessage, FrameTransforms, _transforms),
     "foxglove.PoseInFrame": (PoseMessage, PoseInFrame, _pose),
+    "vo.Imu": (ImuMessage, imu_class(), _imu),
 }

@@ -1,4 +1,4 @@
-"""Turns positions and quaternions, as messages have them, into transforms."""
+"""Turns vectors, positions and quaternions, as messages have them, into arrays."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from vo.geometry.transforms import make_transform, rotation_from_quat_xyzw
 from vo.types import Floats
 
 _FURTHEST_M = 1e12
+
+
+def vector3(vector: Any) -> Floats:
+    """The (3,) numbers x, y, z."""
+    return np.array([vector.x, vector.y, vector.z])
 
 
 def rigid_transform(position: Any, rotation: Any) -> Floats:

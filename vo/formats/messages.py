@@ -20,7 +20,7 @@ HEAD_BYTES = 256
 """Of a message; enough for its stamp in all formats that begin with it."""
 
 _PLUMB_BOB_COEFFICIENTS = 5
-_BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4}
+_BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class ImageMessage:
 
     @property
     def row_bytes(self) -> int:
-        """Length of a row in bytes, of images with one channel."""
+        """Length of a row in bytes, of the kinds of pixels that are written."""
         return self.width * _BYTES_PER_PIXEL.get(self.pixel_format, 1)
 
 

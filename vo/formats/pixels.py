@@ -1,4 +1,4 @@
-"""Raw pixels of messages as grey images: ROS's and Foxglove's names of encodings."""
+"""Raw pixels of messages as grey or colour images: ROS's and Foxglove's names of encodings."""
 
 from __future__ import annotations
 
@@ -18,48 +18,60 @@ Pixels = NDArray[np.unsignedinteger]
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a pixel is stored: bytes of a sample, samples, and the way to grey."""
+    """How a pixel is stored: bytes of a sample, samples, and the ways to grey and to BGR."""
 
     bytes_each: int
     channels: int
     grey: Callable[[Pixels], Pixels]
+    colour: Callable[[Pixels], Pixels]
+
+
+def _first(image: Pixels) -> Pixels:
+    return image[:, :, 0]
 
 
 def _as_is(image: Pixels) -> Pixels:
-    return image[:, :, 0]
+    return image
 
 
 def _converted(code: int) -> Callable[[Pixels], Pixels]:
     # A single channel without a third axis is what OpenCV wants of a Bayer pattern.
-    def grey(image: Pixels) -> Pixels:
+    def convert(image: Pixels) -> Pixels:
         flat = image[:, :, 0] if image.shape[2] == 1 else image
         return cast("Pixels", cv2.cvtColor(np.ascontiguousarray(flat), code))
 
-    return grey
+    return convert
 
 
 # OpenCV names a Bayer pattern by its second row, second column on; ROS by its first pixels.
 _BAYER = {
-    "rggb": cv2.COLOR_BayerBG2GRAY,
-    "bggr": cv2.COLOR_BayerRG2GRAY,
-    "gbrg": cv2.COLOR_BayerGR2GRAY,
-    "grbg": cv2.COLOR_BayerGB2GRAY,
+    "rggb": (cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
+    "bggr": (cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
+    "gbrg": (cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
+    "grbg": (cv2.COLOR_BayerGB2GRAY, cv2.COLOR_BayerGB2BGR),
 }
 _LAYOUTS: dict[str, _Layout] = {
     **{
-        f"{name}{bits}": _Layout(bits // 8, channels, grey)
-        for name, channels, grey in (
-            ("mono", 1, _as_is),
-            ("rgb", 3, _converted(cv2.COLOR_RGB2GRAY)),
-            ("bgr", 3, _converted(cv2.COLOR_BGR2GRAY)),
-            ("rgba", 4, _converted(cv2.COLOR_RGBA2GRAY)),
-            ("bgra", 4, _converted(cv2.COLOR_BGRA2GRAY)),
-            *((f"bayer_{name}", 1, _converted(code)) for name, code in _BAYER.items()),
+        f"{name}{bits}": _Layout(bits // 8, channels, grey, colour)
+        for name, channels, grey, colour in (
+            ("mono", 1, _first, _first),
+            ("rgb", 3, _converted(cv2.COLOR_RGB2GRAY), _converted(cv2.COLOR_RGB2BGR)),
+            ("bgr", 3, _converted(cv2.COLOR_BGR2GRAY), _as_is),
+            ("rgba", 4, _converted(cv2.COLOR_RGBA2GRAY), _converted(cv2.COLOR_RGBA2BGR)),
+            ("bgra", 4, _converted(cv2.COLOR_BGRA2GRAY), _converted(cv2.COLOR_BGRA2BGR)),
+            *(
+                (f"bayer_{name}", 1, _converted(to_grey), _converted(to_bgr))
+                for name, (to_grey, to_bgr) in _BAYER.items()
+            ),
         )
         for bits in (8, 16)
     },
-    "yuv422": _Layout(1, 2, _converted(cv2.COLOR_YUV2GRAY_UYVY)),
-    "yuv422_yuy2": _Layout(1, 2, _converted(cv2.COLOR_YUV2GRAY_YUY2)),
+    "yuv422": _Layout(
+        1, 2, _converted(cv2.COLOR_YUV2GRAY_UYVY), _converted(cv2.COLOR_YUV2BGR_UYVY)
+    ),
+    "yuv422_yuy2": _Layout(
+        1, 2, _converted(cv2.COLOR_YUV2GRAY_YUY2), _converted(cv2.COLOR_YUV2BGR_YUY2)
+    ),
 }
 _OTHER_NAMES = {
     "8uc1": "mono8",
@@ -80,6 +92,17 @@ def grey_pixels(message: ImageMessage) -> Pixels:
     Raises:
         SourceError: the encoding is not known, or there are fewer bytes than it needs.
     """
+    layout = _layout(message)
+    return layout.grey(_rows(message, layout))
+
+
+def colour_pixels(message: ImageMessage) -> Pixels:
+    """As `grey_pixels`, but colour as (H, W, 3), blue, green, red; Bayer patterns in colour too."""
+    layout = _layout(message)
+    return layout.colour(_rows(message, layout))
+
+
+def _layout(message: ImageMessage) -> _Layout:
     name = message.pixel_format.strip().lower()
     layout = _LAYOUTS.get(_OTHER_NAMES.get(name, name))
     if layout is None:
@@ -87,7 +110,7 @@ def grey_pixels(message: ImageMessage) -> Pixels:
             f"pixels are encoded as '{message.pixel_format}'; known are mono8, mono16, rgb8, bgr8, "
             "rgba8, bgra8, bayer_*, yuv422 and yuyv"
         )
-    return layout.grey(_rows(message, layout))
+    return layout
 
 
 def _rows(message: ImageMessage, layout: _Layout) -> Pixels:

@@ -13,7 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from vo.errors import SourceError
 from vo.formats.camera_messages import RawCalibration, calibration_message
-from vo.formats.message_poses import rigid_transform
+from vo.formats.message_poses import rigid_transform, vector3
 from vo.formats.messages import (
     CalibrationMessage,
     Codec,
@@ -21,6 +21,7 @@ from vo.formats.messages import (
     CompressedVideoMessage,
     FrameTransform,
     ImageMessage,
+    ImuMessage,
     PoseMessage,
     ReadMessage,
     TransformsMessage,
@@ -180,6 +181,15 @@ def _calibration(record: Any) -> CalibrationMessage:
     )
 
 
+def _imu(record: Any) -> ImuMessage:
+    return ImuMessage(
+        _stamp_ns(record.header.stamp),
+        record.header.frame_id,
+        vector3(record.angular_velocity),
+        vector3(record.linear_acceleration),
+    )
+
+
 def _transforms(record: Any) -> TransformsMessage:
     stamps = [_stamp_ns(each.header.stamp) for each in record.transforms]
     return TransformsMessage(min(stamps, default=0), tuple(map(_transform, record.transforms)))
@@ -214,6 +224,7 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "sensor_msgs/msg/Image": (ImageMessage, _image),
     "sensor_msgs/msg/CompressedImage": (CompressedImageMessage, _compressed),
     "sensor_msgs/msg/CameraInfo": (CalibrationMessage, _calibration),
+    "sensor_msgs/msg/Imu": (ImuMessage, _imu),
     "foxglove_msgs/msg/CompressedImage": (CompressedImageMessage, _foxglove_compressed),
     "foxglove_msgs/msg/CompressedVideo": (CompressedVideoMessage, _video),
     "tf2_msgs/msg/TFMessage": (TransformsMessage, _transforms),

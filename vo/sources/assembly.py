@@ -15,6 +15,7 @@ from vo.errors import CalibrationError, SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.sources.depth import UNITS_PER_METRE, DepthImages, depth_of_each
 from vo.sources.images import StoredImage, depth_bits_of
+from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.sequence import ImageSequence
@@ -35,6 +36,8 @@ class Gathered:
         calibrate: reads the calibration, given the size of the images.
         read_truth: reads the poses of cam0, or gives None; it may fail.
         close: closes what images keep open between reads.
+        find_imus: lists the inertial sensors, the one to use first, without reading them; the
+            calibration may be unknown.
         depth: depth images at the pixels of cam0, stamps increasing; None where there are none.
     """
 
@@ -46,6 +49,7 @@ class Gathered:
     read_truth: Callable[[Calibration], Trajectory | None]
     depth: Sequence[Shot] | None = None
     close: Callable[[], None] | None = None
+    find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
 
 
 def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
@@ -71,6 +75,7 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
         depth_bits=depth_bits_of([shot.image for shot in gathered.left]),
         depth=depth,
         close=gathered.close,
+        imus=gathered.find_imus(calibration),
     )
 
 

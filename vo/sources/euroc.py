@@ -9,6 +9,7 @@ from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.trajectory import read_euroc, read_tum
 from vo.sources.assembly import Gathered, find_calibration, first_existing
+from vo.sources.euroc_imu import euroc_imus
 from vo.sources.listing import Shot, list_images, shots_from_table, whole_ns
 from vo.sources.naming import shots_from_names
 from vo.types import Floats, Mode, Trajectory
@@ -33,6 +34,7 @@ def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
         right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
         calibrate=find_calibration(calibration, _calibration_files(root, top)),
         read_truth=lambda known: _truth(root, top, known),
+        find_imus=lambda known: euroc_imus(root, known, lambda: _body_from_cam0(root, known)),
     )
 
 
@@ -70,9 +72,9 @@ def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None
     return None
 
 
-def _body_from_cam0(root: Path, calibration: Calibration) -> Floats | None:
+def _body_from_cam0(root: Path, calibration: Calibration | None) -> Floats | None:
     """Where cam0 is on the body; a chosen calibration need not say, then sensor.yaml may."""
-    if calibration.body_from_cam0 is not None:
+    if calibration is not None and calibration.body_from_cam0 is not None:
         return calibration.body_from_cam0
     try:
         return read_calibration(root / "cam0" / "sensor.yaml").body_from_cam0

@@ -1,4 +1,4 @@
-"""Images wherever they are stored, as grey arrays; a damaged one is known when it is seen.
+"""Images wherever they are stored, as arrays; a damaged one is known when it is seen.
 
 A `StoredImage` is an image that nobody has read yet: its name and a way to read it. Files are one
 kind (`ImageFile`); messages of a log, frames of a video or rows of a database are others, kept
@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Literal, Protocol, cast
 
 import cv2
 import numpy as np
@@ -24,13 +24,18 @@ from vo.errors import SourceError
 from vo.types import Bytes
 
 Pixels = NDArray[np.unsignedinteger]
-"""(H, W) grey, uint8 or uint16."""
+"""(H, W) grey or (H, W, 3) blue, green, red; uint8 or uint16."""
+
+ImageKind = Literal["grey", "colour", "recorded"]
+"""What images are read as: (H, W) uint8, as the odometry needs them; with 8 bits, in colour where
+they were recorded so; or as they were recorded, also with 16 bits."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
 _DEPTHS = (8, 10, 12, 14, 16)
+_IN_COLOUR = {False: cv2.IMREAD_ANYDEPTH, True: cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR}
 
 
 class StoredImage(Protocol):
@@ -47,8 +52,11 @@ class StoredImage(Protocol):
         """What messages call it; the path of a file."""
         ...
 
-    def read(self) -> Pixels:
-        """The (H, W) image as stored, colour turned to grey, 8 or 16 bits.
+    def read(self, colour: bool = False) -> Pixels:
+        """The image as stored, 8 or 16 bits.
+
+        Args:
+            colour: leave colour as it is; else it is turned to grey.
 
         Raises:
             SourceError: it is missing, damaged, cut off or no image; the frame is then skipped.
@@ -67,7 +75,7 @@ class ImageFile:
         """The path."""
         return str(self.path)
 
-    def read(self) -> Pixels:
+    def read(self, colour: bool = False) -> Pixels:
         """The image as `StoredImage.read` has it; also raises as that does."""
         try:
             data = self.path.read_bytes()
@@ -77,7 +85,7 @@ class ImageFile:
             raise SourceError(
                 f"image {self.path} cannot be read: {error.strerror or error}"
             ) from error
-        return decode_image(data, self.name)
+        return decode_image(data, self.name, colour)
 
 
 class _Quiet:
@@ -116,7 +124,16 @@ def read_grey(stored: StoredImage, depth_bits: int = 16) -> Bytes:
     Raises:
         SourceError: it is missing, damaged, cut off or no image.
     """
-    image = stored.read()
+    return _in_8_bits(stored.read(), depth_bits)
+
+
+def read_image(stored: StoredImage, kind: ImageKind, depth_bits: int = 16) -> Pixels:
+    """Read an image as another kind than grey too; else as `read_grey`."""
+    image = stored.read(colour=kind != "grey")
+    return image if kind == "recorded" else _in_8_bits(image, depth_bits)
+
+
+def _in_8_bits(image: Pixels, depth_bits: int) -> Bytes:
     if image.dtype == np.uint8:
         return np.asarray(image, dtype=np.uint8)
     return np.asarray(np.minimum(image >> (depth_bits - 8), 255), dtype=np.uint8)
@@ -143,12 +160,13 @@ def depth_bits_of(images: Sequence[StoredImage]) -> int:
     return next(bits for bits in _DEPTHS if brightest < 2**bits)
 
 
-def decode_image(data: bytes, name: str) -> Pixels:
-    """The (H, W) image that a file in memory holds, colour turned to grey, 8 or 16 bits.
+def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
+    """The image that a file in memory holds, 8 or 16 bits, without transparency.
 
     Args:
         data: PNG, JPEG or any other kind of file that OpenCV knows.
         name: of the image, for messages.
+        colour: leave colour as it is; else it is turned to grey.
 
     Raises:
         SourceError: it is empty, damaged, cut off or no image.
@@ -160,7 +178,7 @@ def decode_image(data: bytes, name: str) -> Pixels:
         raise SourceError(f"image {name} is cut off or damaged ({len(data)} bytes)")
     try:
         with _quiet_opencv:
-            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_ANYDEPTH)
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _IN_COLOUR[colour])
     except cv2.error as error:
         raise SourceError(f"image {name} cannot be decoded: {error.err}") from error
     if image is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,15 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.errors import SourceError
+from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, kitti_raw
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
 from vo.sources.assembly import Gathered, find_calibration, first_existing
 from vo.sources.images import ImageFile
+from vo.sources.imu import ImuSamples, TableImu
 from vo.sources.listing import Shot, check_increasing, list_images, read_lines
-from vo.sources.oxts import at_stamps, read_oxts, read_rigid
-from vo.types import Mode, Trajectory
+from vo.sources.oxts import at_stamps, read_oxts, read_oxts_imu, read_rigid
+from vo.types import Floats, Mode, Trajectory
+
+_log = logging.getLogger(__name__)
 
 _PAIRS = (("image_00", "image_01"), ("image_02", "image_03"))
 _CALIBRATION = "calib_cam_to_cam.txt"
@@ -43,6 +47,7 @@ def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Gather
         right=_shots(path / right) if (path / right / "data").is_dir() else None,
         calibrate=lambda size: _calibration(path, calibration, cameras, size),
         read_truth=lambda known: _truth(path, known, cameras, shots),
+        find_imus=lambda known: _imus(path, known, cameras),
     )
 
 
@@ -110,6 +115,34 @@ def _truth(
     folder = path / "oxts"
     if not folder.is_dir():
         return None
+    imu_from_cam0 = _imu_from_cam0(path, calibration, cameras)
+    truth = read_oxts(folder, _stamps(folder / "timestamps.txt"))
+    truth = replace(truth, world_from_cam=truth.world_from_cam @ imu_from_cam0)
+    stamps_ns = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
+    return at_stamps(truth, stamps_ns)
+
+
+def _imus(path: Path, calibration: Calibration | None, cameras: tuple[str, str]) -> list[TableImu]:
+    """The rates and accelerations of the GPS/INS unit."""
+    folder = path / "oxts"
+    if not folder.is_dir():
+        return []
+
+    def place() -> Floats | None:
+        try:
+            known = calibration
+            return None if known is None else inverse(_imu_from_cam0(path, known, cameras))
+        except VoError as error:
+            _log.warning("where the inertial sensor is, is not known: %s", error)
+            return None
+
+    def load() -> ImuSamples:
+        return read_oxts_imu(folder, _stamps(folder / "timestamps.txt"))
+
+    return [TableImu(str(folder), load, place)]
+
+
+def _imu_from_cam0(path: Path, calibration: Calibration, cameras: tuple[str, str]) -> Floats:
     velo_from_imu = read_rigid(_beside(path, "calib_imu_to_velo.txt"))
     body_from_velo = read_rigid(_beside(path, "calib_velo_to_cam.txt"))
     body_from_cam0 = calibration.body_from_cam0
@@ -118,11 +151,7 @@ def _truth(
         document = load_document(_beside(path, _CALIBRATION))
         body_from_cam0 = kitti_raw.read(document, size, cameras).body_from_cam0
     assert body_from_cam0 is not None
-    imu_from_cam0 = inverse(body_from_velo @ velo_from_imu) @ body_from_cam0
-    truth = read_oxts(folder, _stamps(folder / "timestamps.txt"))
-    truth = replace(truth, world_from_cam=truth.world_from_cam @ imu_from_cam0)
-    stamps_ns = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
-    return at_stamps(truth, stamps_ns)
+    return inverse(body_from_velo @ velo_from_imu) @ body_from_cam0
 
 
 def _beside(path: Path, name: str) -> Path:

@@ -1,7 +1,8 @@
-"""KITTI's GPS/INS records (oxts): where the camera truly was."""
+"""KITTI's GPS/INS records (oxts): where the camera truly was, rates and accelerations."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,9 +13,14 @@ from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import interpolate, orthonormalised
 from vo.geometry.transforms import make_transform as rigid
+from vo.sources.imu import ImuSamples, make_samples
 from vo.types import Floats, Ints, Trajectory
 
+_log = logging.getLogger(__name__)
+
 _EARTH_RADIUS_M = 6378137.0
+_ACCELERATIONS = slice(11, 14)  # ax, ay, az along the axes of the unit, in m/s^2, with gravity
+_RATES = slice(17, 20)  # wx, wy, wz about them, in rad/s
 _COLUMNS = 6  # latitude and longitude in degrees, altitude in metres, roll, pitch, yaw in radians
 
 
@@ -33,11 +39,7 @@ def read_oxts(folder: Path, stamps_ns: Sequence[int]) -> Trajectory:
     Source: Geiger et al., Vision meets Robotics: The KITTI Dataset, IJRR 2013 (Mercator projection
         at the latitude of the first record).
     """
-    files = sorted((folder / "data").glob("*.txt"))
-    if len(files) != len(stamps_ns) or not files:
-        raise SourceError(
-            f"{folder} has {len(files)} records but {len(stamps_ns)} stamps; there must be as many"
-        )
+    files = _files(folder, stamps_ns)
     stamps = np.array(stamps_ns, dtype=np.int64)
     goes_on = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])
     records = np.array([_record(path) for path in files])[goes_on]
@@ -47,6 +49,44 @@ def read_oxts(folder: Path, stamps_ns: Sequence[int]) -> Trajectory:
         for record, position in zip(records, positions - positions[0], strict=True)
     ]
     return Trajectory(stamps[goes_on], np.stack(poses))
+
+
+def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:
+    """Rates and accelerations of `data/*.txt` along the axes of the unit: x ahead, y left, z up.
+
+    Of the two sets that a record has, this is the one that turns with the unit (ax, ay, az and wx,
+    wy, wz); the other one (af, al, au and wf, wl, wu) stays level. Arguments as of `read_oxts`.
+
+    Raises:
+        SourceError: there are not as many records as stamps.
+    """
+    stamps, values, files = [], [], _files(folder, stamps_ns)
+    for path, stamp_ns in zip(files, stamps_ns, strict=True):
+        try:
+            numbers = [float(field) for field in path.read_text(encoding="utf-8").split()]
+        except (OSError, ValueError):
+            continue
+        if len(numbers) >= _RATES.stop:
+            stamps.append(stamp_ns)
+            values.append([*numbers[_RATES], *numbers[_ACCELERATIONS]])
+    read = make_samples(stamps, values, len(files) - len(stamps))
+    if read.unreadable:
+        _log.warning(
+            "%s: %d of %d records have no rates and accelerations that can be read",
+            folder,
+            read.unreadable,
+            len(files),
+        )
+    return read
+
+
+def _files(folder: Path, stamps_ns: Sequence[int]) -> list[Path]:
+    files = sorted((folder / "data").glob("*.txt"))
+    if len(files) != len(stamps_ns) or not files:
+        raise SourceError(
+            f"{folder} has {len(files)} records but {len(stamps_ns)} stamps; there must be as many"
+        )
+    return files
 
 
 def mercator(geodetic: Floats, reference_latitude_deg: float) -> Floats:

@@ -11,21 +11,22 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
 from vo.errors import SourceError
 from vo.sources.depth import DepthImages, read_depth
-from vo.sources.images import ImageFile, StoredImage, read_grey
+from vo.sources.images import ImageFile, ImageKind, Pixels, StoredImage, read_image
+from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.types import Bytes, Camera, Floats32, Frame, Ints, Rig, Skipped, Trajectory
 
 _log = logging.getLogger(__name__)
 
-_Image = Future[Bytes]
+_Image = Future[Pixels]
 _Depth = Future[Floats32]
-_Pixels = TypeVar("_Pixels")
+_Result = TypeVar("_Result")
 _FRAMES_AHEAD = 2
 
 FrameImages = tuple[Shot, StoredImage | None]
@@ -42,6 +43,7 @@ class ImageSequence:
         ground_truth: true poses of cam0, or None where the recording has none.
         skipped: frames that the newest call of `frames` could not hand out so far, and why.
         unpaired: frames that it handed out without their image1 so far, in stereo.
+        imus: inertial sensors, the one to use first.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class ImageSequence:
         depth_bits: int = 16,
         depth: DepthImages | None = None,
         close: Callable[[], None] | None = None,
+        imus: Sequence[Imu] = (),
     ) -> None:
         """Take the lists that a format has gathered.
 
@@ -69,6 +72,7 @@ class ImageSequence:
             depth_bits: how many bits the camera uses, for images with 16 bits per pixel.
             depth: the depth of each image of cam0, or None where there is no depth camera.
             close: closes what images keep open between reads; they may be read again afterwards.
+            imus: inertial sensors, the one to use first.
         """
         self.name = name
         self.format = format
@@ -76,6 +80,7 @@ class ImageSequence:
         self.ground_truth = ground_truth
         self.skipped: list[Skipped] = []
         self.unpaired = 0
+        self.imus = tuple(imus)
         self._left = list(left)
         self._right = None if right is None else list(right)
         self._depth_bits = depth_bits
@@ -92,19 +97,31 @@ class ImageSequence:
         """(N,) the time of every frame before slicing."""
         return np.array([shot.stamp_ns for shot in self._left], dtype=np.int64)
 
-    def frames(self, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
+    def frames(
+        self,
+        start: int = 0,
+        end: int | None = None,
+        stride: int = 1,
+        images: ImageKind = "grey",
+    ) -> Iterator[Frame]:
         """Read frames start, start + stride, … below end.
 
         Those that cannot be read are warned of, noted in `skipped` and left out.
+
+        Args:
+            start: first frame.
+            end: frame to stop before; None for the last.
+            stride: take every so many frames.
+            images: what to read them as.
 
         Raises:
             SourceError: the numbers choose no frame.
         """
         if self._more is not None:
             choose_frames(start + 1, start, end, stride)
-            return self._read(self._arriving(self._more, start, end, stride))
+            return self._read(self._arriving(self._more, start, end, stride), images)
         numbers = choose_frames(len(self), start, end, stride)
-        return self._read(numbers)
+        return self._read(numbers, images)
 
     def begin_anew(self, more: Callable[[], list[FrameImages] | None]) -> None:
         """Drop all frames and take those that come while they are read.
@@ -114,6 +131,7 @@ class ImageSequence:
         """
         if self.rig.has_depth:
             self.rig = Rig(self.rig.cam0)  # depth does not come along
+        self.imus = ()
         self.ground_truth = None  # no more than its beginning could be known
         self._left, self._depth = [], None
         self._right = [] if self.rig.is_stereo else None
@@ -134,14 +152,14 @@ class ImageSequence:
             yield index
             index += stride
 
-    def _read(self, numbers: Iterable[int]) -> Iterator[Frame]:
+    def _read(self, numbers: Iterable[int], kind: ImageKind) -> Iterator[Frame]:
         self.skipped = []
         self.unpaired = 0
         with ExitStack() as stack:
             if self._close is not None:
                 stack.callback(self._close)
             cam0, cam1 = (stack.enter_context(_reader(name)) for name in ("cam0", "cam1"))
-            for index, image0, image1, image2 in self._ahead(cam0, cam1, numbers):
+            for index, image0, image1, image2 in self._ahead(cam0, cam1, numbers, kind):
                 shot = self._left[index]
                 try:
                     left = image0.result()
@@ -153,19 +171,24 @@ class ImageSequence:
                 if right is None and depth is None and self.rig.is_metric:
                     self.unpaired += 1
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
-                yield Frame(index, shot.stamp_ns, left, right, depth, path)
+                pair = cast("tuple[Bytes, Bytes | None]", (left, right))  # 16 bits if asked for
+                yield Frame(index, shot.stamp_ns, *pair, depth, path)
 
     def _ahead(
-        self, cam0: ThreadPoolExecutor, cam1: ThreadPoolExecutor, numbers: Iterable[int]
+        self,
+        cam0: ThreadPoolExecutor,
+        cam1: ThreadPoolExecutor,
+        numbers: Iterable[int],
+        kind: ImageKind,
     ) -> Iterator[tuple[int, _Image, _Image | None, _Depth | None]]:
         """Decode the next frames while this one is worked on: OpenCV leaves Python's lock free."""
         waiting: deque[tuple[int, _Image, _Image | None, _Depth | None]] = deque()
         for index in numbers:
-            left = cam0.submit(self._image, self._left[index].image, self.rig.cam0)
+            left = cam0.submit(self._image, self._left[index].image, self.rig.cam0, kind)
             partner = None if self._right is None else self._right[index]
             right = None
             if partner is not None and self.rig.cam1 is not None:
-                right = cam1.submit(self._image, partner, self.rig.cam1)
+                right = cam1.submit(self._image, partner, self.rig.cam1, kind)
             measured = None if self._depth is None else self._depth.images[index]
             depth = None if measured is None else cam1.submit(self._metres, measured)
             waiting.append((index, left, right, depth))
@@ -173,8 +196,8 @@ class ImageSequence:
                 yield waiting.popleft()
         yield from waiting
 
-    def _image(self, stored: StoredImage, camera: Camera) -> Bytes:
-        image = read_grey(stored, self._depth_bits)
+    def _image(self, stored: StoredImage, camera: Camera, kind: ImageKind) -> Pixels:
+        image = read_image(stored, kind, self._depth_bits)
         _check_size(stored, image.shape, camera)
         return image
 
@@ -191,7 +214,7 @@ def _reader(camera: str) -> ThreadPoolExecutor:
 
 
 def _check_size(stored: StoredImage, shape: tuple[int, ...], camera: Camera) -> None:
-    height, width = shape
+    height, width = shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise SourceError(
             f"image {stored.name} is {width}x{height}, but the camera gives "
@@ -199,7 +222,7 @@ def _check_size(stored: StoredImage, shape: tuple[int, ...], camera: Camera) -> 
         )
 
 
-def _partner(index: int, image: Future[_Pixels] | None, kind: str) -> _Pixels | None:
+def _partner(index: int, image: Future[_Result] | None, kind: str) -> _Result | None:
     try:
         return None if image is None else image.result()
     except SourceError as error:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
+from vo.sources.images import ImageKind
+from vo.sources.imu import Imu
 from vo.types import Frame, Ints, Rig, Skipped, Trajectory
 
 
@@ -18,6 +20,7 @@ class Source(Protocol):
         ground_truth: true poses of cam0, or None where the recording has none.
         skipped: frames that `frames` could not hand out so far, and why.
         unpaired: frames that `frames` handed out without their image1 so far, in stereo.
+        imus: inertial sensors, the one to use first; they are read when they are asked for.
     """
 
     name: str
@@ -26,6 +29,7 @@ class Source(Protocol):
     ground_truth: Trajectory | None
     skipped: list[Skipped]
     unpaired: int
+    imus: tuple[Imu, ...]
 
     def __len__(self) -> int:
         """Number of frames before slicing."""
@@ -36,8 +40,14 @@ class Source(Protocol):
         """(N,) the time of every frame before slicing, without reading an image."""
         ...
 
-    def frames(self, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
-        """Read frames start, start + stride, … below end.
+    def frames(
+        self,
+        start: int = 0,
+        end: int | None = None,
+        stride: int = 1,
+        images: ImageKind = "grey",
+    ) -> Iterator[Frame]:
+        """Read frames start, start + stride, … below end, their images as some kind.
 
         Those that cannot be read are warned of, noted in `skipped` and left out.
         """

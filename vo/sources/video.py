@@ -70,8 +70,8 @@ class _StoredFrame:
     def name(self) -> str:
         return f"{self.index} of {self.decoder.path}"
 
-    def read(self) -> Bytes:
-        return self.decoder.read(self.index)
+    def read(self, colour: bool = False) -> Bytes:
+        return self.decoder.read(self.index, colour)
 
 
 class _Decoder:
@@ -85,8 +85,8 @@ class _Decoder:
         self._reached: int | None = None  # ticks of the newest frame that was decoded
         self._newest: VideoFrame | None = None
 
-    def read(self, index: int) -> Bytes:
-        """A frame as (H, W) grey.
+    def read(self, index: int, colour: bool = False) -> Bytes:
+        """A frame as (H, W) grey, or (H, W, 3) where `colour` is wanted and there.
 
         Raises:
             SourceError: it cannot be decoded.
@@ -106,8 +106,8 @@ class _Decoder:
         if frame.pts != wanted:
             raise SourceError(f"frame {index} of {self.path} is damaged")
         # Phones record upright pictures lying down, and note by how much to turn them.
-        grey = frame.to_ndarray(format="gray")
-        return np.ascontiguousarray(np.rot90(grey, round(frame.rotation / 90)), dtype=np.uint8)
+        upright = np.rot90(frame_pixels(frame, colour), round(frame.rotation / 90))
+        return np.ascontiguousarray(upright, dtype=np.uint8)
 
     def close(self) -> None:
         """Close the file; the next read opens it again."""
@@ -131,6 +131,12 @@ class _Decoder:
         self._container.seek(key, stream=stream)
         self._newest, self._reached = None, None
         self._frames = _decoded(self._container, stream)
+
+
+def frame_pixels(frame: VideoFrame, colour: bool) -> Bytes:
+    """A decoded frame as (H, W) grey, or (H, W, 3) blue, green, red, if wanted and there."""
+    is_grey = not colour or frame.format.name.startswith("gray")
+    return np.ascontiguousarray(frame.to_ndarray(format="gray" if is_grey else "bgr24"))
 
 
 def _decoded(container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:

@@ -29,7 +29,7 @@ from vo.sources.bags.ros1_records import (
     records_of,
     top_level,
 )
-from vo.sources.logs.log import Entry, Topic
+from vo.sources.logs.log import Entry, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
 from vo.sources.source import Source
 from vo.types import Mode
@@ -91,6 +91,7 @@ class Bag:
         }
         names = sorted({self._connections[number].topic for number in self._codecs})
         self.topics = [self._topic(name) for name in names]
+        self.unread = self._others(frozenset(names))
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """The messages of some topics, in the order of the bag."""
@@ -196,6 +197,17 @@ class Bag:
         span_ns = max(t.last_ns for t in tallies) - min(t.first_ns for t in tallies)
         kind, codec = self._connections[numbers[0]].kind, self._codecs[numbers[0]]
         return Topic(name, kind, codec, sum(t.messages for t in tallies), span_ns)
+
+    def _others(self, known: frozenset[str]) -> list[UnreadTopic]:
+        found: dict[str, UnreadTopic] = {}
+        for number, connection in sorted(self._connections.items()):
+            if connection.topic not in known:
+                topic = found.get(connection.topic)
+                topic = topic or UnreadTopic(connection.topic, connection.kind, 0)
+                tally = self._tallies.get(number)
+                count = topic.messages + (0 if tally is None else tally.messages)
+                found[connection.topic] = topic._replace(messages=count)
+        return [found[name] for name in sorted(found)]
 
 
 def _entry(record: Record, chunk: int, codec: Codec) -> Entry:

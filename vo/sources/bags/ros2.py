@@ -16,7 +16,7 @@ import zstandard
 from vo.errors import SourceError
 from vo.sources.bags.sqlite_file import SqliteFile
 from vo.sources.listing import natural_key
-from vo.sources.logs.log import Entry, Log, Topic
+from vo.sources.logs.log import Entry, Log, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
 from vo.sources.mcap.file import McapFile
 from vo.sources.source import Source
@@ -57,6 +57,7 @@ class Bag:
         self._parts: list[Log] = [self._open(file, found.compression) for file in found.files]
         names = sorted({topic.name for part in self._parts for topic in part.topics})
         self.topics = [_joined(name, self._parts) for name in names]
+        self.unread = _unread(self._parts, frozenset(names))
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """The messages of some topics, in the order of the files."""
@@ -134,6 +135,14 @@ def _read_metadata(table: Path) -> tuple[list[Path], str]:
     if compression != "none" and packer != "zstd":
         raise SourceError(f"{table}: compressed with '{packer}'; zstd is known")
     return files, compression
+
+
+def _unread(parts: Sequence[Log], known: frozenset[str]) -> list[UnreadTopic]:
+    found: dict[str, UnreadTopic] = {}
+    for topic in (each for part in parts for each in part.unread if each.name not in known):
+        count = found[topic.name].messages if topic.name in found else 0
+        found[topic.name] = topic._replace(messages=count + topic.messages)
+    return [found[name] for name in sorted(found)]
 
 
 def _joined(name: str, parts: Sequence[Log]) -> Topic:

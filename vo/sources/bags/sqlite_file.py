@@ -13,7 +13,7 @@ import zstandard
 from vo.errors import SourceError
 from vo.formats.codecs import find_codec
 from vo.formats.messages import HEAD_BYTES
-from vo.sources.logs.log import Entry, Topic
+from vo.sources.logs.log import Entry, Topic, UnreadTopic
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +35,7 @@ class SqliteFile:
         self._packed = packed
         self._number: dict[str, int] = {}
         self.topics: list[Topic] = []
+        self.unread: list[UnreadTopic] = []
         with self._opened() as database:
             definitions = _definitions(database)
             spans = _spans(path, database)
@@ -42,8 +43,10 @@ class SqliteFile:
             for number, name, kind, encoding in sorted(rows, key=lambda row: str(row[1])):
                 language, text = definitions.get(kind, ("ros2msg", ""))
                 codec = find_codec(str(encoding), str(kind), language, text.encode())
-                if codec is not None and number in spans:
-                    count, span_ns = spans[number]
+                count, span_ns = spans.get(number, (0, 0))
+                if codec is None or not count:
+                    self.unread.append(UnreadTopic(name, kind, count))
+                else:
                     self._number[name] = number
                     self.topics.append(Topic(name, kind, codec, count, span_ns))
 

@@ -20,7 +20,7 @@ from vo.types import Mode
 _log = logging.getLogger(__name__)
 
 IMAGE_KINDS = (ImageMessage, CompressedImageMessage, CompressedVideoMessage)
-_KEYS = ("left", "right", "truth")
+_KEYS = ("left", "right", "truth", "imu")
 _NO_VIEW = re.compile(r"depth|disparity|mask|segment|label|confidence", re.IGNORECASE)
 _TRANSPORT = re.compile(r"/(compressed|h264|h265|hevc|ffmpeg|foxglove|theora|zstd)$", re.IGNORECASE)
 _SIDES = re.compile(r"(?<![a-z])(left|right)(?![a-z])", re.IGNORECASE)
@@ -29,11 +29,12 @@ _COUNTS_ALIKE = 0.1
 
 @dataclass(frozen=True)
 class Choice:
-    """The topics of the cameras, and that of the truth if the user named one."""
+    """The topics of the cameras, and those of truth and inertial sensor if the user named them."""
 
     left: Topic
     right: Topic | None
     truth: str | None = None
+    imu: str | None = None
 
 
 def choose_topics(topics: Sequence[Topic], wishes: Sequence[str], mode: Mode) -> Choice:
@@ -41,7 +42,8 @@ def choose_topics(topics: Sequence[Topic], wishes: Sequence[str], mode: Mode) ->
 
     Args:
         topics: all topics of the log that can be read.
-        wishes: as given with `--topic`: `left=/a`, `right=/b`, `truth=/c`, or a name alone.
+        wishes: as given with `--topic`: `left=/a`, `right=/b`, `truth=/c`, `imu=/d`, or a name
+            alone.
         mode: in `mono` no right camera is looked for.
 
     Raises:
@@ -52,14 +54,15 @@ def choose_topics(topics: Sequence[Topic], wishes: Sequence[str], mode: Mode) ->
     images = [topic for topic in topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
     if not images:
         raise SourceError(_nothing(topics))
-    truth = named.get("truth")
-    if truth is not None:
-        _by_name(topics, truth)
+    truth, imu = named.get("truth"), named.get("imu")
+    for name in (truth, imu):
+        if name is not None:
+            _by_name(topics, name)
     if "left" in named:
         right = _by_name(images, named["right"]) if "right" in named else None
-        return Choice(_by_name(images, named["left"]), right, truth)
+        return Choice(_by_name(images, named["left"]), right, truth, imu)
     left, right = _found(_one_per_camera(images), mode)
-    return Choice(left, right, truth)
+    return Choice(left, right, truth, imu)
 
 
 def base_name(topic: str) -> str:

@@ -43,8 +43,8 @@ class DepthMessage:
         """Topic and time of logging, as other tools show it."""
         return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
 
-    def read(self) -> Pixels:
-        """The depth in millimetres, of 16 bits or floating.
+    def read(self, colour: bool = False) -> Pixels:
+        """The depth in millimetres, of 16 bits or floating; it has no colour.
 
         Raises:
             SourceError: it is damaged or encoded in an unknown way.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from vo.errors import SourceError, VoError
 from vo.formats.messages import CompressedImageMessage, CompressedVideoMessage, ImageMessage
-from vo.formats.pixels import grey_pixels
+from vo.formats.pixels import colour_pixels, grey_pixels
 from vo.sources.images import Pixels, StoredImage, decode_image
 from vo.sources.listing import LARGEST_NS, Shot
 from vo.sources.logs.log import Entry, Log, Topic
@@ -29,16 +29,16 @@ class MessageImage:
         """Topic and time of logging, as other tools show it."""
         return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
 
-    def read(self) -> Pixels:
+    def read(self, colour: bool = False) -> Pixels:
         """The image as `StoredImage.read` has it; also raises as that does."""
         try:
             message = self.topic.codec.decode(self.log.read(self.entry))
             if isinstance(message, ImageMessage):
-                return grey_pixels(message)
+                return colour_pixels(message) if colour else grey_pixels(message)
         except SourceError as error:
             raise SourceError(f"image {self.name}: {error}") from error
         assert isinstance(message, CompressedImageMessage)
-        return decode_image(message.data, self.name)
+        return decode_image(message.data, self.name, colour)
 
 
 def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
@@ -57,6 +57,21 @@ def list_shots(
     log: Log, topic: Topic, entries: Sequence[Entry], image: Callable[[int], StoredImage]
 ) -> list[Shot]:
     """As `list_images`, of images that `image` makes of the number of a message."""
+    ordered = in_order(log, topic, entries)
+    shots: list[Shot] = []
+    for stamp_ns, number in ordered:
+        if stamp_ns <= LARGEST_NS and (not shots or stamp_ns > shots[-1].stamp_ns):
+            shots.append(Shot(stamp_ns, image(number), f"{log.path}: {topic.name}"))
+    if not shots:
+        raise SourceError(f"{log.path}: no message of {topic.name} can be read")
+    if len(shots) < len(ordered):
+        repeated = len(ordered) - len(shots)
+        _log.warning("%s: %d images repeat a stamp and are not used", topic.name, repeated)
+    return shots
+
+
+def in_order(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[tuple[int, int]]:
+    """Stamps and numbers of messages, by stamp; that of logging where a message has none."""
     stamped = [(stamp_of(log, topic, entry), entry) for entry in entries]
     unstamped = sum(not stamp_ns for stamp_ns, _ in stamped)
     if unstamped:
@@ -66,19 +81,9 @@ def list_shots(
             unstamped,
             len(entries),
         )
-    in_order = sorted(
+    return sorted(
         (stamp_ns or entry.log_ns, number) for number, (stamp_ns, entry) in enumerate(stamped)
     )
-    shots: list[Shot] = []
-    for stamp_ns, number in in_order:
-        if stamp_ns <= LARGEST_NS and (not shots or stamp_ns > shots[-1].stamp_ns):
-            shots.append(Shot(stamp_ns, image(number), f"{log.path}: {topic.name}"))
-    if not shots:
-        raise SourceError(f"{log.path}: no message of {topic.name} can be read")
-    if len(shots) < len(in_order):
-        repeated = len(in_order) - len(shots)
-        _log.warning("%s: %d images repeat a stamp and are not used", topic.name, repeated)
-    return shots
 
 
 def image_maker(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[[int], StoredImage]:

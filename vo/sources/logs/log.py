@@ -51,6 +51,14 @@ class Topic:
         return (self.count - 1) * NS_PER_S / self.span_ns if self.span_ns > 0 else 0.0
 
 
+class UnreadTopic(NamedTuple):
+    """A topic that nobody here reads, or that has no message."""
+
+    name: str
+    schema: str
+    messages: int
+
+
 class Log(Protocol):
     """A container of messages."""
 
@@ -62,6 +70,11 @@ class Log(Protocol):
     @property
     def topics(self) -> Sequence[Topic]:
         """Those of which it knows who reads them and that hold a message, by name."""
+        ...
+
+    @property
+    def unread(self) -> Sequence[UnreadTopic]:
+        """All other topics, by name."""
         ...
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:

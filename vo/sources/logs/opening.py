@@ -11,16 +11,18 @@ from vo.errors import CalibrationError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.formats.messages import CalibrationMessage, TransformsMessage
 from vo.sources.assembly import Gathered, assemble
+from vo.sources.imu import cam0_from_imu_in
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import Choice, choose_topics
 from vo.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
 from vo.sources.logs.frames import FrameTree, read_frames
 from vo.sources.logs.images import list_images
+from vo.sources.logs.imu import LogImu, imu_topics
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
 from vo.sources.logs.truth import find_truth_topic, read_truth
 from vo.sources.sequence import ImageSequence
-from vo.types import Mode, Rig, Trajectory
+from vo.types import Floats, Mode, Rig, Trajectory
 
 _log = logging.getLogger(__name__)
 
@@ -68,6 +70,7 @@ def open_log(
         calibrate=calibrate,
         read_truth=opened.truth,
         depth=opened.depth(),
+        find_imus=opened.imus,
     )
     return assemble(gathered, mode)
 
@@ -80,6 +83,7 @@ class _Opened:
         self._choice = choice
         self._calibrations = _of_kind(log.topics, CalibrationMessage)
         transforms = _of_kind(log.topics, TransformsMessage)
+        self._imus = imu_topics(log.topics, choice.imu)
         self._truth = find_truth_topic(log.topics, choice.truth)
         self._depth = depth_topics(log.topics) if choice.right is None else []
         topics = [
@@ -122,6 +126,17 @@ class _Opened:
         entries = self.entries[self._truth.name]
         frame = self._frame(self._choice.left)
         return read_truth(self._log, self._truth, entries, frame, self._frames, calibration)
+
+    def imus(self, calibration: Calibration | None) -> list[LogImu]:
+        """The inertial sensors, and a way to find out where they are."""
+        said = cam0_from_imu_in(calibration)
+
+        def place(frame: str) -> Floats | None:
+            if said is not None or not frame:
+                return said
+            return self._frames.between(self._frame(self._choice.left), frame)
+
+        return [LogImu(self._log, topic, place) for topic in self._imus]
 
     def _camera(self, image: Topic) -> LogCamera:
         return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import av
-import numpy as np
 from av.codec import CodecContext
 from av.video.codeccontext import VideoCodecContext
 from av.video.frame import VideoFrame
@@ -16,6 +15,7 @@ from av.video.frame import VideoFrame
 from vo.errors import SourceError
 from vo.formats.messages import CompressedVideoMessage
 from vo.sources.logs.log import Entry, Log, Topic
+from vo.sources.video import frame_pixels
 from vo.types import Bytes
 
 _CODECS = {"h264": "h264", "avc": "h264", "h265": "hevc", "hevc": "hevc"}
@@ -43,20 +43,20 @@ class LogVideo:
         self._due = 0  # number of the frame that it has not handed out yet
         self._decoded: dict[int, VideoFrame] = {}
 
-    def read(self, number: int) -> Bytes:
-        """The frame of a message as (H, W) grey.
+    def read(self, number: int, colour: bool = False) -> Bytes:
+        """The frame of a message as (H, W) grey, or (H, W, 3) where `colour` is wanted and there.
 
         Raises:
             SourceError: it is damaged, or no frame before it can be decoded by itself.
         """
         with self._lock:
             try:
-                return self._read(number)
+                return frame_pixels(self._read(number), colour)
             except (av.FFmpegError, SourceError) as error:
                 self._decoder = None
                 raise SourceError(f"the video frame cannot be decoded: {error}") from error
 
-    def _read(self, number: int) -> Bytes:
+    def _read(self, number: int) -> VideoFrame:
         self._go_near(number)
         while number not in self._decoded:
             if self._next > number + _MOST_WAITING:
@@ -65,7 +65,7 @@ class LogVideo:
         frame = self._decoded[number]
         self._due = number + 1
         self._decoded = {n: kept for n, kept in self._decoded.items() if n > number}
-        return np.ascontiguousarray(frame.to_ndarray(format="gray"), dtype=np.uint8)
+        return frame
 
     def _go_near(self, number: int) -> None:
         """Begin anew, unless going on from where the decoder is leads to the frame sooner."""
@@ -121,10 +121,10 @@ class VideoImage:
         video = self.video
         return f"{video.log.path}: {video.topic.name} logged at {self.entry.log_ns} ns"
 
-    def read(self) -> Bytes:
+    def read(self, colour: bool = False) -> Bytes:
         """The frame as `StoredImage.read` has it; also raises as that does."""
         try:
-            return self.video.read(self.number)
+            return self.video.read(self.number, colour)
         except SourceError as error:
             raise SourceError(f"image {self.name}: {error}") from error
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from vo.errors import SourceError
-from vo.sources.logs.log import NS_PER_S, Entry, Topic
+from vo.sources.logs.log import NS_PER_S, Entry, Topic, UnreadTopic
 from vo.sources.mcap.book import IN_FILE, Book, Place
 from vo.sources.mcap.chunks import Chunk, ChunkCache, UnpackedStream
 from vo.sources.mcap.records import Damaged
@@ -42,6 +42,7 @@ class McapFile:
             for name in sorted(self._channels_of)
             if (topic := _topic(name, self._channels_of[name], self._survey.book)) is not None
         ]
+        self.unread = _unread(self._survey.book, frozenset(self._channels_of))
         if found is None:
             warn_of_damage(path, self._survey)
 
@@ -116,6 +117,19 @@ def _channels_by_topic(book: Book) -> dict[str, list[int]]:
         if number in book.tallies and book.codec(number) is not None:
             channels.setdefault(channel.topic, []).append(number)
     return channels
+
+
+def _unread(book: Book, known: frozenset[str]) -> list[UnreadTopic]:
+    """The topics besides those that are known; the first channel says what kind they are."""
+    found: dict[str, UnreadTopic] = {}
+    for number, channel in sorted(book.channels.items()):
+        if channel.topic not in known:
+            schema = book.schemas.get(channel.schema_id)
+            kind = channel.message_encoding if schema is None else schema.name
+            topic = found.get(channel.topic, UnreadTopic(channel.topic, kind, 0))
+            count = book.tallies[number].count if number in book.tallies else 0
+            found[channel.topic] = topic._replace(messages=topic.messages + count)
+    return [found[name] for name in sorted(found)]
 
 
 def _topic(name: str, numbers: list[int], book: Book) -> Topic | None:
