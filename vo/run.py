@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -53,6 +54,7 @@ def run(
     format: str | None = None,
     topics: Sequence[str] = (),
     follow: bool = False,
+    source_name: str | None = None,
     recorder: Recorder | None = None,
     exports: Exports | None = None,
     progress: Progress | None = None,
@@ -80,6 +82,7 @@ def run(
         format: of the recording; by default found out from the path.
         topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
         follow: whether the log is still being written; frames are taken as they come.
+        source_name: what the summary calls the recording, instead of by its path.
         recorder: what to record with instead of `rrd` and `viewer`.
         exports: files for other programs.
         progress: what watches the run.
@@ -100,7 +103,8 @@ def run(
     opened = open_source(
         source, format=format, calibration=calibration, mode=mode, topics=topics, follow=follow
     )
-    facts = partial(_facts, opened, source, config, start, end, stride, calibration, topics)
+    called = source_name or str(source)
+    facts = partial(_facts, opened, called, config, start, end, stride, calibration, topics)
     frames = opened.frames(start, end, stride * every)
     with claimed(Path(output)), closing(Odometry(opened.rig, config)) as odometry:
         if every > 1:
@@ -112,6 +116,7 @@ def run(
         folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run
         job = _Run(opened, facts, odometry, folder, recorder, progress or NullProgress())
         job.profile_since = profile_since
+        job.names = (str(source), called)
         try:
             job.begin()
             job.go_through(frames)
@@ -141,6 +146,7 @@ class _Run:
         self._recorder = recorder
         self._progress = progress
         self.profile_since: float | None = None
+        self.names = "", ""  # the path of the recording, and what it is called instead
         self._account = Account()
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
@@ -257,15 +263,19 @@ class _Run:
             self._account,
             self._odometry.history.path(),
             keyframes=self._odometry.history.keyframe_count,
-            skipped=self._source.skipped,
+            skipped=[replace(s, reason=self._named(s.reason)) for s in self._source.skipped],
             unpaired=self._source.unpaired,
             wall_s=time.perf_counter() - self._begun,
             disparity_offset_px=self._odometry.disparity_offset_px,
-            error=error,
+            error=None if error is None else self._named(error),
             profile=self._profile(),
         )
         self._folder.write_summary(summary.to_dict())
         return summary
+
+    def _named(self, text: str) -> str:
+        path, name = self.names
+        return text if path == name else text.replace(path, name)
 
     def _profile(self) -> Profile | None:
         """Up to now; what comes after, such as writing it, is not in it."""
@@ -277,7 +287,7 @@ class _Run:
 
 def _facts(
     opened: Source,
-    path: str | Path,
+    called: str,
     config: Config,
     start: int,
     end: int | None,
@@ -287,7 +297,7 @@ def _facts(
 ) -> RunFacts:
     stop = len(opened) if end is None else min(end, len(opened))
     return RunFacts(
-        source=str(path),
+        source=called,
         format=opened.format,
         mode="rgbd" if opened.rig.has_depth else "stereo" if opened.rig.is_stereo else "mono",
         has_ground_truth=opened.ground_truth is not None,

@@ -30,3 +30,48 @@ def test_a_log_through_a_pipe_is_read_as_far_as_asked_for(tmp_path: Path) -> Non
     assert "Fatal" not in errors and "Traceback" not in errors
     summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     assert (summary["format"], summary["frames"]) == ("mcap", 3)
+    assert summary["source"] == "standard input"
+
+
+def vo_run(tmp_path: Path, stdin: bytes | None) -> tuple[int, str, str]:
+    """Exit status, standard error and, if there is one, the summary."""
+    output = tmp_path / "out"
+    program = [sys.executable, "-c", "from vo.cli.app import app; app()"]
+    done = subprocess.run(
+        [*program, "run", "-", "-o", str(output)], input=stdin, capture_output=True, timeout=120
+    )
+    summary = output / "summary.json"
+    said = summary.read_text(encoding="utf-8") if summary.exists() else ""
+    return done.returncode, done.stderr.decode(), said
+
+
+def test_what_is_wrong_with_it_is_said_of_standard_input(tmp_path: Path) -> None:
+    status, errors, _ = vo_run(tmp_path, b"no log" * 100)
+    assert status == 1
+    assert errors == "error: standard input does not begin like an MCAP file\n"
+
+
+def test_damage_is_told_of_standard_input(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000)
+    whole = log.read_bytes()
+    status, errors, summary = vo_run(tmp_path, whole[: 6 * len(whole) // 10])
+    assert status == 0, errors
+    assert "warning: standard input is cut off or damaged" in errors
+    assert "/tmp" not in errors and ".mcap" not in errors
+    assert json.loads(summary)["source"] == "standard input"
+    assert ".mcap" not in summary
+
+
+def test_nothing_can_come_through_a_closed_input(tmp_path: Path) -> None:
+    program = "import os; os.close(0); os.execvp(VO, [VO, 'run', '-', '-o', 'out'])"
+    vo = str(Path(sys.executable).with_name("vo"))
+    done = subprocess.run(
+        [sys.executable, "-c", program.replace("VO", repr(vo))],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: nothing comes through standard input")
+    assert not (tmp_path / "out").exists()

@@ -247,7 +247,7 @@ def run_command(
         from vo.cli.live import live_viewer
         from vo.cli.progress import make_progress, warnings_on
         from vo.cli.run_table import print_summary
-        from vo.cli.standard_input import spooled_input
+        from vo.cli.standard_input import NAME, spooled_input
         from vo.config import load_config
         from vo.recording.exports import Exports
         from vo.run import run
@@ -276,6 +276,7 @@ def run_command(
                 format=format,
                 topics=topic or (),
                 follow=follow or through_pipe,
+                source_name=NAME if through_pipe else None,
                 progress=make_progress(console, quiet=quiet),
                 profile_since=begun if profile else None,
             )
