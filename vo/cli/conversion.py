@@ -6,20 +6,23 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from data_synth.records import Recording, Shot
+from data_synth.records import Pixels, Recording, Shot
 from data_synth.writers.registry import FORMATS, load_writer
+from vo.cli.conversion_imu import imu_around
 from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
 from vo.cli.conversion_truth import around, body_truth, no_poses, poses_at, settle_truth
 from vo.errors import ConfigError, OutputError, SourceError
+from vo.geometry.transforms import inverse
 from vo.inspection.material import Material, collected_warnings, right_stamps
+from vo.sources.images import ImageKind
 from vo.sources.sequence import choose_frames
 from vo.sources.source import Source
-from vo.types import Bytes, Frame, Ints, Rig, Trajectory
+from vo.types import Frame, Ints, Rig, Trajectory
 
 OnFrame = Callable[[int, int], None]
 _NS_PER_S = 1e9
@@ -36,6 +39,7 @@ class Conversion:
         end: frame to stop before; None for the last.
         stride: take every so many frames.
         size: width and height of all images, or a factor; None leaves them.
+        gray: grey images with 8 bits, as the odometry sees them; else as they were recorded.
     """
 
     format: str
@@ -44,6 +48,14 @@ class Conversion:
     end: int | None = None
     stride: int = 1
     size: Size | None = None
+    gray: bool = False
+
+    @property
+    def images(self) -> ImageKind:
+        """What images are read as; JPEG has no room for 16 bits."""
+        if self.gray:
+            return "grey"
+        return "colour" if self.codec == "jpeg" else "recorded"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +101,17 @@ def convert(
     _refuse_existing(output, force)
     plan = _plan(material, source, how)
     truth = around(plan.left_ns, source.ground_truth)
+    _check(_recording(source, truth, plan, how), how)
+    imu, body_from_cam0 = imu_around(source, plan.left_ns, how.format)
+    has_colour = not how.gray and _in_colour(material)
     while True:
-        recording = _recording(source, truth, plan, how)
+        recording = replace(
+            _recording(source, truth, plan, how),
+            imu=imu,
+            body_from_cam0=body_from_cam0,
+            body_truth=body_truth(truth, inverse(body_from_cam0)),
+            has_colour=has_colour,
+        )
         _check(recording, how)
         try:
             with _whole(output, force) as partial:
@@ -117,6 +138,7 @@ def _plan(material: Material, source: Source, how: Conversion) -> _Plan:
 
 
 def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conversion) -> Recording:
+    """The recording but for its inertial sensor; its body is cam0."""
     rig = scaled_rig(source.rig, how.size)
     no_left = np.isin(plan.numbers, list(plan.unreadable))
     stamps, dropped = [plan.left_ns], [no_left]
@@ -135,11 +157,21 @@ def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conve
         stamps_ns=tuple(stamps),
         dropped=tuple(dropped),
         cam0_truth=no_poses() if is_log else poses_at(plan.left_ns, truth),
-        body_truth=body_truth(truth),
+        body_truth=body_truth(truth, np.eye(4)),
         imu=None,
         movers=(),
         has_depth=rig.has_depth,
     )
+
+
+def _in_colour(material: Material) -> bool:
+    """Whether the first image that can be read is."""
+    for shot in material.cameras[0].shots:
+        try:
+            return shot.image.read(colour=True).ndim == 3
+        except SourceError:
+            continue
+    return False
 
 
 def _check(recording: Recording, how: Conversion) -> None:
@@ -169,7 +201,7 @@ def _shots(
     """The frames as they are to be written, each exactly once and in order."""
     rig = scaled_rig(source.rig, how.size)
     total, done = len(plan.numbers), 0
-    for frame in source.frames(how.start, how.end, how.stride):
+    for frame in source.frames(how.start, how.end, how.stride, how.images):
         while plan.numbers[done] != frame.index:
             yield _missing(plan, done, rig)
             done += 1
@@ -183,7 +215,7 @@ def _shots(
 
 
 def _shot(frame: Frame, plan: _Plan, row: int, rig: Rig) -> Shot:
-    images: list[Bytes | None] = [resized(frame.image0, rig.cam0)]
+    images: list[Pixels | None] = [resized(frame.image0, rig.cam0)]
     if rig.cam1 is not None:
         right = None if frame.image1 is None else resized(frame.image1, rig.cam1)
         is_listed = plan.right_ns[row] >= 0 and frame.index not in plan.right_unreadable

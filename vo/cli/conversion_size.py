@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import cv2
 import numpy as np
 
-from vo.types import Bytes, Camera, Floats32, Rig
+from data_synth.records import Pixels
+from vo.types import Camera, Floats32, Rig
 
 Size = tuple[int, int] | float
 """Width and height of all images, or a factor."""
@@ -42,14 +44,14 @@ def _scaled_to(camera: Camera, size: Size) -> Camera:
     return scaled_camera(camera, width, height)
 
 
-def resized(image: Bytes, camera: Camera) -> Bytes:
-    """An image in the size of a camera."""
+def resized(image: Pixels, camera: Camera) -> Pixels:
+    """An image in the size of a camera, grey or colour, 8 or 16 bits."""
     size = (camera.width, camera.height)
     if (image.shape[1], image.shape[0]) == size:
         return image
     shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
     way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
+    return cast("Pixels", cv2.resize(image, size, interpolation=way))
 
 
 def resized_depth(depth: Floats32, camera: Camera) -> Floats32:

@@ -53,16 +53,17 @@ def _pose_at(truth: Trajectory, stamp_ns: int) -> Floats:
     return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], share)
 
 
-def body_truth(truth: Trajectory | None) -> BodyTruth:
-    """The poses of cam0 as those of a body that is cam0; velocities are differences."""
+def body_truth(truth: Trajectory | None, cam0_from_body: Floats) -> BodyTruth:
+    """The poses of a body of which those of cam0 are known; velocities are differences."""
     truth = truth or no_poses()
     count = len(truth)
+    world_from_body = truth.world_from_cam @ cam0_from_body
     velocity: Floats = np.zeros((count, 3))
     if count > 1:
         seconds = 1e-9 * (truth.stamps_ns - truth.stamps_ns[0]).astype(np.float64)
-        velocity = np.asarray(np.gradient(truth.positions, seconds, axis=0))
+        velocity = np.asarray(np.gradient(world_from_body[:, :3, 3], seconds, axis=0))
     none = np.zeros((count, 3))
-    return BodyTruth(truth.stamps_ns, truth.world_from_cam, velocity, none, none)
+    return BodyTruth(truth.stamps_ns, world_from_body, velocity, none, none)
 
 
 def settle_truth(path: Path, format: str, recording: Recording, truth: Trajectory | None) -> None:

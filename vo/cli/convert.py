@@ -51,6 +51,9 @@ def convert_command(
             help="Scale images and calibration, to 640x400 or by 0.5.",
         ),
     ] = None,
+    gray: Annotated[
+        bool, typer.Option("--gray", help="Grey images with 8 bits, as the odometry sees them.")
+    ] = False,
     mode: Annotated[
         ModeChoice, typer.Option(help="mono leaves the right camera out.")
     ] = ModeChoice.AUTO,
@@ -79,8 +82,10 @@ def convert_command(
 ) -> None:
     """Write a recording in another layout, shorter or smaller.
 
-    Images become grey with 8 bits, as the odometry sees them; stamps,
-    calibration, depth and truth come along. It appears when it is whole.
+    Images stay as they were recorded, in colour and with 16 bits, unless
+    --gray or --codec jpeg says otherwise; stamps, calibration, depth, truth
+    and (EuRoC, MCAP) inertial measurements come along. It appears when it is
+    whole.
 
       vo convert log.mcap out/euroc --start 100 --end 600
 
@@ -93,7 +98,7 @@ def convert_command(
     from vo.inspection.material import look_into
 
     console = Console(stderr=True, highlight=False, quiet=quiet)
-    how = Conversion(_format(format, output), codec, start, end, stride, _size(resize))
+    how = Conversion(_format(format, output), codec, start, end, stride, _size(resize), gray)
     material = look_into(
         source, format=source_format, calibration=calibration, mode=mode.value, topics=topic or ()
     )
@@ -126,10 +131,11 @@ def _convert(
     kind = "stereo" if made.rig.is_stereo else "mono"
     camera = made.rig.cam0
     truth = f"{len(made.body_truth.stamps_ns)} true poses"
+    imu = "" if made.imu is None else f", {len(made.imu.stamps_ns)} inertial samples"
     if not console.quiet:
         typer.echo(
             f"{output}: {len(made.stamps_ns[0])} {kind} frames, {camera.width}x{camera.height} "
-            f"grey, {how.format} ({how.codec}), {truth}"
+            f"{'colour' if made.has_colour else 'grey'}, {how.format} ({how.codec}), {truth}{imu}"
         )
 
 
