@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from vo.inspection.records import CameraReport, LensReport, PairReport, Report
+from vo.inspection.records import CameraReport, ImuReport, LensReport, PairReport, Report
 
 _WORDS = {
     "error": "[bold red]problem:[/]",
@@ -39,6 +39,8 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     for number, topic in enumerate(report.topics):
         rate = f"{topic.rate_hz:.1f} Hz" if topic.rate_hz else ""
         line = f"{topic.name:<{width}}  {topic.count:>7}  {rate:>9}  {topic.schema}"
+        if not topic.is_read:
+            line += " (not read by vo)" if topic.count else " (no messages)"
         yield "" if number else "topics", line
     for camera in report.cameras:
         yield camera.name, _camera(camera)
@@ -66,13 +68,31 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
         ),
     )
     for imu in report.imu:
-        rate = f" at {imu.rate_hz:.1f} Hz" if imu.rate_hz else ""
-        yield "imu", f"{imu.name}: {imu.count} samples{rate} (not used)"
+        yield "imu", _imu(imu)
+        yield "", _motion(imu)
+
+
+def _imu(imu: ImuReport) -> str:
+    gaps = f"{imu.gaps} gaps, the longest {imu.longest_gap_s:.3g} s" if imu.gaps else "no gaps"
+    return (
+        f"{imu.name}: {imu.count} samples, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, {gaps}, "
+        f"covers {100 * imu.covered:.0f} % of the images (not used by vo run)"
+    )
+
+
+def _motion(imu: ImuReport) -> str:
+    place = "not known" if imu.cam0_from_imu is None else "known"
+    return (
+        f"{imu.looked_at} looked at: mean acceleration {imu.accel_m_s2:.4g} m/s², median rate "
+        f"{imu.gyro_rad_s:.3g} rad/s; its place beside cam0 is {place}"
+    )
 
 
 def _camera(camera: CameraReport) -> str:
     timing = camera.timing
-    bits = "" if camera.bits == 8 else f", {camera.bits} bits"
+    bits = (", colour" if camera.has_colour else "") + (
+        "" if camera.bits == 8 else f", {camera.bits} bits"
+    )
     rate = f"{timing.rate_hz:.4g} Hz (± {timing.jitter_ms:.2g} ms)" if timing.rate_hz else "no rate"
     gaps = {0: ", no gaps", 1: ", 1 gap"}.get(len(timing.gaps), f", {len(timing.gaps)} gaps")
     return (

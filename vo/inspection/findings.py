@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from vo.inspection.calibration_findings import in_calibration, in_pair
+from vo.inspection.inertial import in_imu
 from vo.inspection.material import Material
 from vo.inspection.pictures import stretches
 from vo.inspection.records import CameraReport, Finding, Level, Look, Report
@@ -23,12 +24,15 @@ _SAID_BETTER = ("have no left partner", "images repeat a stamp", "if that is mil
 _SEVERITY: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
 
 
-def find_all(report: Report, material: Material) -> Report:
+def find_all(report: Report, material: Material, imus_not_read: Sequence[str] = ()) -> Report:
     """The report with its findings, the most serious first, and the command to try."""
     findings = [*_refusal(material)]
     for camera in report.cameras:
         findings += [*_time(camera), *_images(camera)]
     findings += [*_pair(report), *in_calibration(report, material.rig), *_truth(report)]
+    for imu in report.imu:
+        findings += in_imu(imu)
+    findings += [Finding("warning", line) for line in imus_not_read]
     said = " ".join(finding.what for finding in findings)
     findings += [
         Finding("warning", line)

@@ -12,13 +12,14 @@ import numpy as np
 
 from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration
-from vo.formats.messages import ImuMessage
 from vo.sources.assembly import Gathered, assemble
 from vo.sources.images import StoredImage
-from vo.sources.listing import Shot, read_lines
+from vo.sources.imu import Imu
+from vo.sources.listing import Shot
 from vo.sources.logs.choice import IMAGE_KINDS, choose_topics
 from vo.sources.logs.images import list_images
-from vo.sources.logs.log import Log, Topic
+from vo.sources.logs.imu import LogImu, imu_topics
+from vo.sources.logs.log import Log, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.registry import FORMATS, choose_format, gather, open_container
@@ -45,7 +46,8 @@ class Material:
         cameras: left and right, or all that come into question.
         is_decided: whether these are left and right.
         topics: of a log.
-        imu_tables: files of inertial measurements and how many each holds.
+        unread: its other topics.
+        imus: inertial sensors, the one to use first.
         source: as a run would open it; None where it would refuse.
         rig: the cameras, also where it would refuse for another reason; None where unknown.
         truth: poses of cam0.
@@ -59,18 +61,14 @@ class Material:
     cameras: tuple[CameraShots, ...] = ()
     is_decided: bool = True
     topics: tuple[Topic, ...] = ()
-    imu_tables: tuple[tuple[str, int], ...] = ()
+    unread: tuple[UnreadTopic, ...] = ()
+    imus: tuple[Imu, ...] = ()
     source: Source | None = None
     rig: Rig | None = None
     truth: Trajectory | None = None
     refusal: str = ""
     warnings: tuple[str, ...] = ()
     close: Callable[[], None] = field(default=lambda: None)
-
-    @property
-    def imu_topics(self) -> list[Topic]:
-        """Topics of inertial sensors."""
-        return [topic for topic in self.topics if issubclass(topic.codec.kind, ImuMessage)]
 
 
 def look_into(
@@ -96,24 +94,27 @@ def look_into(
 
 
 def _files_at(path: Path, name: str, calibration: Path | None, mode: Mode) -> Material:
-    tables = _imu_tables(path)
     try:
         listed = gather(path, name, calibration, mode)
     except VoError as error:
-        return Material(path, name, refusal=str(error), imu_tables=tables)
+        return Material(path, name, refusal=str(error))
     cameras = [CameraShots("cam0", listed.left)]
     if listed.right:
         cameras.append(CameraShots("cam1", listed.right))
-    found = Material(
-        path, name, tuple(cameras), imu_tables=tables, close=listed.close or (lambda: None)
-    )
+    found = Material(path, name, tuple(cameras), close=listed.close or (lambda: None))
     try:
         source = assemble(listed, mode)
     except VoError as error:
         return replace(
-            found, rig=_rig_alone(listed), truth=_truth_alone(listed), refusal=str(error)
+            found,
+            rig=_rig_alone(listed),
+            truth=_truth_alone(listed),
+            imus=tuple(listed.find_imus(None)),
+            refusal=str(error),
         )
-    return replace(found, source=source, rig=source.rig, truth=source.ground_truth)
+    return replace(
+        found, source=source, rig=source.rig, truth=source.ground_truth, imus=source.imus
+    )
 
 
 def _rig_alone(listed: Gathered) -> Rig | None:
@@ -137,7 +138,13 @@ def _log_at(
     path: Path, name: str, calibration: Path | None, mode: Mode, wishes: Sequence[str]
 ) -> Material:
     log = open_container(path, name)
-    found = Material(path, name, topics=_with_own_spans(log))
+    found = Material(
+        path,
+        name,
+        topics=_with_own_spans(log),
+        unread=tuple(log.unread),
+        imus=tuple(LogImu(log, topic, lambda _: None) for topic in imu_topics(log.topics)),
+    )
     try:
         choice = choose_topics(log.topics, wishes, mode)
     except SourceError as error:
@@ -152,7 +159,9 @@ def _log_at(
         source = open_log(log, name, calibration, mode, wishes)
     except VoError as error:
         return replace(found, refusal=str(error))
-    return replace(found, source=source, rig=source.rig, truth=source.ground_truth)
+    return replace(
+        found, source=source, rig=source.rig, truth=source.ground_truth, imus=source.imus
+    )
 
 
 def _with_own_spans(log: Log) -> tuple[Topic, ...]:
@@ -175,17 +184,6 @@ def _cameras(log: Log, topics: dict[str, Topic]) -> tuple[CameraShots, ...]:
             continue
         cameras.append(CameraShots(name, shots, len(entries[topic.name]) - len(shots)))
     return tuple(cameras)
-
-
-def _imu_tables(path: Path) -> tuple[tuple[str, int], ...]:
-    """Tables of inertial measurements in EuRoC's layout, and their lines."""
-    found = []
-    for table in sorted([*path.glob("mav0/imu*/data.csv"), *path.glob("imu*/data.csv")]):
-        try:
-            found.append((str(table), len(read_lines(table))))
-        except SourceError:
-            continue
-    return tuple(found)
 
 
 def right_stamps(left: Sequence[Shot], right: Sequence[Shot]) -> Ints:

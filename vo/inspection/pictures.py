@@ -32,6 +32,16 @@ class Viewer:
         """Bits of a pixel that the camera uses."""
         return self._bits
 
+    @property
+    def has_colour(self) -> bool:
+        """Whether the first image that can be read is in colour."""
+        for stored in self._images:
+            try:
+                return stored.read(colour=True).ndim == 3
+            except SourceError:
+                continue
+        return False
+
     def read(self, number: int) -> Bytes | None:
         """An image (H, W), or None where it cannot be read."""
         try:

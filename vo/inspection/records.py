@@ -10,13 +10,23 @@ Level = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True)
 class TopicLine:
-    """A topic of a log that can be read."""
+    """A topic of a log.
+
+    Attributes:
+        name: such as `/cam0/image_raw`.
+        schema: name of its kind of message, as stored.
+        kind: what it is here; empty where nobody reads it.
+        count: of its messages.
+        rate_hz: messages in a second; 0 where that is not known.
+        is_read: whether it is of any use here.
+    """
 
     name: str
     schema: str
     kind: str
     count: int
     rate_hz: float
+    is_read: bool = True
 
 
 @dataclass(frozen=True)
@@ -92,6 +102,7 @@ class CameraReport:
         width: of the first image that can be read, in pixels; 0 where none can.
         height: of the same.
         bits: 8 or 16 per pixel.
+        has_colour: whether its first image that can be read has.
         looks: the images that were looked at.
         unreadable: frames of which the image cannot be read, of those that were looked at.
         other_sizes: frames whose image has another size.
@@ -102,6 +113,7 @@ class CameraReport:
     width: int
     height: int
     bits: int
+    has_colour: bool
     looks: tuple[Look, ...]
     unreadable: tuple[int, ...]
     other_sizes: tuple[int, ...]
@@ -211,6 +223,43 @@ class TruthReport:
 
 
 @dataclass(frozen=True)
+class ImuReport:
+    """An inertial sensor; what is said of values is of those that were looked at.
+
+    Attributes:
+        name: its topic, table or folder.
+        count: samples.
+        first_ns: stamp of the first.
+        span_s: from the first to the last.
+        rate_hz: from the median interval.
+        gaps: intervals longer than 2.5 times the median.
+        longest_gap_s: the longest of them; 0 where there is none.
+        looked_at: samples whose values were looked at.
+        unreadable: of these, those that are damaged or not finite.
+        accel_m_s2: mean of the specific force's length; about 9.81.
+        gyro_rad_s: median of the rate's length.
+        gyro_high_rad_s: 99 % of the lengths are below.
+        covered: share of the left images whose time lies between the first and the last sample.
+        cam0_from_imu: rows of the (4, 4) transform; None where nothing says where it is.
+    """
+
+    name: str
+    count: int
+    first_ns: int
+    span_s: float
+    rate_hz: float
+    gaps: int
+    longest_gap_s: float
+    looked_at: int
+    unreadable: int
+    accel_m_s2: float
+    gyro_rad_s: float
+    gyro_high_rad_s: float
+    covered: float
+    cam0_from_imu: list[list[float]] | None
+
+
+@dataclass(frozen=True)
 class Finding:
     """Something that is wrong or worth knowing, and what to do about it."""
 
@@ -226,8 +275,8 @@ class Report:
     Attributes:
         path: as given.
         format: name in the registry.
-        topics: of a log.
-        imu: name, count and rate of inertial sensors.
+        topics: of a log; those that are read come first.
+        imu: inertial sensors, the one to use first.
         cameras: left and right, or all that come into question.
         pair: left and right in time; None unless there are both.
         calibration: None where there is none.
@@ -241,7 +290,7 @@ class Report:
     path: str
     format: str
     topics: tuple[TopicLine, ...]
-    imu: tuple[TopicLine, ...]
+    imu: tuple[ImuReport, ...]
     cameras: tuple[CameraReport, ...]
     pair: PairReport | None
     calibration: CalibrationReport | None

@@ -8,6 +8,7 @@ from vo.errors import CalibrationError
 from vo.geometry.cameras import normalise
 from vo.geometry.rectification import working_rig
 from vo.inspection.findings import find_all
+from vo.inspection.inertial import look_at_imus
 from vo.inspection.material import CameraShots, Material, collected_warnings
 from vo.inspection.pictures import Viewer, evenly, look_at
 from vo.inspection.records import (
@@ -47,14 +48,18 @@ def inspect(material: Material, images: int | None = DEFAULT_IMAGES) -> Report:
         material.close()
     lefts = material.cameras[0].shots if material.cameras else ()
     stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
+    imus, not_read = look_at_imus(material.imus, stamps, everything=images is None)
     report = Report(
         path=str(material.path),
         format=material.format,
-        topics=tuple(_topic(topic) for topic in material.topics),
-        imu=(
-            *(_topic(topic) for topic in material.imu_topics),
-            *(TopicLine(name, "", "imu", count, 0.0) for name, count in material.imu_tables),
+        topics=(
+            *(_topic(topic) for topic in material.topics),
+            *(
+                TopicLine(topic.name, topic.schema, "", topic.messages, 0.0, is_read=False)
+                for topic in material.unread
+            ),
         ),
+        imu=imus,
         cameras=cameras,
         pair=pair,
         calibration=None if material.rig is None else _calibration(material.rig),
@@ -64,7 +69,7 @@ def inspect(material: Material, images: int | None = DEFAULT_IMAGES) -> Report:
         findings=(),
         command="",
     )
-    return find_all(report, material)
+    return find_all(report, material, not_read)
 
 
 def _camera(camera: CameraShots, images: int | None) -> CameraReport:
@@ -77,6 +82,7 @@ def _camera(camera: CameraShots, images: int | None) -> CameraReport:
         width=size[0],
         height=size[1],
         bits=viewer.bits,
+        has_colour=viewer.has_colour,
         looks=tuple(looks),
         unreadable=tuple(sorted(viewer.unreadable)),
         other_sizes=tuple(others),

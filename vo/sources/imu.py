@@ -27,6 +27,8 @@ class ImuSamples:
         accel: (N, 3) m/s², specific force: 9.81 upwards at rest.
         unreadable: samples that were left out as damaged or not finite.
         repeated: samples that were left out as their stamp was there before.
+
+    Those of a table that was not read as a whole belong to no time and are not counted.
     """
 
     stamps_ns: Ints
@@ -91,6 +93,14 @@ class Imu(Protocol):
         """
         ...
 
+    def read_some(self, most: int) -> ImuSamples:
+        """Stretches spread over the recording, or all where that costs no more; raises as `read`.
+
+        Args:
+            most: how many samples that may be.
+        """
+        ...
+
 
 class TableImu:
     """An `Imu` in files that are read as a whole."""
@@ -138,13 +148,11 @@ class TableImu:
         """As `Imu.read`."""
         found = self._all
         rows = rows_between(found.stamps_ns, first_ns, last_ns)
-        return ImuSamples(
-            found.stamps_ns[rows],
-            found.gyro[rows],
-            found.accel[rows],
-            found.unreadable,
-            found.repeated,
-        )
+        return ImuSamples(found.stamps_ns[rows], found.gyro[rows], found.accel[rows])
+
+    def read_some(self, most: int) -> ImuSamples:
+        """As `Imu.read_some`."""
+        return self._all
 
 
 def cam0_from_imu_in(calibration: Calibration | None) -> Floats | None:

@@ -18,6 +18,8 @@ from vo.types import Floats, Ints
 
 _log = logging.getLogger(__name__)
 
+_STRETCHES = 20
+
 
 class LogImu:
     """An `Imu` in messages of a topic; they are not even listed before they are asked for."""
@@ -54,19 +56,32 @@ class LogImu:
         """As `Imu.read`; samples that are damaged are warned of."""
         stamps_ns, entries = self._listed
         rows = rows_between(stamps_ns, first_ns, last_ns)
+        return self._samples(range(len(entries))[rows])
+
+    def read_some(self, most: int) -> ImuSamples:
+        """As `Imu.read_some`; warns as `read`."""
+        count = len(self.stamps_ns)
+        if count <= most:
+            return self.read()
+        stretch = most // _STRETCHES
+        firsts = [i * (count - stretch) // (_STRETCHES - 1) for i in range(_STRETCHES)]
+        return self._samples([row for first in firsts for row in range(first, first + stretch)])
+
+    def _samples(self, rows: Sequence[int]) -> ImuSamples:
+        stamps_ns, entries = self._listed
         stamps, values = [], []
-        for stamp, entry in zip(stamps_ns[rows].tolist(), entries[rows], strict=True):
-            message = self._decode(entry)
+        for row in rows:
+            message = self._decode(entries[row])
             if message is not None:
-                stamps.append(stamp)
+                stamps.append(int(stamps_ns[row]))
                 values.append([*message.gyro.tolist(), *message.accel.tolist()])
-        read = make_samples(stamps, values, len(entries[rows]) - len(stamps))
+        read = make_samples(stamps, values, len(rows) - len(stamps))
         if read.unreadable:
             _log.warning(
                 "%s: %d of %d samples are damaged or not finite and are left out",
                 self.name,
                 read.unreadable,
-                len(entries[rows]),
+                len(rows),
             )
         return read
 

@@ -1,0 +1,130 @@
+"""What inertial sensors measured, and whether it is in the units that it should be in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from vo.errors import VoError
+from vo.inspection.material import collected_warnings
+from vo.inspection.records import Finding, ImuReport
+from vo.sources.imu import Imu
+from vo.types import Ints
+
+_GAP = 2.5
+_LOOKED_AT = 10_000
+"""Of a long log no more samples than so many."""
+
+_IN_G = (0.8, 1.2)
+_GRAVITY = (8.3, 11.5)  # means; moving about adds little to them
+_WITHOUT_GRAVITY_M_S2 = 5.0
+_TURNING_RAD_S = 4.0  # as a median; nothing that carries a camera turns so fast all the time
+_FASTEST_RAD_S = 35.0  # 2000 degrees a second, where most sensors end
+_COVERED = 0.95
+
+
+def look_at_imus(
+    imus: Sequence[Imu], image_stamps_ns: Ints, everything: bool
+) -> tuple[tuple[ImuReport, ...], list[str]]:
+    """Stamps of all samples, and the values of some.
+
+    Args:
+        imus: the sensors.
+        image_stamps_ns: (N,) of the left images.
+        everything: whether all values are looked at.
+
+    Returns:
+        A report of each sensor, and why those were left out that could not be read.
+    """
+    reports, failures = [], []
+    with collected_warnings():  # what they say is found out here too
+        for imu in imus:
+            try:
+                reports.append(_look_at(imu, image_stamps_ns, everything))
+            except VoError as error:
+                failures.append(f"{imu.name}: {error}")
+    return tuple(reports), failures
+
+
+def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
+    stamps = imu.stamps_ns
+    steps = np.diff(stamps)
+    median = float(np.median(steps)) if len(steps) else 0.0
+    gaps = steps[steps > _GAP * median]
+    samples = imu.read() if everything else imu.read_some(_LOOKED_AT)
+    accel, gyro = np.linalg.norm(samples.accel, axis=1), np.linalg.norm(samples.gyro, axis=1)
+    place = imu.cam0_from_imu
+    covered = np.zeros(0)
+    if len(stamps):
+        covered = (image_stamps_ns >= stamps[0]) & (image_stamps_ns <= stamps[-1])
+    return ImuReport(
+        name=imu.name,
+        count=len(stamps),
+        first_ns=int(stamps[0]) if len(stamps) else 0,
+        span_s=1e-9 * float(stamps[-1] - stamps[0]) if len(stamps) else 0.0,
+        rate_hz=1e9 / median if median else 0.0,
+        gaps=len(gaps),
+        longest_gap_s=1e-9 * float(gaps.max()) if len(gaps) else 0.0,
+        looked_at=len(accel),
+        unreadable=samples.unreadable,
+        accel_m_s2=float(accel.mean()) if len(accel) else 0.0,
+        gyro_rad_s=float(np.median(gyro)) if len(gyro) else 0.0,
+        gyro_high_rad_s=float(np.percentile(gyro, 99)) if len(gyro) else 0.0,
+        covered=float(covered.mean()) if len(covered) else 0.0,
+        cam0_from_imu=None if place is None else place.tolist(),
+    )
+
+
+def in_imu(imu: ImuReport) -> Iterator[Finding]:
+    """What is wrong with an inertial sensor."""
+    if imu.unreadable:
+        yield Finding(
+            "warning",
+            f"{imu.name}: {imu.unreadable} samples are damaged or not finite",
+            "they are left out",
+        )
+    if imu.gaps:
+        yield Finding(
+            "warning",
+            f"{imu.name}: {imu.gaps} gaps, the longest is {imu.longest_gap_s:.3g} s",
+            "samples were dropped on the way to the recorder",
+        )
+    if imu.covered < _COVERED:
+        yield Finding(
+            "warning",
+            f"{imu.name}: covers {100 * imu.covered:.0f} % of the images in time",
+            "its clock may differ from the camera's",
+        )
+    if imu.looked_at:
+        yield from _in_values(imu)
+
+
+def _in_values(imu: ImuReport) -> Iterator[Finding]:
+    accel = imu.accel_m_s2
+    if _IN_G[0] <= accel <= _IN_G[1]:
+        yield Finding(
+            "warning",
+            f"{imu.name}: the mean acceleration is {accel:.3g}: it looks as if it were in g",
+            "it should be in m/s²: multiply by 9.80665",
+        )
+    elif accel < _WITHOUT_GRAVITY_M_S2:
+        yield Finding(
+            "warning",
+            f"{imu.name}: the mean acceleration is {accel:.3g} m/s²; with gravity it should be "
+            "about 9.81",
+            "record the raw acceleration, not the one without gravity",
+        )
+    elif not _GRAVITY[0] <= accel <= _GRAVITY[1]:
+        yield Finding(
+            "warning",
+            f"{imu.name}: the mean acceleration is {accel:.3g} m/s², and not about 9.81",
+            "check its unit and its calibration",
+        )
+    if imu.gyro_rad_s > _TURNING_RAD_S or imu.gyro_high_rad_s > _FASTEST_RAD_S:
+        yield Finding(
+            "warning",
+            f"{imu.name}: the median rate is {imu.gyro_rad_s:.3g} rad/s, 1 % are above "
+            f"{imu.gyro_high_rad_s:.3g}: it looks as if it were in degrees",
+            "it should be in rad/s: multiply by 0.0174533",
+        )
