@@ -110,8 +110,23 @@ def test_folder_without_trajectory(truth: Path, tmp_path: Path) -> None:
 
 
 def test_damaged_reference(run_folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "bad.txt").write_text("0 1 2 3 0 0 0 1\n1 1 2 nan 0 0 0 1\n", encoding="utf-8")
-    assert_one_line(vo_eval(run_folder, tmp_path / "bad.txt"), "bad.txt:2", "nan")
+    (tmp_path / "bad.txt").write_text("0 1 2 3 0 0 0 1\n1 1 2 x 0 0 0 1\n", encoding="utf-8")
+    assert_one_line(vo_eval(run_folder, tmp_path / "bad.txt"), "bad.txt:2", "'x'")
+
+
+def test_gaps_of_the_truth_are_told_of_once(run_folder: Path, truth: Path) -> None:
+    lines = truth.read_text(encoding="utf-8").splitlines()
+    gap = " nan" * 7
+    lines[5:10] = [line.split()[0] + gap for line in lines[5:10]]
+    truth.write_text("\n".join(lines), encoding="utf-8")
+    result = vo_eval(run_folder, truth, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["matched"] == 36
+    assert result.stderr.count("warning: ") == result.stderr.count("\n") == 1
+    assert "5 of 41 lines are no pose" in result.stderr
+
+    truth.write_text("".join(f"{i}{gap}\n" for i in range(9)), encoding="utf-8")
+    assert_one_line(vo_eval(run_folder, truth), "groundtruth.tum:1", "9 of 9 lines are no pose")
 
 
 def test_truth_that_overlaps_by_no_stamp(

@@ -252,6 +252,20 @@ def test_what_is_no_run_is_refused(content: str | None, tmp_path: Path) -> None:
     assert "error: " in make(tmp_path, "-o", tmp_path / "r.html", expect=1)
 
 
+@pytest.mark.parametrize("name", ["frames.csv", "covariance.csv", "trajectory.tum", "causal.tum"])
+def test_a_line_that_was_cut_off_costs_no_more_than_itself(
+    own_run: Path, tmp_path: Path, name: str
+) -> None:
+    whole = (own_run / name).read_bytes()
+    partial = own_run / f"{name}.partial"
+    partial.write_bytes(whole[: whole.rindex(b"\n", 0, -1) + 8])
+    (own_run / name).unlink()
+    result = CliRunner().invoke(app, ["report", str(own_run), "-o", str(tmp_path / "r.html")])
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count(f"{name}.partial") == 1
+    assert "cut off" in result.stderr
+
+
 def test_damaged_files_are_named(own_run: Path, tmp_path: Path) -> None:
     rows = (own_run / "frames.csv").read_text(encoding="utf-8").replace("tracking,0", "tracking")
     (own_run / "frames.csv").write_text(rows, encoding="utf-8")

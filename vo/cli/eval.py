@@ -93,9 +93,12 @@ def eval_command(
 
       vo eval trajectory.tum groundtruth.txt --align sim3 --json
     """
+    from vo.cli.console import standard_error
+    from vo.cli.progress import warnings_on
     from vo.evaluation.report import evaluate
 
-    inputs = _load(estimate, reference, all_segments)
+    with warnings_on(standard_error()):
+        inputs = _load(estimate, reference, all_segments)
     evaluation = evaluate(
         inputs.estimate,
         inputs.reference,

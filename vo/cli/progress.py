@@ -134,7 +134,7 @@ class _Counts:
 
 @contextmanager
 def warnings_on(console: Console) -> Iterator[None]:
-    """Inside, what the library warns of comes as a line each, above the bar if there is one."""
+    """Inside, what the library warns of comes as one line each, above the bar if there is one."""
     handler = _LineHandler(console)
     logger = logging.getLogger("vo")
     logger.addHandler(handler)
@@ -148,7 +148,11 @@ class _LineHandler(logging.Handler):
     def __init__(self, console: Console) -> None:
         super().__init__(logging.WARNING)
         self._console = console
+        self._said: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
         line = " ".join(f"{record.levelname.lower()}: {record.getMessage()}".split())
+        if line in self._said:  # as of a file that is read twice
+            return
+        self._said.add(line)
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)

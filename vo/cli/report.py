@@ -52,10 +52,13 @@ def report_command(
 
       vo report out/mono out/stereo -o compared.html --plots figures/
     """
+    from vo.cli.console import standard_error
+    from vo.cli.progress import warnings_on
     from vo.report.page import make_page, write_page, write_plots
     from vo.report.plots.catalogue import draw_all
 
-    entries = _entries(runs, truth, images)
+    with warnings_on(standard_error()):
+        entries = _entries(runs, truth, images)
     figures = list(draw_all(entries))
     write_page(output, make_page(entries, figures))
     typer.echo(f"report      {output}")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from vo.errors import OutputError, SourceError
+from vo.formats.rows import Row, need_columns, numbers, read_rows
 from vo.geometry.transforms import quat_xyzw_from_rotation, rotation_from_quat_xyzw
 from vo.types import Floats, Ints, Trajectory
 
@@ -18,18 +19,9 @@ TrajectoryFormat = Literal["tum", "kitti", "euroc"]
 _log = logging.getLogger(__name__)
 _NS_PER_S = 1_000_000_000
 _MAX_S = 9_000_000_000
-_LARGEST = 1e12
 _TUM_COLUMNS = 8
 _KITTI_COLUMNS = 12
 _EUROC_COLUMNS = 8
-
-
-class _Row(NamedTuple):
-    """One line of data: where it stands, for messages, its fields and what divided them."""
-
-    place: str
-    fields: list[str]
-    has_commas: bool
 
 
 def read_trajectory(path: Path | str) -> Trajectory:
@@ -56,7 +48,7 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
     Raises:
         SourceError: the file is missing, empty or of none of the formats.
     """
-    first = _read_rows(Path(path))[0]
+    first = read_rows(Path(path))[0]
     columns = len(first.fields)
     if first.has_commas and columns >= _EUROC_COLUMNS:
         return "euroc"
@@ -76,10 +68,10 @@ def read_tum(path: Path | str) -> Trajectory:
     Raises:
         SourceError: the file is missing, empty or damaged.
     """
-    rows = _read_rows(Path(path))
-    _need_columns(rows, _TUM_COLUMNS, exactly=True)
+    rows = read_rows(Path(path))
+    need_columns(rows, _TUM_COLUMNS, exactly=True)
     stamps = _seconds_column(rows)
-    values = _numbers(rows, 1, _TUM_COLUMNS)
+    values = numbers(rows, 1, _TUM_COLUMNS)
     return _trajectory(rows, stamps, values[:, :3], values[:, 3:7])
 
 
@@ -91,10 +83,10 @@ def read_euroc(path: Path | str) -> Trajectory:
     Raises:
         SourceError: the file is missing, empty or damaged.
     """
-    rows = _read_rows(Path(path))
-    _need_columns(rows, _EUROC_COLUMNS, exactly=False)
+    rows = read_rows(Path(path))
+    need_columns(rows, _EUROC_COLUMNS, exactly=False)
     stamps = [_whole_ns(row) for row in rows]
-    values = _numbers(rows, 1, _EUROC_COLUMNS)
+    values = numbers(rows, 1, _EUROC_COLUMNS)
     quat_xyzw = values[:, [4, 5, 6, 3]]
     return _trajectory(rows, np.array(stamps, dtype=np.int64), values[:, :3], quat_xyzw)
 
@@ -111,9 +103,10 @@ def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
     Raises:
         SourceError: the file is missing, empty, damaged or has another number of rows than stamps.
     """
-    rows = _read_rows(Path(path))
-    _need_columns(rows, _KITTI_COLUMNS, exactly=True)
-    values = _numbers(rows, 0, _KITTI_COLUMNS)
+    rows = read_rows(Path(path))
+    need_columns(rows, _KITTI_COLUMNS, exactly=True)
+    values = numbers(rows, 0, _KITTI_COLUMNS)
+    _need_poses(rows, values)
     if stamps_ns is None:
         stamps_ns = np.arange(len(rows), dtype=np.int64) * _NS_PER_S
     if len(stamps_ns) != len(rows):
@@ -130,8 +123,8 @@ def read_kitti_times(path: Path | str) -> Ints:
     Raises:
         SourceError: the file is missing, empty or damaged.
     """
-    rows = _read_rows(Path(path))
-    _need_columns(rows, 1, exactly=True)
+    rows = read_rows(Path(path))
+    need_columns(rows, 1, exactly=True)
     return _seconds_column(rows)
 
 
@@ -141,7 +134,7 @@ def kitti_stamps_beside(path: Path | str) -> Ints | None:
     if not times.is_file():
         return None
     stamps_ns = read_kitti_times(times)
-    count = len(_read_rows(Path(path)))
+    count = len(read_rows(Path(path)))
     if len(stamps_ns) != count:
         _log.warning("%s has %d stamps for %d poses: not used", times, len(stamps_ns), count)
         return None
@@ -188,66 +181,7 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def _read_rows(path: Path) -> list[_Row]:
-    """The lines of data, without comments, blank lines and a CSV's heading."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise SourceError(f"{path} does not exist; give the path of a trajectory file") from error
-    except UnicodeDecodeError as error:
-        raise SourceError(
-            f"{path} is not text; trajectories are TUM, KITTI or EuRoC text"
-        ) from error
-    except OSError as error:
-        raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        line = line.strip()
-        if not line or line.startswith("#"):
-            continue
-        has_commas = "," in line
-        fields = [f.strip() for f in line.split(",")] if has_commas else line.split()
-        rows.append(_Row(f"{path}:{number}", fields, has_commas))
-    if rows and not _is_number(rows[0].fields[0]) and "timestamp" in rows[0].fields[0].lower():
-        rows = rows[1:]
-    if not rows:
-        raise SourceError(f"{path} has no line of data; give a trajectory with at least one pose")
-    return rows
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _need_columns(rows: list[_Row], columns: int, *, exactly: bool) -> None:
-    for row in rows:
-        found = len(row.fields)
-        if found < columns or (exactly and found > columns):
-            at_least = "" if exactly else "at least "
-            raise SourceError(f"{row.place}: {found} columns, {at_least}{columns} expected")
-
-
-def _numbers(rows: list[_Row], start: int, stop: int) -> Floats:
-    """Columns start..stop-1 as (N, stop - start) finite numbers, none beyond all reason."""
-    values = np.empty((len(rows), stop - start))
-    for i, row in enumerate(rows):
-        try:
-            values[i] = [float(field) for field in row.fields[start:stop]]
-        except ValueError as error:
-            raise SourceError(f"{row.place}: {error}; every column must be a number") from error
-    impossible = ~(np.abs(values) <= _LARGEST)
-    if impossible.any():
-        i, j = np.argwhere(impossible)[0]
-        found = rows[i].fields[start + j]
-        raise SourceError(f"{rows[i].place}: column {start + j + 1} is {found}; remove the line")
-    return values
-
-
-def _seconds_column(rows: list[_Row]) -> Ints:
+def _seconds_column(rows: list[Row]) -> Ints:
     stamps = []
     for row in rows:
         try:
@@ -257,32 +191,51 @@ def _seconds_column(rows: list[_Row]) -> Ints:
     return np.array(stamps, dtype=np.int64)
 
 
-def _whole_ns(row: _Row) -> int:
+def _whole_ns(row: Row) -> int:
     text = row.fields[0]
     if not text.lstrip("-").isdecimal() or len(text) > len(str(_MAX_S * _NS_PER_S)):
         raise SourceError(f"{row.place}: stamp '{text}' is not a whole number of nanoseconds")
     return int(text)
 
 
-def _trajectory(rows: list[_Row], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floats) -> Trajectory:
-    """A trajectory from positions (N, 3) and quaternions (N, 4) of any length but zero."""
-    short = np.flatnonzero(np.linalg.norm(quat_xyzw, axis=1) < 1e-6)
-    if len(short):
-        raise SourceError(f"{rows[short[0]].place}: the quaternion is zero; no rotation is known")
+def _trajectory(rows: list[Row], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floats) -> Trajectory:
+    """A trajectory from positions (N, 3) and quaternions (N, 4) of any length.
+
+    What motion capture writes where it saw nothing, NaN or quaternions of zero, is left out.
+    """
+    known = np.isfinite(xyz).all(axis=1) & (np.linalg.norm(quat_xyzw, axis=1) >= 1e-6)
+    unknown = np.flatnonzero(~known)  # a comparison with NaN is false
+    if len(unknown):
+        told = f"{len(unknown)} of {len(rows)} lines are no pose (NaN, or a quaternion of zero)"
+        first = rows[unknown[0]].place
+        if len(unknown) == len(rows):
+            raise SourceError(f"{first}: {told}; give a trajectory with at least one pose")
+        _log.warning("%s: %s and are left out; the first is this", first, told)
+    rows = [rows[i] for i in np.flatnonzero(known)]
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = rotation_from_quat_xyzw(quat_xyzw)
-    poses[:, :3, 3] = xyz
-    return _with_increasing_stamps(rows, stamps_ns, poses)
+    poses[:, :3, :3] = rotation_from_quat_xyzw(quat_xyzw[known])
+    poses[:, :3, 3] = xyz[known]
+    return _with_increasing_stamps(rows, stamps_ns[known], poses)
 
 
-def _need_rotations(rows: list[_Row], rotations: Floats) -> None:
+def _need_poses(rows: list[Row], values: Floats) -> None:
+    """Rows count by their place, so that none can be left out."""
+    row, column = np.nonzero(~np.isfinite(values))
+    if len(row):
+        found = rows[row[0]].fields[column[0]]
+        raise SourceError(
+            f"{rows[row[0]].place}: column {column[0] + 1} is {found}; every line must be a pose"
+        )
+
+
+def _need_rotations(rows: list[Row], rotations: Floats) -> None:
     defect = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((defect > 1e-2) | (np.linalg.det(rotations) < 0))
     if len(bad):
         raise SourceError(f"{rows[bad[0]].place}: the 3x3 part is no rotation; check the columns")
 
 
-def _with_increasing_stamps(rows: list[_Row], stamps_ns: Ints, poses: Floats) -> Trajectory:
+def _with_increasing_stamps(rows: list[Row], stamps_ns: Ints, poses: Floats) -> Trajectory:
     """Keep the first pose of each stamp; refuse time that runs backwards."""
     steps = np.diff(stamps_ns)
     backwards = np.flatnonzero(steps < 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
 from vo.types import Floats, Ints, Trajectory
+
+_log = logging.getLogger(__name__)
 
 _PARTIAL = ".partial"  # of a run that was killed
 _STAGE_SUFFIX = "_ms"
@@ -142,9 +145,12 @@ def _rows(path: Path) -> list[dict[str, str]]:
     if found is None:
         return []
     try:
-        with found.open(encoding="utf-8", newline="") as stream:
-            return list(csv.DictReader(stream))
-    except (OSError, ValueError, csv.Error) as error:
+        text = found.read_text(encoding="utf-8", errors="replace")
+        lines, _, cut_off = text.rpartition("\n")
+        if cut_off:
+            _log.warning("%s: the last line is cut off and left out", found)
+        return list(csv.DictReader(lines.split("\n")))
+    except (OSError, csv.Error) as error:
         raise SourceError(f"{found} cannot be read: {error}; run `vo run` again") from error
 
 
