@@ -7,6 +7,10 @@ import os
 import signal
 from types import FrameType
 
+# Matrices are small here: a second thread of BLAS only waits, at the cost of the core it waits on,
+# and the bits of a result may depend on their number.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 _INTERRUPTED = 128 + signal.SIGINT
 
 
