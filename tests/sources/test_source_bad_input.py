@@ -118,13 +118,16 @@ def test_image_of_another_size_in_the_middle_is_skipped(
 def test_images_of_another_size_than_the_calibration(folder: Path) -> None:
     _edit(folder / "calibration.yaml", "[64, 48]", "[640, 480]")
     message = _message(folder, CalibrationError)
-    assert "are 64x48, but the calibration is for 640x480" in message
+    file = folder / "calibration.yaml"
+    assert f"are 64x48, but the calibration {file} (vo) is for 640x480; give one" in message
+    assert "--calibration FILE" in message
 
 
 def test_right_images_of_another_size_than_the_calibration(kitti: Path) -> None:
     for path in (kitti / "image_1").iterdir():
         layouts.write_image(path, np.zeros((20, 30), np.uint8))
-    assert "are 30x20, but the calibration is for 64x48" in _message(kitti, CalibrationError)
+    message = _message(kitti, CalibrationError)
+    assert "are 30x20, but the calibration found with them is for 64x48; give one" in message
 
 
 # Calibration

@@ -61,8 +61,8 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
     """
     size = _first_size(gathered.left)
     calibration = gathered.calibrate(size)
-    _check_size(calibration.rig.cam0, size, gathered.left)
-    rig = _choose_rig(gathered, calibration.rig, mode)
+    _check_size(calibration, calibration.rig.cam0, size, gathered.left)
+    rig = _choose_rig(gathered, calibration, mode)
     partners = _pair(gathered, rig, mode)
     depth = None if partners else _depth(gathered, calibration, mode)
     return ImageSequence(
@@ -115,16 +115,22 @@ def _first_size(shots: Sequence[Shot]) -> ImageSize:
     raise SourceError(f"none of {len(shots)} images can be read; the first: {reason}")
 
 
-def _check_size(camera: Camera, size: ImageSize, shots: Sequence[Shot]) -> None:
-    if (camera.width, camera.height) != size:
-        raise CalibrationError(
-            f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration "
-            f"is for {camera.width}x{camera.height}; give the calibration of these very images"
-        )
+def _check_size(
+    calibration: Calibration, camera: Camera, size: ImageSize, shots: Sequence[Shot]
+) -> None:
+    if (camera.width, camera.height) == size:
+        return
+    found = f" {calibration.file} ({calibration.kind})" if calibration.file else " found with them"
+    raise CalibrationError(
+        f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration{found} "
+        f"is for {camera.width}x{camera.height}; give one for images of this very size with "
+        "--calibration FILE (if they were resized, scale fx, fy, cx and cy of it as well)"
+    )
 
 
-def _choose_rig(gathered: Gathered, rig: Rig, mode: Mode) -> Rig:
+def _choose_rig(gathered: Gathered, calibration: Calibration, mode: Mode) -> Rig:
     """The rig with cam1 only if it is wanted, has images and is calibrated."""
+    rig = calibration.rig
     if mode == "mono":
         return Rig(rig.cam0)
     if not gathered.right:
@@ -141,7 +147,7 @@ def _choose_rig(gathered: Gathered, rig: Rig, mode: Mode) -> Rig:
             )
         _log.warning("%s: right images not used, as cam1 is not calibrated", gathered.name)
         return Rig(rig.cam0)
-    _check_size(rig.cam1, _first_size(gathered.right), gathered.right)
+    _check_size(calibration, rig.cam1, _first_size(gathered.right), gathered.right)
     return rig
 
 

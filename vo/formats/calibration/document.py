@@ -27,12 +27,14 @@ class Calibration:
             truth gives, or None where the file does not say.
         depth_per_metre: units of a depth image that are a metre, or None where it does not say.
         kind: the name of the kind of file, a key of `FORMATS`.
+        file: where it was read, for messages; None where it is no file of its own.
     """
 
     rig: Rig
     body_from_cam0: Floats | None = None
     depth_per_metre: float | None = None
     kind: str = ""
+    file: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
     for name, kind in FORMATS.items():
         if kind.recognises(document):
             try:
-                return replace(kind.read(document, image_size), kind=name)
+                return replace(kind.read(document, image_size), kind=name, file=Path(path))
             except CalibrationError as error:
                 raise CalibrationError(f"{error} (read as {name} calibration)") from error
     reason = document.problem or (
