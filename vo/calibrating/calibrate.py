@@ -111,9 +111,11 @@ def _check_count(found: Survey, camera: int, count: int) -> None:
     if count >= FEWEST_VIEWS:
         return
     whose = "" if found.cameras == 1 else f" of the {('left', 'right')[camera]} camera"
+    seen = len(found.seen_by(camera))
+    alike = f", which show it {count} different ways" if seen > count else ""
     raise CalibrationError(
-        f"the board is seen in {count} of {found.frames} images{whose}; {FEWEST_VIEWS} at the very "
-        "least are needed, better 20: from near and far, tilted, in all parts of the image"
+        f"the board is seen in {seen} of {found.frames} images{whose}{alike}; {FEWEST_VIEWS} at "
+        "the very least are needed, better 20: from near and far, tilted, in all parts of the image"
     )
 
 

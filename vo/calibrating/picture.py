@@ -30,13 +30,22 @@ def save_picture(path: Path | str, result: Result) -> None:
         OutputError: another suffix, or the file cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: a picture ends in {', '.join(_SUFFIXES)}")
+    check_suffix(path)
     figure = draw(result)
     try:
         figure.savefig(path)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def check_suffix(path: Path) -> None:
+    """Refuse what no picture can be written to.
+
+    Raises:
+        OutputError: another suffix.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise OutputError(f"{path}: a picture ends in {', '.join(_SUFFIXES)}")
 
 
 def draw(result: Result) -> Figure:

@@ -31,6 +31,28 @@ def to_dict(result: Result) -> dict[str, Any]:
     }
 
 
+def comments(result: Result) -> list[str]:
+    """What whoever opens the calibration file wants to know: from what it is, and how sure."""
+    fit = result.fit
+    lines = [f"vo calibrate: {result.board}; {len(fit.frames)} views"]
+    for number, lens in enumerate(fit.lenses):
+        sigmas = ", ".join(f"{name} {sigma:.2g}" for name, _, sigma in parameters(result, number))
+        error = f"{camera_rms_px(result, number):.3f} px RMS"
+        lines.append(f"cam{number}: {lens.name}, {error}; standard deviations: {sigmas}")
+    sigma = fit.adjusted.sigmas.cam1_from_cam0
+    if sigma is not None:
+        turn, shift = (", ".join(f"{value:.2g}" for value in part) for part in _halves(sigma))
+        lines.append(
+            f"cam1_from_cam0: {epipolar_rms_px(result):.3f} px RMS off epipolar lines; standard "
+            f"deviations: rotation {turn} degrees, translation {shift} mm"
+        )
+    return [*lines, *(f"warning: {line}" for line in warnings_of(result))]
+
+
+def _halves(sigma: Floats) -> tuple[list[float], list[float]]:
+    return np.rad2deg(sigma[:3]).tolist(), (1000.0 * sigma[3:]).tolist()
+
+
 def camera_rms_px(result: Result, camera: int) -> float:
     """RMS distance of a camera's corners from where they should be."""
     squares = [np.sum(residual**2, axis=1) for _, residual in result.sights_of(camera)]

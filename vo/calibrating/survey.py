@@ -6,7 +6,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice, pairwise
 
+import cv2
 import numpy as np
 
 from vo.calibrating.board import Board
@@ -14,8 +16,12 @@ from vo.calibrating.detection import Detection, detect
 from vo.types import Bytes, Floats, Frame
 
 _WAITING = 6
+_SHRINK = 4
 _BLURRED = 0.6
 """Of the median sharpness: images below are left out, if there are enough others."""
+
+_ALIKE = 0.02
+"""Of the image's longer side: views whose outlines differ less show the same again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +84,29 @@ def survey(
     return Survey(looked_at, cameras, tuple(views))
 
 
+def stillest(frames: Iterable[Frame], of: int) -> Iterator[Frame]:
+    """Of every so many frames the one in which least moves.
+
+    What stands still is sharp, not bent by a rolling shutter, and the same to two cameras that do
+    not take their images at the same moment.
+    """
+    rest = iter(frames)
+    while group := list(islice(rest, of)):
+        paired = [frame for frame in group if frame.image1 is not None]
+        yield _stillest(paired or group)
+
+
+def _stillest(group: Sequence[Frame]) -> Frame:
+    if len(group) == 1:
+        return group[0]
+    size = [max(side // _SHRINK, 1) for side in group[0].image0.shape[::-1]]
+    small = [cv2.resize(frame.image0, size, interpolation=cv2.INTER_AREA) for frame in group]
+    changes = [float(np.mean(cv2.absdiff(a, b))) for a, b in pairwise(small)]
+    # The larger of before and after: a copy of the frame before is not still.
+    around = [max(changes[max(i - 1, 0) : i + 1]) for i in range(len(group))]
+    return group[int(np.argmin(around))]
+
+
 def _looked_through(
     board: Board, frames: Iterable[Frame], cameras: int, threads: int
 ) -> Iterator[View]:
@@ -121,26 +150,26 @@ def choose_views(views: Sequence[View], most: int, size: tuple[int, int]) -> lis
 
     A view is described by where the outermost corners of the board are: place, distance, tilt and
     turn are all in there. Beginning with the sharpest, the view is added that is farthest from all
-    that were chosen.
+    that were chosen, until none is left that shows anything else.
 
     Args:
         views: to choose from; every view has the same sides.
         most: how many to choose.
         size: width and height of the images.
     """
-    views = _sharp(views, most)
-    if len(views) <= most:
-        return list(views)
+    views = _sharp(views)
+    if not views:
+        return []
     places = np.array([_place(view, size) for view in views])
     chosen = [int(np.argmax([_sharpness(view) for view in views]))]
     distance = np.linalg.norm(places - places[chosen[0]], axis=1)
-    while len(chosen) < most:
+    while len(chosen) < most and distance.max() > _ALIKE:
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return [views[i] for i in sorted(chosen)]
 
 
-def _sharp(views: Sequence[View], most: int) -> list[View]:
+def _sharp(views: Sequence[View]) -> list[View]:
     if not views:
         return []
     sharpness = np.array([_sharpness(view) for view in views])

@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli.run import ModeChoice
-from vo.errors import ConfigError
+from vo.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from vo.calibrating.board import Board
     from vo.calibrating.calibrate import Result
+
+
+_MOST_TO_CHOOSE_FROM = 10
+"""Frames that are read for each that is looked at."""
 
 
 class BoardKind(StrEnum):
@@ -103,7 +107,9 @@ def calibrate_command(
     look_at: Annotated[
         int,
         typer.Option(
-            min=1, metavar="N", help="Most frames to look for the board in, evenly spread."
+            min=1,
+            metavar="N",
+            help="Most frames to look for the board in, the stillest.",
         ),
     ] = 400,
     views: Annotated[
@@ -150,9 +156,13 @@ def calibrate_command(
             return
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make one")
-    result = _calibrate(
-        source, known, (format, mode, topic or []), (start, end, look_at), model.value, views
-    )
+    _check_outputs(output, picture)
+    opening, frames = (format, mode, topic or []), (start, end, look_at)
+    try:
+        result = _calibrate(source, known, opening, frames, model.value, views)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted; {output} was not written", err=True)
+        raise typer.Exit(130) from None
     _write(result, output, picture)
     if json_output:
         import json
@@ -178,7 +188,7 @@ def _calibrate(
 
     from vo.calibrating.calibrate import calibrate
     from vo.calibrating.missing import why_not_found
-    from vo.calibrating.survey import survey
+    from vo.calibrating.survey import stillest, survey
     from vo.cli.progress import warnings_on
     from vo.errors import CalibrationError
     from vo.sources.uncalibrated import open_uncalibrated
@@ -189,13 +199,15 @@ def _calibrate(
         source = open_uncalibrated(path, format=format, mode=mode.value, topics=topics)
         start, end, most = frames
         count = max(min(end or len(source), len(source)) - start, 1)
-        stride = -(-count // most)
-        chosen = source.frames(start, end, stride)
+        of = min(-(-count // most), _MOST_TO_CHOOSE_FROM)
+        stride = -(-count // (most * of))
+        chosen = stillest(source.frames(start, end, stride), of)
         cameras = 2 if source.rig.is_stereo else 1
-        with _bar(console, -(-count // stride)) as progress:
+        with _bar(console, -(-count // (stride * of))) as progress:
             found = survey(board, chosen, cameras, os.cpu_count() or 1, progress)
         if not found.views:
-            raise CalibrationError(why_not_found(board, found, source.frames(start, end, stride)))
+            every = stride * of
+            raise CalibrationError(why_not_found(board, found, source.frames(start, end, every)))
         size = (source.rig.cam0.width, source.rig.cam0.height)
         return calibrate(board, found, size, model, views)
 
@@ -219,11 +231,23 @@ def _bar(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, found: bar.update(task, completed=done, found=f"{found} show it")
 
 
+def _check_outputs(output: Path, picture: Path | None) -> None:
+    """Before minutes of work, not after them."""
+    for path in (output, picture):
+        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+            raise OutputError(f"{path} cannot be written: give a file in a folder that exists")
+    if picture is not None:
+        from vo.calibrating.picture import check_suffix
+
+        check_suffix(picture)
+
+
 def _write(result: Result, output: Path, picture: Path | None) -> None:
+    from vo.calibrating.report import comments
     from vo.formats.calibration import write_calibration
 
     if picture is not None:
         from vo.calibrating.picture import save_picture
 
         save_picture(picture, result)
-    write_calibration(output, result.rig)
+    write_calibration(output, result.rig, comments(result))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,13 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)))
 
 
-def write_calibration(path: Path | str, rig: Rig) -> None:
+def write_calibration(path: Path | str, rig: Rig, comments: Sequence[str] = ()) -> None:
     """Write a rig so that reading the file gives the very same numbers.
+
+    Args:
+        path: of the file.
+        rig: the cameras.
+        comments: lines for people, at its beginning.
 
     Raises:
         OutputError: the file cannot be written.
@@ -56,7 +61,8 @@ def write_calibration(path: Path | str, rig: Rig) -> None:
         data["cam1"] = _section(rig.cam1)
         data["cam1_from_cam0"] = rig.cam1_from_cam0.tolist()
     # Lists of numbers in one line, sections in many.
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
+    text = "".join(f"# {line}\n" for line in comments)
+    text += yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
     try:
         Path(path).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
