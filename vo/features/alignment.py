@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from vo.features import patch_kernels
 from vo.types import Bools, Bytes, Floats, Ints
 
 _MAX_HALF = 10
@@ -66,6 +67,49 @@ def align_patches(
         np.ascontiguousarray(reference_xy, dtype=np.float64),
         np.linalg.inv(target_from_reference),
         np.ascontiguousarray(target),
+        np.ascontiguousarray(start_xy, dtype=np.float64),
+        half_px,
+        iterations,
+    )
+    return Alignment(xy, score, converged)
+
+
+def align_between(
+    references: Bytes,
+    reference: Ints,
+    reference_xy: Floats,
+    reference_from_target: Floats | None,
+    targets: Bytes,
+    target: Ints,
+    start_xy: Floats,
+    *,
+    half_px: int,
+    iterations: int = 12,
+) -> Alignment:
+    """Find patches of several images in several others at once; otherwise as `align_patches`.
+
+    Args:
+        references: (M, H, W) uint8 stack of reference images.
+        reference: (N,) which of them each patch comes from.
+        reference_xy: (N, 2) pixel at the patch's centre.
+        reference_from_target: (N, 2, 2) the inverse of how the patch is stretched on its way to
+            the target; None if no patch is.
+        targets: (T, H, W) uint8 stack of the images to look in.
+        target: (N,) which of them each patch is looked for in.
+        start_xy: (N, 2) where to begin in the target.
+        half_px: the patch has 2 * half_px + 1 pixels a side.
+        iterations: most steps of the search.
+    """
+    if half_px > _MAX_HALF:
+        raise ValueError(f"half_px is {half_px}, at most {_MAX_HALF}")
+    stretch = np.empty((0, 2, 2)) if reference_from_target is None else reference_from_target
+    xy, score, converged = patch_kernels.align(
+        np.ascontiguousarray(references),
+        np.ascontiguousarray(reference, dtype=np.int64),
+        np.ascontiguousarray(reference_xy, dtype=np.float64),
+        np.ascontiguousarray(stretch, dtype=np.float64),
+        np.ascontiguousarray(targets),
+        np.ascontiguousarray(target, dtype=np.int64),
         np.ascontiguousarray(start_xy, dtype=np.float64),
         half_px,
         iterations,

@@ -1,0 +1,265 @@
+"""Compiled alignment of patches, with rows of pixels padded to what vector registers hold.
+
+A padded row costs no more than a shorter one. `weight` is 1 on the patch and 0 on the padding, so
+that no sum sees it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.extending import intrinsic
+
+_LANES = 16
+_INTEGER, _NUMBERS = ir.IntType(32), ir.VectorType(ir.FloatType(), _LANES)
+_UNDEFINED = ir.Constant(_NUMBERS, ir.Undefined)
+
+# All compiled code that calls each other stays in this file: numba's cache does not notice when
+# a function in another file has changed.
+
+
+@intrinsic
+def _blend_16(
+    typing_context: Any, image: Any, at: Any, share: Any, shift: Any, rows: Any, to: Any
+) -> Any:
+    """Pixels `at` to `at + 15` of a flat image, blended with their right neighbours, less `shift`.
+
+    Written out because loops over bytes are not turned into vector instructions by themselves.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pixels = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        target = context.make_array(signature.args[4])(context, builder, arguments[4]).data
+        left = _load(builder, builder.gep(pixels, [arguments[1]]))
+        one = ir.Constant(ir.IntType(64), 1)
+        right = _load(builder, builder.gep(pixels, [builder.add(arguments[1], one)]))
+        share = _everywhere(builder, arguments[2])
+        step = builder.fmul(share, builder.fsub(right, left), flags=("contract",))
+        left = builder.fsub(left, _everywhere(builder, arguments[3]))
+        place = builder.bitcast(builder.gep(target, [arguments[5]]), _NUMBERS.as_pointer())
+        builder.store(builder.fadd(left, step, flags=("contract",)), place).align = 4
+        return context.get_dummy_value()
+
+    signature = types.void(image, types.int64, types.float32, types.float32, rows, types.int64)
+    return signature, generate
+
+
+def _load(builder: Any, pixels: Any) -> Any:
+    grey = ir.VectorType(ir.IntType(8), _LANES)
+    loaded = builder.load(builder.bitcast(pixels, grey.as_pointer()))
+    loaded.align = 1
+    return builder.uitofp(loaded, _NUMBERS)
+
+
+def _everywhere(builder: Any, value: Any) -> Any:
+    first = builder.insert_element(_UNDEFINED, value, ir.Constant(_INTEGER, 0))
+    zeros = ir.Constant(ir.VectorType(_INTEGER, _LANES), [0] * _LANES)
+    return builder.shuffle_vector(first, _UNDEFINED, zeros)
+
+
+@numba.njit(cache=True, nogil=True)
+def align(  # type: ignore[no-untyped-def]
+    references, reference, reference_xy, inverses, targets, target, start_xy, half, iterations
+):
+    """See `alignment.align_between`; `inverses` may be empty, then nothing is stretched."""
+    count, side = len(reference_xy), 2 * half + 1
+    stride = _LANES if side + 2 <= _LANES else 2 * _LANES
+    work = _workspace(half, stride)
+    xy = start_xy.copy()
+    score = np.full(count, -1.0)
+    converged = np.zeros(count, dtype=np.bool_)
+    for n in range(count):
+        image = references[reference[n]]
+        x, y = reference_xy[n, 0], reference_xy[n, 1]
+        if len(inverses) == 0:
+            inside = _cut(image, x, y, half, stride, work)
+        else:
+            inside = _cut_stretched(image, x, y, inverses[n], half, stride, work)
+        if not inside:
+            continue
+        sums = _template(side, stride, work)
+        hxx, hxy, hyy, variance = sums[1:5]
+        determinant = hxx * hyy - hxy * hxy
+        flat = determinant < np.float32(1e-3) * (hxx + hyy) * (hxx + hyy)
+        if flat or variance < np.float32(4.0 * side * side):
+            continue  # an edge or a blank wall: the position along it is not determined
+        image = targets[target[n]]
+        x, y = start_xy[n, 0], start_xy[n, 1]
+        x, y, score[n], converged[n] = _search(image, x, y, half, stride, sums, iterations, work)
+        xy[n, 0], xy[n, 1] = x, y
+    return xy, score, converged
+
+
+@numba.njit(cache=True, nogil=True)
+def _workspace(half, stride):  # type: ignore[no-untyped-def]
+    """Padded patches (8, size): wide, template, gx, gy, rows, weight, across, down."""
+    size = (2 * half + 5) * stride
+    work = np.zeros((8, size), dtype=np.float32)
+    for k in range(size):
+        i, j = k // stride, k % stride
+        if i <= 2 * half and j <= 2 * half:
+            work[5, k] = 1.0
+        # Columns of the padding stay at the patch's edge, and with it inside of the image.
+        work[6, k] = min(j, 2 * half + 2) - half - 1
+        work[7, k] = i - half - 1
+    return work
+
+
+@numba.njit(cache=True, nogil=True)
+def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
+    """The patch, one pixel wider on each side; False if that is outside of the image."""
+    height, width = image.shape
+    flat = image.reshape(-1)
+    left, top, side = x - half - 1, y - half - 1, 2 * half + 3
+    if not (left >= 0 and left + side < width and top >= 0 and top + side < height):
+        return False
+    at = int(top) * width + int(left)
+    if at + side * width + stride >= len(flat):
+        return False
+    ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
+    _blend_rows(flat, width, at, ax, np.float32(0), side + 1, stride, work)
+    _blend_columns(side * stride, stride, ay, work)
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _cut_stretched(image, x, y, inverse, half, stride, work):  # type: ignore[no-untyped-def]
+    """The same for the patch as it looks after the stretch."""
+    height, width = image.shape
+    reach = half + 1
+    for sy in (-reach, reach):
+        for sx in (-reach, reach):
+            px = x + inverse[0, 0] * sx + inverse[0, 1] * sy
+            py = y + inverse[1, 0] * sx + inverse[1, 1] * sy
+            if not (0 <= px < width - 1.0001 and 0 <= py < height - 1.0001):
+                return False
+    _stretch(image.reshape(-1), width, x, y, inverse, (2 * half + 3) * stride, work)
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
+    rows = work[4]
+    for i in range(count):
+        for j in range(0, stride, _LANES):
+            first, to = at + i * width + j, i * stride + j
+            _blend_16(flat, first, ax, shift, rows, to)  # type: ignore[call-arg]
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
+    wide, rows = work[0], work[4]
+    for k in range(np.uintp(size)):
+        wide[k] = rows[k] + ay * (rows[k + np.uintp(stride)] - rows[k])
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _stretch(flat, width, x, y, inverse, size, work):  # type: ignore[no-untyped-def]
+    """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors."""
+    wide, share_x, share_y, across, down = work[0], work[2], work[3], work[6], work[7]
+    place = np.empty(size, dtype=np.int64)
+    corners = np.empty((4, size), dtype=np.uint8)
+    count, below = np.uintp(size), np.uintp(width)
+    for k in range(count):
+        px = x + inverse[0, 0] * across[k] + inverse[0, 1] * down[k]
+        py = y + inverse[1, 0] * across[k] + inverse[1, 1] * down[k]
+        x0, y0 = np.int32(px), np.int32(py)
+        share_x[k], share_y[k] = px - x0, py - y0
+        place[k] = y0 * width + x0
+    for k in range(count):
+        p = np.uintp(place[k])
+        corners[0, k], corners[1, k] = flat[p], flat[p + np.uintp(1)]
+        corners[2, k], corners[3, k] = flat[p + below], flat[p + below + np.uintp(1)]
+    for k in range(count):
+        a, b = np.float32(corners[0, k]), np.float32(corners[1, k])
+        c, d = np.float32(corners[2, k]), np.float32(corners[3, k])
+        top, low = a + share_x[k] * (b - a), c + share_x[k] * (d - c)
+        wide[k] = top + share_y[k] * (low - top)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _template(side, stride, work):  # type: ignore[no-untyped-def]
+    """Template and gradients of the wide patch, their means taken off; their sums of products."""
+    wide, template, gx, gy, weight = work[0], work[1], work[2], work[3], work[5]
+    size, row, one = np.uintp(side * stride), np.uintp(stride), np.uintp(1)
+    mean_t, mean_gx, mean_gy = np.float32(0), np.float32(0), np.float32(0)
+    for k in range(size):
+        centre = k + row + one
+        template[k] = wide[centre]
+        gx[k] = np.float32(0.5) * (wide[centre + one] - wide[centre - one])
+        gy[k] = np.float32(0.5) * (wide[centre + row] - wide[centre - row])
+        mean_t += weight[k] * template[k]
+        mean_gx += weight[k] * gx[k]
+        mean_gy += weight[k] * gy[k]
+    area = np.float32(side * side)
+    mean_t, mean_gx, mean_gy = mean_t / area, mean_gx / area, mean_gy / area
+    # Sums of single precision: they fill the vector registers twice as well.
+    hxx, hxy, hyy = np.float32(1e-6), np.float32(0), np.float32(1e-6)
+    variance, bx, by = np.float32(1e-6), np.float32(0), np.float32(0)
+    for k in range(size):
+        t = weight[k] * (template[k] - mean_t)
+        x = weight[k] * (gx[k] - mean_gx)
+        y = weight[k] * (gy[k] - mean_gy)
+        template[k], gx[k], gy[k] = t, x, y
+        hxx += x * x
+        hxy += x * y
+        hyy += y * y
+        variance += t * t
+        bx += x * t
+        by += y * t
+    return mean_t, hxx, hxy, hyy, variance, bx, by
+
+
+@numba.njit(cache=True, nogil=True)
+def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[no-untyped-def]
+    """Gauss-Newton steps from (x, y): where they end, the correlation there, whether settled."""
+    height, width = image.shape
+    flat = image.reshape(-1)
+    mean, hxx, hxy, hyy, variance, bx, by = sums
+    side, score = 2 * half + 1, -1.0
+    area, determinant = np.float32(side * side), hxx * hyy - hxy * hxy
+    for _ in range(iterations):
+        left, top = x - half, y - half
+        if not (left >= 0 and left + side < width - 1 and top >= 0 and top + side < height - 1):
+            return x, y, -1.0, False
+        at = int(top) * width + int(left)
+        if at + side * width + stride >= len(flat):
+            return x, y, -1.0, False
+        ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
+        # Grey levels less the mean of the step before: small numbers lose no digits in squares.
+        _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
+        total, squares, cross, cx, cy = _compare(side * stride, stride, ay, work)
+        change = total / area
+        mean += change
+        variance_now = max(squares - total * change, np.float32(1e-6))
+        gain = np.sqrt(variance / variance_now)
+        ex, ey = cx * gain - bx, cy * gain - by
+        step_x = (hyy * ex - hxy * ey) / determinant
+        step_y = (hxx * ey - hxy * ex) / determinant
+        x -= step_x
+        y -= step_y
+        score = cross / np.sqrt(variance * variance_now)
+        if step_x * step_x + step_y * step_y < 1e-4:
+            return x, y, score, True
+    return x, y, score, False
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _compare(size, stride, ay, work):  # type: ignore[no-untyped-def]
+    """Sum and squares of the patch in the target, and its products with template and gradients."""
+    template, gx, gy, rows, weight = work[1], work[2], work[3], work[4], work[5]
+    total, squares = np.float32(0), np.float32(0)
+    cross, cx, cy = np.float32(0), np.float32(0), np.float32(0)
+    for k in range(np.uintp(size)):
+        value = rows[k] + ay * (rows[k + np.uintp(stride)] - rows[k])
+        weighted = weight[k] * value
+        total += weighted
+        squares += weighted * value
+        cross += template[k] * value
+        cx += gx[k] * value
+        cy += gy[k] * value
+    return total, squares, cross, cx, cy
