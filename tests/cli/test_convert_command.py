@@ -10,8 +10,12 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoder
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
 from typer.testing import CliRunner, Result
 
 from vo.cli.app import app
@@ -20,8 +24,9 @@ from vo.config import load_config
 from vo.geometry.cameras import project
 from vo.inspection.material import look_into, right_stamps
 from vo.run import run
+from vo.sources.images import Pixels
 from vo.sources.registry import open_source
-from vo.types import Camera, Floats, Ints, Trajectory
+from vo.types import Camera, Floats, Frame, Ints, Trajectory
 
 FRAMES = 8
 KINDS = [
@@ -161,3 +166,165 @@ def test_an_interruption_leaves_nothing(synthetic_stereo: Path, tmp_path: Path) 
     os.kill(process.pid, signal.SIGINT)
     assert process.wait(timeout=60) == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def colour_clip(path: Path) -> Path:
+    """A TUM RGB-D recording as TUM's are: colour, depth with 16 bits, names with times."""
+    noise = np.random.default_rng(7)
+    lists: dict[str, list[str]] = {"rgb": [], "depth": []}
+    for i in range(4):
+        colour = cv2.GaussianBlur(noise.integers(0, 256, (60, 80, 3), dtype=np.uint8), (0, 0), 1.5)
+        depth = noise.integers(0, 65536, (60, 80), dtype=np.uint16)
+        for name, image in (("rgb", colour), ("depth", depth)):
+            (path / name).mkdir(parents=True, exist_ok=True)
+            file = f"{name}/1305031102.{175304000 + i * 33_000_000:09d}.png"
+            assert cv2.imwrite(str(path / file), image)
+            lists[name].append(f"{file[len(name) + 1 : -4]} {file}")
+    for name, lines in lists.items():
+        (path / f"{name}.txt").write_text("\n".join(["# title", *lines]) + "\n")
+    (path / "calibration.yaml").write_text(
+        "cam0: {resolution: [80, 60], intrinsics: [70.0, 70.0, 39.5, 29.5]}\n"
+    )
+    return path
+
+
+def recorded(path: Path) -> list[Frame]:
+    return list(open_source(path).frames(images="recorded"))
+
+
+def images_in(folder: Path) -> list[Pixels]:
+    return [
+        np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+        for file in sorted(folder.glob("*.png"))
+    ]
+
+
+@pytest.mark.parametrize(("format", "codec"), [("mcap", "raw"), ("mcap-ros2", "png")])
+def test_colour_and_depth_survive_a_log(tmp_path: Path, format: str, codec: str) -> None:
+    clip = colour_clip(tmp_path / "clip")
+    log = converted(clip, tmp_path / "a.mcap", "--format", format, "--codec", codec)
+    back = converted(log, tmp_path / "back", "--format", "tum")
+    for name in ("rgb", "depth"):
+        before, after = images_in(clip / name), images_in(back / name)
+        assert len(after) == 4
+        assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+        assert {image.dtype.name for image in after} == {"uint8" if name == "rgb" else "uint16"}
+    folder = converted(log, tmp_path / "folder", "--format", "folder", "--stride", 2)
+    pairs = zip(images_in(clip / "rgb")[::2], images_in(folder), strict=True)
+    assert all(np.array_equal(a, b) for a, b in pairs)
+
+
+def test_official_decoders_read_the_colours(tmp_path: Path) -> None:
+    clip = colour_clip(tmp_path / "clip")
+    expected = images_in(clip / "rgb")
+    ros2 = converted(clip, tmp_path / "a.mcap", "--format", "mcap-ros2", "--codec", "raw")
+    foxglove = converted(clip, tmp_path / "b.mcap", "--codec", "raw")
+    for path, factory in ((ros2, Ros2Decoder()), (foxglove, ProtobufDecoder())):
+        with path.open("rb") as stream:
+            reader = make_reader(stream, decoder_factories=[factory])
+            messages = [m for *_, m in reader.iter_decoded_messages(["/cam0/image_raw"])]
+        assert [(m.encoding, m.step) for m in messages] == [("bgr8", 240)] * 4
+        images = [np.frombuffer(bytes(m.data), np.uint8).reshape(60, 80, 3) for m in messages]
+        assert all(np.array_equal(a, b) for a, b in zip(images, expected, strict=True))
+
+
+def test_gray_gives_what_the_odometry_sees(tmp_path: Path) -> None:
+    clip = colour_clip(tmp_path / "clip")
+    grey = converted(clip, tmp_path / "grey", "--gray")
+    assert [f.image0.ndim for f in recorded(grey)] == [2] * 4
+    seen = open_source(clip).frames()
+    assert all(
+        np.array_equal(a.image0, b.image0) for a, b in zip(seen, recorded(grey), strict=True)
+    )
+
+
+def test_jpeg_keeps_colour_and_a_smaller_image_too(tmp_path: Path) -> None:
+    clip = colour_clip(tmp_path / "clip")
+    small = converted(clip, tmp_path / "s", "--codec", "jpeg", "--resize", 0.5, "--format", "kitti")
+    assert sorted(folder.name for folder in small.iterdir() if folder.is_dir()) == [
+        "depth",
+        "image_2",
+    ]
+    for before, after in zip(recorded(clip), recorded(small), strict=True):
+        assert after.image0.shape == (30, 40, 3)
+        expected = cv2.resize(before.image0, (40, 30), interpolation=cv2.INTER_AREA)
+        assert np.abs(after.image0.astype(float) - expected).mean() < 8.0
+    assert open_source(small).rig.cam0.fx == 35.0
+
+
+@pytest.mark.parametrize(("codec", "bits"), [("png", 16), ("jpeg", 8), ("raw", 16)])
+def test_16_bits_stay_where_there_is_room(tmp_path: Path, codec: str, bits: int) -> None:
+    deep = np.random.default_rng(2).integers(0, 4096, (60, 80), dtype=np.uint16)
+    (tmp_path / "a").mkdir()
+    assert cv2.imwrite(str(tmp_path / "a" / "0.png"), cv2.GaussianBlur(deep, (0, 0), 2))
+    calibration = "cam0: {resolution: [80, 60], intrinsics: [70.0, 70.0, 39.5, 29.5]}\n"
+    (tmp_path / "a" / "calibration.yaml").write_text(calibration)
+    log = converted(tmp_path / "a", tmp_path / "a.mcap", "--codec", codec)
+    (before,), (after,) = recorded(tmp_path / "a"), recorded(log)
+    assert after.image0.dtype == (np.uint16 if bits == 16 else np.uint8)
+    if bits == 16:
+        assert np.array_equal(before.image0, after.image0)
+    else:
+        assert np.abs(after.image0.astype(float) - (before.image0 >> 4)).mean() < 3.0
+
+
+def lines_of(recording: Path) -> list[str]:
+    return (recording / "mav0" / "imu0" / "data.csv").read_text().splitlines()[1:]
+
+
+@pytest.mark.parametrize("format", ["mcap", "mcap-ros2"])
+def test_inertial_measurements_come_back_exactly(
+    synthetic_stereo: Path, tmp_path: Path, format: str
+) -> None:
+    log = converted(synthetic_stereo, tmp_path / "a.mcap", "--format", format, "--end", 6)
+    back = converted(log, tmp_path / "back")
+    stamps = open_source(synthetic_stereo).stamps_ns[:6]
+    times = [int(line.split(",")[0]) for line in lines_of(synthetic_stereo)]
+    kept = [i for i, time in enumerate(times) if stamps[0] <= time <= stamps[-1]]
+    expected = lines_of(synthetic_stereo)[kept[0] - 1 : kept[-1] + 2]
+    assert len(expected) > 40 and lines_of(back) == expected
+    before, after = open_source(synthetic_stereo).imus[0], open_source(back).imus[0]
+    assert before.cam0_from_imu is not None and after.cam0_from_imu is not None
+    assert after.cam0_from_imu == pytest.approx(before.cam0_from_imu, abs=1e-12)
+    for name in ("cam0", "cam1"):
+        pairs = zip(
+            images_in(synthetic_stereo / "mav0" / name / "data")[:6],
+            images_in(back / "mav0" / name / "data"),
+            strict=True,
+        )
+        assert all(np.array_equal(a, b) for a, b in pairs)
+
+
+def test_rosbags_reads_the_inertial_measurements(synthetic_stereo: Path, tmp_path: Path) -> None:
+    flags = ("--format", "mcap-ros2", "--start", 2, "--end", 6)
+    log = converted(synthetic_stereo, tmp_path / "a.mcap", *flags)
+    with log.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[Ros2Decoder()])
+        messages = [m for *_, m in reader.iter_decoded_messages(["/imu0"])]
+    read = [
+        [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec]
+        + [getattr(v, axis) for v in (m.angular_velocity, m.linear_acceleration) for axis in "xyz"]
+        for m in messages
+    ]
+    rows = [line.split(",") for line in lines_of(synthetic_stereo)]
+    known = {int(row[0]): [float(value) for value in row[1:]] for row in rows}
+    assert len(read) > 20
+    assert all(values == known[stamp] for stamp, *values in read)
+    assert {m.header.frame_id for m in messages} == {"body"}
+
+
+def test_noise_of_the_sensor_stays_and_its_place_is_never_made_up(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    walk = Path(shutil.copytree(synthetic_stereo, tmp_path / "walk"))
+    cut = converted(walk, tmp_path / "cut", "--end", 3)
+    before, after = (open_source(path).imus[0] for path in (walk, cut))
+    assert after.noise == before.noise and after.noise is not None
+    sensor = walk / "mav0" / "imu0" / "sensor.yaml"
+    sensor.unlink()
+    result = vo_convert(walk, tmp_path / "a.mcap", "--end", 3)
+    assert result.exit_code == 0
+    assert "nothing says where it is beside the camera" in " ".join(result.stderr.split())
+    assert open_source(tmp_path / "a.mcap").imus[0].cam0_from_imu is None
+    result = vo_convert(walk, tmp_path / "kitti", "--format", "kitti", "--end", 3)
+    assert "format kitti has no room for it" in " ".join(result.stderr.split())

@@ -38,8 +38,9 @@ def imu_around(source: Source, stamps_ns: Ints, format: str) -> tuple[Imu | None
         return None, np.eye(4)
     try:
         all_ns = sensor.stamps_ns
-        first, last = np.searchsorted(all_ns, stamps_ns[0]), np.searchsorted(all_ns, stamps_ns[-1])
-        kept = all_ns[max(0, int(first) - 1) : int(last) + 2]
+        first = int(np.searchsorted(all_ns, stamps_ns[0])) - 1
+        last = int(np.searchsorted(all_ns, stamps_ns[-1], side="right"))
+        kept = all_ns[max(0, first) : last + 1]
         samples = sensor.read(int(kept[0]), int(kept[-1])) if len(kept) else None
         place = sensor.cam0_from_imu
     except VoError as error:

@@ -50,8 +50,8 @@ class ImageMessage:
 
     @property
     def row_bytes(self) -> int:
-        """Length of a row in bytes, of the kinds of pixels that are written."""
-        return self.width * _BYTES_PER_PIXEL.get(self.pixel_format, 1)
+        """From a row to the next in bytes, of the kinds of pixels that are written."""
+        return self.step or self.width * _BYTES_PER_PIXEL.get(self.pixel_format, 1)
 
 
 @dataclass(frozen=True, eq=False)
