@@ -73,10 +73,11 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
 
 
 def _imu(imu: ImuReport) -> str:
-    gaps = f"{imu.gaps} gaps, the longest {imu.longest_gap_s:.3g} s" if imu.gaps else "no gaps"
+    gaps = {0: "no gaps", 1: "1 gap"}.get(imu.gaps, f"{imu.gaps} gaps")
+    covered = "" if imu.covered is None else f", covers {100 * imu.covered:.0f} % of the images"
     return (
-        f"{imu.name}: {imu.count} samples, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, {gaps}, "
-        f"covers {100 * imu.covered:.0f} % of the images (not used by vo run)"
+        f"{imu.name}: {imu.count} samples, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, {gaps}"
+        f"{covered} (not used by vo run)"
     )
 
 

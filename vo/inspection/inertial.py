@@ -55,9 +55,9 @@ def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
     samples = imu.read() if everything else imu.read_some(_LOOKED_AT)
     accel, gyro = np.linalg.norm(samples.accel, axis=1), np.linalg.norm(samples.gyro, axis=1)
     place = imu.cam0_from_imu
-    covered = np.zeros(0)
+    covered = np.zeros(len(image_stamps_ns))
     if len(stamps):
-        covered = (image_stamps_ns >= stamps[0]) & (image_stamps_ns <= stamps[-1])
+        covered[(image_stamps_ns >= stamps[0]) & (image_stamps_ns <= stamps[-1])] = 1.0
     return ImuReport(
         name=imu.name,
         count=len(stamps),
@@ -71,7 +71,7 @@ def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
         accel_m_s2=float(accel.mean()) if len(accel) else 0.0,
         gyro_rad_s=float(np.median(gyro)) if len(gyro) else 0.0,
         gyro_high_rad_s=float(np.percentile(gyro, 99)) if len(gyro) else 0.0,
-        covered=float(covered.mean()) if len(covered) else 0.0,
+        covered=float(covered.mean()) if len(covered) else None,
         cam0_from_imu=None if place is None else place.tolist(),
     )
 
@@ -81,16 +81,16 @@ def in_imu(imu: ImuReport) -> Iterator[Finding]:
     if imu.unreadable:
         yield Finding(
             "warning",
-            f"{imu.name}: {imu.unreadable} samples are damaged or not finite",
+            f"{imu.name}: samples that are damaged or not finite: {imu.unreadable}",
             "they are left out",
         )
     if imu.gaps:
         yield Finding(
             "warning",
-            f"{imu.name}: {imu.gaps} gaps, the longest is {imu.longest_gap_s:.3g} s",
+            f"{imu.name}: gaps: {imu.gaps}, the longest {imu.longest_gap_s:.3g} s",
             "samples were dropped on the way to the recorder",
         )
-    if imu.covered < _COVERED:
+    if imu.covered is not None and imu.covered < _COVERED:
         yield Finding(
             "warning",
             f"{imu.name}: covers {100 * imu.covered:.0f} % of the images in time",

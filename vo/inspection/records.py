@@ -239,7 +239,8 @@ class ImuReport:
         accel_m_s2: mean of the specific force's length; about 9.81.
         gyro_rad_s: median of the rate's length.
         gyro_high_rad_s: 99 % of the lengths are below.
-        covered: share of the left images whose time lies between the first and the last sample.
+        covered: share of the left images whose time lies between the first and the last sample;
+            None without images.
         cam0_from_imu: rows of the (4, 4) transform; None where nothing says where it is.
     """
 
@@ -255,7 +256,7 @@ class ImuReport:
     accel_m_s2: float
     gyro_rad_s: float
     gyro_high_rad_s: float
-    covered: float
+    covered: float | None
     cam0_from_imu: list[list[float]] | None
 
 

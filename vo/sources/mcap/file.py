@@ -114,7 +114,8 @@ class McapFile:
 def _channels_by_topic(book: Book) -> dict[str, list[int]]:
     channels: dict[str, list[int]] = {}
     for number, channel in sorted(book.channels.items()):
-        if number in book.tallies and book.codec(number) is not None:
+        is_there = number in book.tallies and book.tallies[number].count > 0
+        if is_there and book.codec(number) is not None:
             channels.setdefault(channel.topic, []).append(number)
     return channels
 
