@@ -28,9 +28,11 @@ _NEAREST = 1e-6  # depth from which on a point is in front
 class NormalEquations(NamedTuple):
     """hessian @ step = -gradient for F poses that may move, 6 rows each, and what they cost.
 
+    The last row is that of a constant error of all disparities, which is 0 so far.
+
     Attributes:
-        hessian: (6 F, 6 F).
-        gradient: (6 F,).
+        hessian: (6 F + 1, 6 F + 1).
+        gradient: (6 F + 1,).
         cost: half the sum of squares, robust.
     """
 
@@ -48,7 +50,8 @@ class Bundle:
     def __init__(self, problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> None:
         order = np.argsort(problem.point, kind="stable")
         order = order[point_ok[problem.point[order]]]
-        self._points = problem.points.copy()
+        self._points = np.ascontiguousarray(problem.points)
+        self._latest: _Best | None = None
         starts = np.searchsorted(problem.point[order], np.arange(len(problem.points) + 1))
         self._observations = (
             starts,
@@ -69,25 +72,36 @@ class Bundle:
 
     def cost(self, world_from_cam: Floats) -> float:
         """Half the robust sum of squares for poses (K, 4, 4), every point at its best."""
-        return self._refine(self._points.copy(), _inverse(world_from_cam))
+        return self._at(world_from_cam).cost
 
     def points_for(self, world_from_cam: Floats) -> Floats:
         """(M, 3) points at their best for poses (K, 4, 4)."""
-        points = self._points.copy()
-        self._refine(points, _inverse(world_from_cam))
-        return points
+        return self._at(world_from_cam).points
 
     def normal_equations(self, world_from_cam: Floats) -> NormalEquations:
-        """Move every point to its best for poses (K, 4, 4), and linearise there."""
-        cam_from_world = _inverse(world_from_cam)
-        cost = self._refine(self._points, cam_from_world)
-        arrays = (self._slot, *self._observations, *self._model)
-        hessian, gradient = _reduced(self._points, cam_from_world, *arrays)
-        return NormalEquations(hessian, gradient, cost)
+        """Linearise at poses (K, 4, 4) and their points; later searches for points start there."""
+        at = self._at(world_from_cam)
+        self._points = at.points
+        arrays = (_inverse(world_from_cam), self._slot, *self._observations, *self._model)
+        hessian, gradient = _reduced(at.points, *arrays)
+        return NormalEquations(hessian, gradient, at.cost)
 
-    def _refine(self, points: Floats, cam_from_world: Floats) -> float:
-        arrays = (*self._observations, *self._model)
-        return float(_refined(points, cam_from_world, *self._patience, *arrays))
+    def _at(self, world_from_cam: Floats) -> _Best:
+        """Optimisers ask for the same poses' cost first and their derivatives later."""
+        if self._latest is None or not np.array_equal(world_from_cam, self._latest.world_from_cam):
+            points = self._points.copy()
+            arrays = (*self._patience, *self._observations, *self._model)
+            cost = float(_refined(points, _inverse(world_from_cam), *arrays))
+            self._latest = _Best(world_from_cam, points, cost)
+        return self._latest
+
+
+class _Best(NamedTuple):
+    """Points (M, 3) at their best for poses (K, 4, 4), and what they cost."""
+
+    world_from_cam: Floats
+    points: Floats
+    cost: float
 
 
 def _inverse(world_from_cam: Floats) -> Floats:
@@ -232,15 +246,17 @@ def _reduced(  # type: ignore[no-untyped-def]
     inverse_d,
     huber,
 ):
-    """Normal equations of the poses that may move, the points eliminated (Schur complement)."""
-    size = 6 * (slot.max() + 1)
-    hessian, gradient = np.zeros((size, size)), np.zeros(size)
+    """Normal equations of the poses that may move and of the offset, the points eliminated."""
+    free = slot.max() + 1
+    # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
+    blocks, gradient = np.zeros((free, free, 6, 6)), np.zeros((free + 1, 6))
+    border = np.zeros((free + 1, 6))
     most = 0
     for m in range(len(starts) - 1):
         most = max(most, starts[m + 1] - starts[m])
     by_pose, by_point, error = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(3)
-    coupling, rows = np.zeros((most, 3, 6)), np.zeros(most, dtype=np.int64)
-    normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    coupling, lifted, at = np.zeros((most, 3, 6)), np.zeros((3, 6)), np.zeros(most, dtype=np.int64)
+    normal, inverse, right, offset = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for m in range(len(starts) - 1):
         first, last = starts[m], starts[m + 1]
         if last == first:
@@ -251,11 +267,9 @@ def _reduced(  # type: ignore[no-untyped-def]
         if not _invert(normal, inverse):
             continue
         count = 0
+        offset[:] = 0.0
         for a in range(first, last):
-            row = 6 * slot[keyframe[a]]
-            if row < 0:
-                continue
-            if _jacobians(
+            by_offset = _jacobians(
                 points[m],
                 poses[keyframe[a]],
                 xy[a],
@@ -268,91 +282,113 @@ def _reduced(  # type: ignore[no-untyped-def]
                 by_pose,
                 by_point,
                 error,
-            ):
-                _add_observation(row, by_pose, by_point, error, hessian, gradient, coupling[count])
-                rows[count] = row
-                count += 1
-        _subtract_point(rows[:count], coupling, inverse, right, hessian, gradient)
-    for r in range(size):
-        for c in range(r):
-            hessian[r, c] = hessian[c, r]
-    return hessian, gradient
+            )
+            for p in range(3):
+                offset[p] += by_point[2, p] * by_offset
+            border[free, 0] += by_offset * by_offset
+            gradient[free, 0] += by_offset * error[2]
+            k = slot[keyframe[a]]
+            if k < 0:
+                continue
+            at[count] = k
+            _add_observation(by_pose, by_point, error, blocks[k, k], gradient[k], coupling[count])
+            for c in range(6):
+                border[k, c] += by_pose[2, c] * by_offset
+            count += 1
+        _subtract_point(
+            at[:count], coupling, lifted, inverse, right, offset, blocks, gradient, border
+        )
+    return _assembled(blocks, gradient, border)
 
 
 @numba.njit(cache=True, nogil=True)
 def _jacobians(  # type: ignore[no-untyped-def]
     at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, error
 ):
-    """Fill an observation's derivatives and errors, weighted; False if it has none."""
+    """Fill an observation's derivatives and errors, weighted; gives that by the offset."""
     x, y, z = _in_camera(pose, at)
     if z < _NEAREST:
-        return False
+        by_pose[:], by_point[:], error[:] = 0.0, 0.0, 0.0
+        return 0.0
     eu, ev, ed, s, t = _errors(x, y, z, xy, disparity, s, intrinsics, fb, inverse_d)
     length = np.sqrt(eu * eu + ev * ev + ed * ed)
     weight = 1.0 if length <= huber else np.sqrt(huber / length)
     error[0], error[1], error[2] = weight * eu, weight * ev, weight * ed
     du, dv = weight * s * intrinsics[0] / z, weight * s * intrinsics[1] / z
-    cd = -weight * t * fb / (z * z)
-    for r in range(3):
-        a = du if r == 0 else 0.0
-        b = dv if r == 1 else 0.0
-        c = cd
-        if r == 0:
-            c = -du * x / z
-        elif r == 1:
-            c = -dv * y / z
-        for p in range(3):
-            by_point[r, p] = a * pose[0, p] + b * pose[1, p] + c * pose[2, p]
-        # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
-        by_pose[r, 0] = b * z - c * y
-        by_pose[r, 1] = c * x - a * z
-        by_pose[r, 2] = a * y - b * x
-        by_pose[r, 3], by_pose[r, 4], by_pose[r, 5] = -a, -b, -c
-    return True
+    cu, cv, cd = -du * x / z, -dv * y / z, -weight * t * fb / (z * z)
+    for p in range(3):
+        by_point[0, p] = du * pose[0, p] + cu * pose[2, p]
+        by_point[1, p] = dv * pose[1, p] + cv * pose[2, p]
+        by_point[2, p] = cd * pose[2, p]
+    # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
+    by_pose[0, 0], by_pose[0, 1], by_pose[0, 2] = -cu * y, cu * x - du * z, du * y
+    by_pose[1, 0], by_pose[1, 1], by_pose[1, 2] = dv * z - cv * y, cv * x, -dv * x
+    by_pose[2, 0], by_pose[2, 1] = -cd * y, cd * x
+    by_pose[0, 3], by_pose[0, 5] = -du, -cu
+    by_pose[1, 4], by_pose[1, 5] = -dv, -cv
+    by_pose[2, 5] = -cd
+    by_pose[0, 4], by_pose[1, 3] = 0.0, 0.0
+    by_pose[2, 2], by_pose[2, 3], by_pose[2, 4] = 0.0, 0.0, 0.0
+    return weight * t
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_observation(  # type: ignore[no-untyped-def]
-    row, by_pose, by_point, error, hessian, gradient, coupling
-):
+def _add_observation(by_pose, by_point, error, block, gradient, coupling):  # type: ignore[no-untyped-def]
     for c in range(6):
-        total = 0.0
-        for r in range(3):
-            total += by_pose[r, c] * error[r]
-        gradient[row + c] += total
-        for d in range(c, 6):
-            total = 0.0
-            for r in range(3):
-                total += by_pose[r, c] * by_pose[r, d]
-            hessian[row + c, row + d] += total
-        for p in range(3):
-            total = 0.0
-            for r in range(3):
-                total += by_point[r, p] * by_pose[r, c]
-            coupling[p, c] = total
+        u, v, d = by_pose[0, c], by_pose[1, c], by_pose[2, c]
+        gradient[c] += u * error[0] + v * error[1] + d * error[2]
+        for e in range(6):
+            block[c, e] += u * by_pose[0, e] + v * by_pose[1, e] + d * by_pose[2, e]
+    for p in range(3):
+        u, v, d = by_point[0, p], by_point[1, p], by_point[2, p]
+        for c in range(6):
+            coupling[p, c] = u * by_pose[0, c] + v * by_pose[1, c] + d * by_pose[2, c]
 
 
 @numba.njit(cache=True, nogil=True)
-def _subtract_point(rows, coupling, inverse, right, hessian, gradient):  # type: ignore[no-untyped-def]
-    """What the poses lose because the point may move too; rows grow from one to the next."""
-    lifted = np.zeros((3, 6))
-    for a in range(len(rows)):
+def _subtract_point(  # type: ignore[no-untyped-def]
+    at, coupling, lifted, inverse, right, offset, blocks, gradient, border
+):
+    """What poses and offset lose because the point may move too; `at` grows."""
+    free = len(blocks)
+    for p in range(3):
+        shared = inverse[p, 0] * offset[0] + inverse[p, 1] * offset[1] + inverse[p, 2] * offset[2]
+        border[free, 0] -= offset[p] * shared
+        gradient[free, 0] -= right[p] * shared
+    for a in range(len(at)):
+        own = coupling[a]
         for p in range(3):
+            i, j, k = inverse[p, 0], inverse[p, 1], inverse[p, 2]
             for c in range(6):
-                total = 0.0
-                for q in range(3):
-                    total += inverse[p, q] * coupling[a, q, c]
-                lifted[p, c] = total
+                lifted[p, c] = i * own[0, c] + j * own[1, c] + k * own[2, c]
+        to, edge = gradient[at[a]], border[at[a]]
         for c in range(6):
-            for p in range(3):
-                gradient[rows[a] + c] -= lifted[p, c] * right[p]
-        for b in range(a, len(rows)):
+            u, v, w = lifted[0, c], lifted[1, c], lifted[2, c]
+            to[c] -= u * right[0] + v * right[1] + w * right[2]
+            edge[c] -= u * offset[0] + v * offset[1] + w * offset[2]
+        for b in range(a, len(at)):
+            block, other = blocks[at[a], at[b]], coupling[b]
             for c in range(6):
-                for d in range(6):
-                    total = 0.0
-                    for p in range(3):
-                        total += lifted[p, c] * coupling[b, p, d]
-                    hessian[rows[a] + c, rows[b] + d] -= total
+                u, v, w = lifted[0, c], lifted[1, c], lifted[2, c]
+                for e in range(6):
+                    block[c, e] -= u * other[0, e] + v * other[1, e] + w * other[2, e]
+
+
+@numba.njit(cache=True, nogil=True)
+def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
+    """Hessian (6 F + 1, 6 F + 1) and gradient (6 F + 1,), the offset last."""
+    free = len(blocks)
+    size = 6 * free + 1
+    hessian, whole = np.zeros((size, size)), np.zeros(size)
+    for r in range(size - 1):
+        a, c = divmod(r, 6)
+        whole[r] = gradient[a, c]
+        hessian[r, size - 1] = hessian[size - 1, r] = border[a, c]
+        for column in range(r, size - 1):
+            b, e = divmod(column, 6)
+            hessian[r, column] = hessian[column, r] = blocks[a, b, c, e]
+    hessian[size - 1, size - 1], whole[size - 1] = border[free, 0], gradient[free, 0]
+    return hessian, whole
 
 
 @numba.njit(cache=True, nogil=True)

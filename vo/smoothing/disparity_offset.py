@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.smoothing.pose_system import PoseSystem
+from vo.smoothing.bundle import NormalEquations
 
 
 class DisparityOffset(NamedTuple):
@@ -21,17 +21,16 @@ class DisparityOffset(NamedTuple):
     sigma_px: float
 
 
-def disparity_offset(system: PoseSystem) -> DisparityOffset | None:
-    """Estimate the offset together with all poses but the first and all points of a window.
+def disparity_offset(normal: NormalEquations) -> DisparityOffset | None:
+    """Estimate the offset together with all poses but one and all points of a smoothed window.
 
-    One Gauss-Newton step from the smoothed window. None if the window does not determine it.
+    One Gauss-Newton step. None if the window does not determine it.
     """
-    hessian, gradient = system.hessian[6:, 6:], system.gradient[6:]
     try:
-        covariance = np.linalg.inv(hessian)
+        covariance = np.linalg.inv(normal.hessian)
     except np.linalg.LinAlgError:
         return None
-    offset, variance = float(-(covariance @ gradient)[-1]), float(covariance[-1, -1])
+    offset, variance = float(-(covariance @ normal.gradient)[-1]), float(covariance[-1, -1])
     if not np.isfinite(offset) or not variance > 0:
         return None
     return DisparityOffset(offset, float(np.sqrt(variance)))

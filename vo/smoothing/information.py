@@ -66,12 +66,14 @@ def pose_information(linear: Linearised, scale: float, model: ErrorModel = OF_PA
 def _eliminated(  # type: ignore[no-untyped-def]
     poses, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
 ):
-    information = np.zeros((6 * poses, 6 * poses))
+    # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
+    blocks = np.zeros((poses, poses, 6, 6))
     most = 0
     for m in range(len(starts) - 1):
         most = max(most, starts[m + 1] - starts[m])
     weight, weight_d = np.zeros((most, most)), np.zeros((most, most))
     lifted = np.zeros((most, 3, 3))
+    coupling, solved = np.zeros((most, 3, 6)), np.zeros((most, 3, 6))
     normal, inverse = np.zeros((3, 3)), np.zeros((3, 3))
     for m in range(len(starts) - 1):
         first, last = starts[m], starts[m + 1]
@@ -82,10 +84,12 @@ def _eliminated(  # type: ignore[no-untyped-def]
         _disparity_weights(point, disparity, bias, weight_d)
         _add_point_normal(point, weight, weight_d, lifted, normal)
         if _invert(normal, inverse):
-            _add_point(at, pose, weight, weight_d, lifted, inverse, information)
+            _couple(pose, lifted, inverse, coupling, solved)
+            _add_point(at, pose, weight, weight_d, coupling, solved, blocks)
+    information = np.zeros((6 * poses, 6 * poses))
     for r in range(6 * poses):
-        for c in range(r):
-            information[r, c] = information[c, r]
+        for c in range(r, 6 * poses):
+            information[r, c] = information[c, r] = blocks[r // 6, c // 6, r % 6, c % 6]
     return information
 
 
@@ -168,27 +172,31 @@ def _invert(m, inverse):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_point(at, pose, weight, weight_d, lifted, inverse, information):  # type: ignore[no-untyped-def]
+def _couple(pose, lifted, inverse, coupling, solved):  # type: ignore[no-untyped-def]
+    """Fill how each observation ties a point to its pose, and that times the point's covariance."""
+    for a in range(len(pose)):
+        for p in range(3):
+            u, v, w = lifted[a, 0, p], lifted[a, 1, p], lifted[a, 2, p]
+            for c in range(6):
+                coupling[a, p, c] = u * pose[a, 0, c] + v * pose[a, 1, c] + w * pose[a, 2, c]
+        own = coupling[a]
+        for p in range(3):
+            u, v, w = inverse[p, 0], inverse[p, 1], inverse[p, 2]
+            for c in range(6):
+                solved[a, p, c] = u * own[0, c] + v * own[1, c] + w * own[2, c]
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_point(at, pose, weight, weight_d, coupling, solved, blocks):  # type: ignore[no-untyped-def]
     """What the observations of one point say of their poses, the point eliminated."""
-    n = len(at)
-    coupling, solved = np.zeros((n, 3, 6)), np.zeros((n, 3, 6))
-    for a in range(n):
-        for p in range(3):
+    for a in range(len(at)):
+        mine, gain = pose[a], solved[a]
+        for b in range(a, len(at)):
+            block, other, tie = blocks[at[a], at[b]], pose[b], coupling[b]
+            own, own_d = weight[a, b], weight_d[a, b]
             for c in range(6):
-                for r in range(3):
-                    coupling[a, p, c] += lifted[a, r, p] * pose[a, r, c]
-        for p in range(3):
-            for c in range(6):
-                for q in range(3):
-                    solved[a, p, c] += inverse[p, q] * coupling[a, q, c]
-    for a in range(n):
-        for b in range(a, n):
-            row, column = 6 * at[a], 6 * at[b]
-            for c in range(6):
+                u, v, w = own * mine[0, c], own * mine[1, c], own_d * mine[2, c]
+                i, j, k = gain[0, c], gain[1, c], gain[2, c]
                 for d in range(6):
-                    total = 0.0
-                    for r in range(3):
-                        own = weight_d[a, b] if r == 2 else weight[a, b]
-                        total += own * pose[a, r, c] * pose[b, r, d]
-                        total -= solved[a, r, c] * coupling[b, r, d]
-                    information[row + c, column + d] += total
+                    block[c, d] += u * other[0, d] + v * other[1, d] + w * other[2, d]
+                    block[c, d] -= i * tie[0, d] + j * tie[1, d] + k * tie[2, d]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from vo.types import Floats, WindowProblem
@@ -10,15 +11,40 @@ from vo.types import Floats, WindowProblem
 def residuals(
     problem: WindowProblem, world_from_cam: Floats, points: Floats, sigma_disparity_px: float
 ) -> tuple[Floats, Floats]:
-    """Residual lengths (N,) in standard deviations, and depths (N,), of all observations."""
-    fx, fy, cx, cy = problem.intrinsics
-    pose = world_from_cam[problem.keyframe]
-    offset = points[problem.point] - pose[:, :3, 3]
-    in_cam = np.einsum("nji,nj->ni", pose[:, :3, :3], offset)
-    depth = in_cam[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        du = (fx * in_cam[:, 0] / depth + cx - problem.xy[:, 0]) / problem.sigma_px
-        dv = (fy * in_cam[:, 1] / depth + cy - problem.xy[:, 1]) / problem.sigma_px
-        dd = (fx * problem.baseline_m / depth - problem.disparity) / sigma_disparity_px
-    square = du**2 + dv**2 + np.where(np.isnan(problem.disparity), 0.0, dd**2)
-    return np.where(depth > 0, np.sqrt(square), np.inf), depth
+    """Residual lengths (N,) in standard deviations, and depths (N,), of all observations.
+
+    The residual of a point that is not in front of the camera is infinite.
+    """
+    residual, depth = _residuals(
+        np.ascontiguousarray(world_from_cam),
+        np.ascontiguousarray(points),
+        problem.keyframe,
+        problem.point,
+        problem.xy,
+        problem.disparity,
+        problem.sigma_px,
+        sigma_disparity_px,
+        np.array(problem.intrinsics),
+        problem.intrinsics[0] * problem.baseline_m,
+    )
+    return residual, depth
+
+
+@numba.njit(cache=True, nogil=True)
+def _residuals(  # type: ignore[no-untyped-def]
+    poses, points, keyframe, point, xy, disparity, sigma, sigma_d, intrinsics, fb
+):
+    residual, depth = np.empty(len(xy)), np.empty(len(xy))
+    for n in range(len(xy)):
+        pose, at = poses[keyframe[n]], points[point[n]]
+        d0, d1, d2 = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
+        x = pose[0, 0] * d0 + pose[1, 0] * d1 + pose[2, 0] * d2
+        y = pose[0, 1] * d0 + pose[1, 1] * d1 + pose[2, 1] * d2
+        z = pose[0, 2] * d0 + pose[1, 2] * d1 + pose[2, 2] * d2
+        depth[n], residual[n] = z, np.inf
+        if z > 0.0:
+            u = (intrinsics[0] * x / z + intrinsics[2] - xy[n, 0]) / sigma[n]
+            v = (intrinsics[1] * y / z + intrinsics[3] - xy[n, 1]) / sigma[n]
+            d = 0.0 if np.isnan(disparity[n]) else (fb / z - disparity[n]) / sigma_d
+            residual[n] = np.sqrt(u * u + v * v + d * d)
+    return residual, depth

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from vo.config import SmoothingConfig
 from vo.smoothing.anchors import anchors
+from vo.smoothing.bundle import Bundle
 from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.information import pose_information
 from vo.smoothing.linearisation import linearise
-from vo.smoothing.pose_system import pose_system
 from vo.types import Bools, Floats, WindowProblem
 
 
@@ -52,7 +53,11 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     if scaled is not None:
         rows = np.arange(6 * scaled, 6 * scaled + 6)
         information[rows, rows] += sigmas**-2.0
-    offset = disparity_offset(pose_system(linear)) if problem.baseline_m > 0.0 else None
+    offset = None
+    if problem.baseline_m > 0.0:
+        only_first = np.arange(len(poses)) == 0
+        bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
+        offset = disparity_offset(bundle.normal_equations(poses))
     return WindowSolution(poses, held, information, points, ok, offset, True)
 
 

@@ -98,15 +98,16 @@ def _bundle_factor(world_from_cam: Floats, free: list[int], bundle: Bundle) -> g
 def _square_root(normal: NormalEquations) -> tuple[Floats, Floats]:
     """Jacobian J (6 F, 6 F) and errors e (6 F + 1,) of least squares with these normal equations.
 
-    J^T J is the hessian, J^T e[:-1] the gradient; the last error, which no pose changes, makes
-    half the sum of squares the cost. By eigenvalues, as mono's hessian leaves the scale open.
+    J^T J is the hessian of the poses, J^T e[:-1] their gradient; the last error, which no pose
+    changes, makes half the sum of squares the cost. By eigenvalues, as mono's hessian leaves the
+    scale open.
     """
-    values, vectors = np.linalg.eigh(normal.hessian)
+    values, vectors = np.linalg.eigh(normal.hessian[:-1, :-1])
     determined = values > _UNDETERMINED * values[-1]
     root = np.where(determined, np.sqrt(np.maximum(values, 0.0)), 0.0)
     with np.errstate(divide="ignore"):
         inverse_root = np.where(determined, 1.0 / root, 0.0)
-    error = inverse_root * (vectors.T @ normal.gradient)
+    error = inverse_root * (vectors.T @ normal.gradient[:-1])
     rest = max(2.0 * normal.cost - float(error @ error), 0.0)
     return root[:, None] * vectors.T, np.r_[error, np.sqrt(rest)]
 
