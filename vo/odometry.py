@@ -26,6 +26,7 @@ from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.history import History
 from vo.pipeline.keyframe import add_keyframe, add_tracked, wants_keyframe
 from vo.pipeline.later import Later
+from vo.pipeline.light import fault_of
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
 from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
@@ -363,7 +364,7 @@ class Odometry:
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             state=self._state,
-            reason=reason,
+            reason=reason if tracked is not None else fault_of(frame) or reason,
             segment=self._segment,
             world_from_cam0=None if pose is None else self._cam0(pose),
             is_keyframe=keyframe is not None,

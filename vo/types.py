@@ -187,6 +187,19 @@ class State(StrEnum):
     LOST = "lost"
 
 
+class Light(StrEnum):
+    """What is wrong with an image in which nothing is to be seen."""
+
+    BLACK = "almost black"
+    WHITE = "almost white"
+    ONE_GREY = "of one grey"
+
+    @staticmethod
+    def of(reason: str) -> Light | None:
+        """That which a frame's reason to have no pose speaks of, if it does."""
+        return next((light for light in Light if reason.endswith(light.value)), None)
+
+
 class FeatureState:
     """Codes of `View.feature_state`."""
 

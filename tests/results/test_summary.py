@@ -187,3 +187,16 @@ def test_covariance_is_the_upper_triangle() -> None:
 def test_unknown_covariance_leaves_fields_empty() -> None:
     line = covariance_line(KeyframePose(7, 123, 1, np.eye(4), None))
     assert line == "123,7,1" + "," * 21
+
+
+def test_images_without_light_are_told_of_by_their_numbers() -> None:
+    account = Account()
+    for frame in range(12):
+        dark = frame in (0, 1, 2, 7)
+        reason = "the right image is almost black" if dark else "3 matches, too few"
+        account.note(estimate(frame, State.STARTING, reason))
+    counts = {"keyframes": 0, "skipped": (), "unpaired": 0, "wall_s": 1.0}
+    summary = summarise(facts(), "finished", account, placed([]), **counts)  # type: ignore[arg-type]
+    spans = [(r.first, r.last) for r in summary.without_pose]
+    assert spans == [(0, 2), (3, 6), (7, 7), (8, 11)]
+    assert "images 0 to 2, 7 are almost black" in summary.warnings

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from vo.results.summary import Summary
+from vo.types import Light
 
 Grade = Literal["good", "caution", "bad"]
 
@@ -12,6 +13,11 @@ _FEW_INLIERS = 50
 _MOST_RANGES = 3
 _MOSTLY = 0.5
 _LONG_WITHOUT_MAP = 0.1  # of all frames
+_CAUSES = {
+    Light.BLACK: "exposure too short, lens cap on, lights off?",
+    Light.WHITE: "exposure too long?",
+    Light.ONE_GREY: "is the lens covered, or the camera out of focus?",
+}
 
 
 class Verdict(NamedTuple):
@@ -49,6 +55,14 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
     """What can be done about what was wrong, most promising first; empty after a good run."""
     lines = []
     mono = summary.facts.mode == "mono"
+    lights = dict.fromkeys(Light.of(r.reason) for r in summary.without_pose)
+    lines += [
+        f"images are {light.value}: {_CAUSES[light]} vo info --contact-sheet sheet.png shows them"
+        for light in lights
+        if light is not None
+    ]
+    if lines and not summary.tracked:
+        return lines
     if not summary.tracked or summary.starting > _LONG_WITHOUT_MAP * summary.frames:
         if mono:
             lines.append(

@@ -12,7 +12,7 @@ from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import Floats, Ints, PlacedFrames, Skipped, State
+from vo.types import Floats, Ints, Light, PlacedFrames, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -22,6 +22,7 @@ _WORTH_TELLING_PX = 0.05
 _BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
+_MOST_RANGES = 3  # in a warning
 
 
 @dataclass(frozen=True)
@@ -215,6 +216,8 @@ def _warnings(summary: Summary) -> list[str]:
         warnings.append(f"no frame was tracked ({reasons[-1] if reasons else 'no frame read'})")
     elif summary.starting > _LONG_START * frames:
         warnings.append(f"{summary.starting} of {frames} frames while there was no map")
+    for light in Light:
+        warnings += _of_light(summary.without_pose, light)
     if lost:
         warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
     if summary.skipped:
@@ -232,6 +235,15 @@ def _warnings(summary: Summary) -> list[str]:
             "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
         )
     return warnings
+
+
+def _of_light(without_pose: Sequence[FrameRange], light: Light) -> list[str]:
+    ranges = [r for r in without_pose if Light.of(r.reason) is light]
+    if not ranges:
+        return []
+    said = [str(r.first) if r.frames == 1 else f"{r.first} to {r.last}" for r in ranges]
+    more = ", …" if len(said) > _MOST_RANGES else ""
+    return [f"images {', '.join(said[:_MOST_RANGES])}{more} are {light.value}"]
 
 
 def _of_offset(offset_px: float) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.results.account import Account
-from vo.types import Ints, Skipped, State
+from vo.types import Ints, Light, Skipped, State
 
 _LEFT_OUT = "untracked", "left out by tracking.every, and not between two tracked frames"
 
@@ -26,7 +26,7 @@ class FrameRange(NamedTuple):
 def unplaced_ranges(
     account: Account, placed: Ints, skipped: Sequence[Skipped], untracked: Ints
 ) -> tuple[list[FrameRange], dict[str, int]]:
-    """Runs of frames in the same state, and how many frames in each state.
+    """Runs of frames in the same state and light, and how many frames in each state.
 
     A frame that had no pose when taken in may have one now: the first of a mono pair.
 
@@ -46,9 +46,9 @@ def unplaced_ranges(
     for frame, after in zip(reached[missing].astype(int).tolist(), follows, strict=True):
         state, reason = _LEFT_OUT if frame in left_out else _why(account, unreadable, frame)
         count[state] += 1
-        if after and ranges[-1].state == state:
-            frames = ranges[-1].frames + 1
-            ranges[-1] = ranges[-1]._replace(last=frame, frames=frames, reason=reason)
+        before = ranges[-1] if after else None
+        if before and before.state == state and Light.of(before.reason) is Light.of(reason):
+            ranges[-1] = before._replace(last=frame, frames=before.frames + 1, reason=reason)
         else:
             ranges.append(FrameRange(frame, frame, 1, state, reason))
     return ranges, count
