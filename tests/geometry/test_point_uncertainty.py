@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vo.geometry.point_uncertainty import position_sigma
-from vo.geometry.points import refine_points
+from vo.geometry.points import best_points, point_views
 from vo.geometry.transforms import make_transform
 
 FOCAL, BASELINE, SIGMA_PX, SIGMA_DISPARITY = 500.0, 0.2, 0.5, 0.3
@@ -27,9 +27,8 @@ def test_spread_is_that_of_many_noisy_trials(stereo: bool) -> None:
     focal_baseline = FOCAL * BASELINE if stereo else 0.0
     point, camera = np.repeat(np.arange(trials), 3), np.tile(np.arange(3), trials)
     sigma_px = np.full(3 * trials, SIGMA_PX)
-    found = refine_points(
-        np.tile(true, (trials, 1)),
-        cam_from_world,
+    views = point_views(
+        np.ones(trials, dtype=bool),
         point,
         camera,
         xy.reshape(-1, 2),
@@ -40,6 +39,7 @@ def test_spread_is_that_of_many_noisy_trials(stereo: bool) -> None:
         focal_baseline,
         huber=1e9,
     )
+    found, _ = best_points(np.tile(true, (trials, 1)), cam_from_world, views, tolerance=1e-6)
     measured = np.sqrt(((found - true) ** 2).sum(axis=1).mean())
     stated = position_sigma(
         np.tile(true, (trials, 1)),

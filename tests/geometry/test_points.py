@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from vo.geometry.points import refine_points
+from vo.geometry.points import best_points, point_views
 from vo.geometry.transforms import se3_exp, transform_points
 from vo.types import Bools, Floats, Ints
 
@@ -30,9 +30,8 @@ class Scene:
 
     def refine(self, *, stereo: bool = False, huber: float = 1.5) -> Floats:
         disparity = self.disparity if stereo else np.full(len(self.point), np.nan)
-        return refine_points(
-            self.guess,
-            self.cam_from_world,
+        views = point_views(
+            np.ones(len(self.guess), dtype=bool),
             self.point,
             self.camera,
             self.xy,
@@ -41,9 +40,9 @@ class Scene:
             SIGMA_DISPARITY,
             INTRINSICS,
             FX * BASELINE if stereo else 0.0,
-            huber=huber,
-            iterations=10,
+            huber,
         )
+        return best_points(self.guess, self.cam_from_world, views, steps=10)[0]
 
     def errors(self, found: Floats) -> Floats:
         """Distances from the truth as a share of the depth."""

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vo.config import Config
-from vo.geometry.points import refine_points
+from vo.geometry.points import best_points
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, orthonormalised
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.path_covariance import update_covariances
+from vo.smoothing.bundle import views_of
 from vo.smoothing.residuals import residuals
 from vo.smoothing.solution import WindowSolution
 from vo.types import Bools, Floats, Ints, WindowProblem
@@ -179,19 +180,8 @@ def _refine(world: Map, everything: WindowProblem, chosen: Bools, config: Config
     They were triangulated from poses that have moved since, all in the same wrong way.
     """
     part, rows = _restricted(everything, chosen)
-    world.xyz[rows] = refine_points(
-        part.points,
-        inverse(part.world_from_cam),
-        part.point,
-        part.keyframe,
-        part.xy,
-        part.disparity,
-        part.sigma_px,
-        config.smoothing.sigma_disparity_px,
-        part.intrinsics,
-        part.intrinsics[0] * part.baseline_m,
-        huber=config.smoothing.huber,
-    )
+    views = views_of(part, np.ones(len(rows), dtype=bool), config.smoothing)
+    world.xyz[rows], _ = best_points(part.points, inverse(part.world_from_cam), views)
 
 
 def _drop_outliers(

@@ -16,12 +16,11 @@ import numba
 import numpy as np
 
 from vo.config import SmoothingConfig
+from vo.geometry.points import PointViews, best_points, point_views
+from vo.geometry.transforms import inverse
 from vo.types import Bools, Floats, WindowProblem
 
-_SINGULAR = 1e-13  # determinant of a point's normal matrix against its trace cubed
-_DAMPING = 1e-6  # of a point's step at first, against that trace
-_LESS_BOLD = 30.0  # times the damping after a step that went too far
-_BEHIND = 1e3  # standard deviations that an observation of a point behind the camera counts
+_UNSEEN = 1e-12  # information on a point in every direction, against all it has
 _NEAREST = 1e-6  # depth from which on a point is in front
 
 
@@ -48,27 +47,11 @@ class Bundle:
     """
 
     def __init__(self, problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> None:
-        order = np.argsort(problem.point, kind="stable")
-        order = order[point_ok[problem.point[order]]]
         self._points = np.ascontiguousarray(problem.points)
         self._latest: _Best | None = None
-        starts = np.searchsorted(problem.point[order], np.arange(len(problem.points) + 1))
-        self._observations = (
-            starts,
-            problem.keyframe[order],
-            problem.xy[order],
-            problem.disparity[order],
-            1.0 / problem.sigma_px[order],
-        )
-        self._model = (
-            np.array(problem.intrinsics),
-            problem.intrinsics[0] * problem.baseline_m,
-            1.0 / config.sigma_disparity_px,
-            config.huber,
-        )
-        # Points must not be coarser than the poses, whose steps are judged by the cost.
-        self._patience = (config.iterations, 0.1 * config.relative_error_tolerance)
+        self._views = views_of(problem, point_ok, config)
         self._slot = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
+        self._config = config
 
     def cost(self, world_from_cam: Floats) -> float:
         """Half the robust sum of squares for poses (K, 4, 4), every point at its best."""
@@ -82,16 +65,22 @@ class Bundle:
         """Linearise at poses (K, 4, 4) and their points; later searches for points start there."""
         at = self._at(world_from_cam)
         self._points = at.points
-        arrays = (_inverse(world_from_cam), self._slot, *self._observations, *self._model)
-        hessian, gradient = _reduced(at.points, *arrays)
+        poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
+        hessian, gradient = _reduced(at.points, poses, self._slot, *self._views)
         return NormalEquations(hessian, gradient, at.cost)
 
     def _at(self, world_from_cam: Floats) -> _Best:
         """Optimisers ask for the same poses' cost first and their derivatives later."""
         if self._latest is None or not np.array_equal(world_from_cam, self._latest.world_from_cam):
-            points = self._points.copy()
-            arrays = (*self._patience, *self._observations, *self._model)
-            cost = float(_refined(points, _inverse(world_from_cam), *arrays))
+            # Points must not be coarser than the poses, whose steps are judged by the cost.
+            tolerance = 0.1 * self._config.relative_error_tolerance
+            points, cost = best_points(
+                self._points,
+                inverse(world_from_cam),
+                self._views,
+                steps=self._config.iterations,
+                tolerance=tolerance,
+            )
             self._latest = _Best(world_from_cam, points, cost)
         return self._latest
 
@@ -104,131 +93,20 @@ class _Best(NamedTuple):
     cost: float
 
 
-def _inverse(world_from_cam: Floats) -> Floats:
-    turned = world_from_cam[:, :3, :3].transpose(0, 2, 1)
-    shift = -np.einsum("kij,kj->ki", turned, world_from_cam[:, :3, 3])
-    return np.ascontiguousarray(np.concatenate([turned, shift[:, :, None]], axis=2))
-
-
-@numba.njit(cache=True, nogil=True)
-def _refined(  # type: ignore[no-untyped-def]
-    points,
-    poses,
-    steps,
-    tolerance,
-    starts,
-    keyframe,
-    xy,
-    disparity,
-    inverse_sigma,
-    intrinsics,
-    fb,
-    inverse_d,
-    huber,
-):
-    """Put every point where its cost is least, in place; gives the sum of the costs."""
-    total = 0.0
-    normal, right, inverse = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
-    damped, trial = np.zeros((3, 3)), np.zeros(3)
-    trial_normal, trial_right = np.zeros((3, 3)), np.zeros(3)
-    for m in range(len(starts) - 1):
-        first, last = starts[m], starts[m + 1]
-        if last == first:
-            continue
-        seen = (poses, keyframe[first:last], xy[first:last], disparity[first:last])
-        scale = (inverse_sigma[first:last], intrinsics, fb, inverse_d, huber)
-        cost = _point_normal(points[m], *seen, *scale, normal, right)
-        damping = _DAMPING
-        for _ in range(steps):
-            damped[:] = normal
-            trace = normal[0, 0] + normal[1, 1] + normal[2, 2]
-            for p in range(3):
-                damped[p, p] += damping * trace
-            if not _invert(damped, inverse):
-                break
-            for p in range(3):
-                trial[p] = points[m, p]
-                for q in range(3):
-                    trial[p] -= inverse[p, q] * right[q]
-            lower = _point_normal(trial, *seen, *scale, trial_normal, trial_right)
-            if not lower < cost:
-                damping *= _LESS_BOLD
-                continue
-            settled = cost - lower < tolerance * cost
-            points[m], normal[:], right[:] = trial, trial_normal, trial_right
-            cost = lower
-            damping /= _LESS_BOLD
-            if settled:
-                break
-        total += cost
-    return total
-
-
-@numba.njit(cache=True, nogil=True)
-def _point_normal(  # type: ignore[no-untyped-def]
-    at,
-    poses,
-    keyframe,
-    xy,
-    disparity,
-    inverse_sigma,
-    intrinsics,
-    fb,
-    inverse_d,
-    huber,
-    normal,
-    right,
-):
-    """Fill a point's normal matrix (3, 3) and gradient; gives its robust cost."""
-    normal[:], right[:] = 0.0, 0.0
-    cost = 0.0
-    for a in range(len(keyframe)):
-        pose = poses[keyframe[a]]
-        x, y, z = _in_camera(pose, at)
-        if z < _NEAREST:
-            cost += huber * (_BEHIND - 0.5 * huber)
-            continue
-        eu, ev, ed, s, t = _errors(
-            x, y, z, xy[a], disparity[a], inverse_sigma[a], intrinsics, fb, inverse_d
-        )
-        length = np.sqrt(eu * eu + ev * ev + ed * ed)
-        weight = 1.0
-        if length <= huber:
-            cost += 0.5 * length * length
-        else:
-            cost += huber * (length - 0.5 * huber)
-            weight = huber / length
-        du, dv = s * intrinsics[0] / z, s * intrinsics[1] / z
-        cu, cv, cd = -du * x / z, -dv * y / z, -t * fb / (z * z)
-        for p in range(3):
-            ju = du * pose[0, p] + cu * pose[2, p]
-            jv = dv * pose[1, p] + cv * pose[2, p]
-            jd = cd * pose[2, p]
-            right[p] += weight * (ju * eu + jv * ev + jd * ed)
-            for q in range(p + 1):
-                ku = du * pose[0, q] + cu * pose[2, q]
-                kv = dv * pose[1, q] + cv * pose[2, q]
-                normal[p, q] += weight * (ju * ku + jv * kv + jd * cd * pose[2, q])
-    normal[0, 1], normal[0, 2], normal[1, 2] = normal[1, 0], normal[2, 0], normal[2, 1]
-    return cost
-
-
-@numba.njit(cache=True, nogil=True)
-def _in_camera(pose, at):  # type: ignore[no-untyped-def]
-    x = pose[0, 0] * at[0] + pose[0, 1] * at[1] + pose[0, 2] * at[2] + pose[0, 3]
-    y = pose[1, 0] * at[0] + pose[1, 1] * at[1] + pose[1, 2] * at[2] + pose[1, 3]
-    z = pose[2, 0] * at[0] + pose[2, 1] * at[1] + pose[2, 2] * at[2] + pose[2, 3]
-    return x, y, z
-
-
-@numba.njit(cache=True, nogil=True)
-def _errors(x, y, z, xy, disparity, s, intrinsics, fb, inverse_d):  # type: ignore[no-untyped-def]
-    """Predicted - measured u, v, disparity in standard deviations, and 1 over the latter."""
-    eu = s * (intrinsics[0] * x / z + intrinsics[2] - xy[0])
-    ev = s * (intrinsics[1] * y / z + intrinsics[3] - xy[1])
-    if fb > 0.0 and not np.isnan(disparity):
-        return eu, ev, inverse_d * (fb / z - disparity), s, inverse_d
-    return eu, ev, 0.0, s, 0.0
+def views_of(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> PointViews:
+    """The observations of a window's points (M,) that are ok, by points."""
+    return point_views(
+        point_ok,
+        problem.point,
+        problem.keyframe,
+        problem.xy,
+        problem.disparity,
+        problem.sigma_px,
+        config.sigma_disparity_px,
+        problem.intrinsics,
+        problem.intrinsics[0] * problem.baseline_m,
+        config.huber,
+    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -261,13 +139,8 @@ def _reduced(  # type: ignore[no-untyped-def]
         first, last = starts[m], starts[m + 1]
         if last == first:
             continue
-        seen = (poses, keyframe[first:last], xy[first:last], disparity[first:last])
-        scale = (inverse_sigma[first:last], intrinsics, fb, inverse_d, huber)
-        _point_normal(points[m], *seen, *scale, normal, right)
-        if not _invert(normal, inverse):
-            continue
         count = 0
-        offset[:] = 0.0
+        normal[:], right[:], offset[:] = 0.0, 0.0, 0.0
         for a in range(first, last):
             by_offset = _jacobians(
                 points[m],
@@ -284,7 +157,11 @@ def _reduced(  # type: ignore[no-untyped-def]
                 error,
             )
             for p in range(3):
-                offset[p] += by_point[2, p] * by_offset
+                u, v, d = by_point[0, p], by_point[1, p], by_point[2, p]
+                right[p] += u * error[0] + v * error[1] + d * error[2]
+                offset[p] += d * by_offset
+                for q in range(3):
+                    normal[p, q] += u * by_point[0, q] + v * by_point[1, q] + d * by_point[2, q]
             border[free, 0] += by_offset * by_offset
             gradient[free, 0] += by_offset * error[2]
             k = slot[keyframe[a]]
@@ -295,6 +172,7 @@ def _reduced(  # type: ignore[no-untyped-def]
             for c in range(6):
                 border[k, c] += by_pose[2, c] * by_offset
             count += 1
+        _invert(normal, inverse)
         _subtract_point(
             at[:count], coupling, lifted, inverse, right, offset, blocks, gradient, border
         )
@@ -306,11 +184,17 @@ def _jacobians(  # type: ignore[no-untyped-def]
     at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, error
 ):
     """Fill an observation's derivatives and errors, weighted; gives that by the offset."""
-    x, y, z = _in_camera(pose, at)
+    x = pose[0, 0] * at[0] + pose[0, 1] * at[1] + pose[0, 2] * at[2] + pose[0, 3]
+    y = pose[1, 0] * at[0] + pose[1, 1] * at[1] + pose[1, 2] * at[2] + pose[1, 3]
+    z = pose[2, 0] * at[0] + pose[2, 1] * at[1] + pose[2, 2] * at[2] + pose[2, 3]
     if z < _NEAREST:
         by_pose[:], by_point[:], error[:] = 0.0, 0.0, 0.0
         return 0.0
-    eu, ev, ed, s, t = _errors(x, y, z, xy, disparity, s, intrinsics, fb, inverse_d)
+    eu = s * (intrinsics[0] * x / z + intrinsics[2] - xy[0])
+    ev = s * (intrinsics[1] * y / z + intrinsics[3] - xy[1])
+    measured = fb > 0.0 and not np.isnan(disparity)
+    ed = inverse_d * (fb / z - disparity) if measured else 0.0
+    t = inverse_d if measured else 0.0
     length = np.sqrt(eu * eu + ev * ev + ed * ed)
     weight = 1.0 if length <= huber else np.sqrt(huber / length)
     error[0], error[1], error[2] = weight * eu, weight * ev, weight * ed
@@ -393,14 +277,21 @@ def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _invert(m, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a symmetric (3, 3) by cofactors; False if it is singular."""
+    """Inverse of a point's (3, 3) normal matrix by cofactors.
+
+    What no view tells of a point (its depth, without parallax) ties no poses together either: a
+    trace of information in every direction makes the matrix regular and changes nothing else.
+    """
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    if trace == 0.0:
+        inverse[:] = 0.0
+        return
+    for p in range(3):
+        m[p, p] += _UNSEEN * trace
     c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
     c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
     c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
     determinant = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    if not determinant > _SINGULAR * trace * trace * trace:
-        return False
     inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00, c01, c02
     inverse[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
     inverse[1, 2] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
@@ -409,4 +300,3 @@ def _invert(m, inverse):  # type: ignore[no-untyped-def]
         for q in range(p, 3):
             inverse[p, q] /= determinant
             inverse[q, p] = inverse[p, q]
-    return True
