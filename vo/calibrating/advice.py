@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from vo.calibrating.board import Board
 from vo.calibrating.calibrate import Result
 from vo.types import Bools, Floats
 
@@ -18,24 +19,30 @@ _LARGE_RMS_PX = 0.5
 _LARGE_EPIPOLAR_PX = 0.5
 _UNSURE_FOCAL = 0.002
 _FAR_OFF_CENTRE = 0.1
-_LARGE_SQUARE_M = 0.3
+_WIDTHS_M = (0.06, 1.5)
+_LARGE_TOGETHER = 2.0
+_LEAST_TOGETHER_PX = 0.2
 _SIDES = ("left", "right")
 
 
 def warnings_of(result: Result) -> list[str]:
     """One line for each thing that makes the calibration poor, most important first."""
-    lines = []
+    lines = _of_pair(result)
     cameras = result.survey.cameras
     for camera in range(cameras):
         whose = "" if cameras == 1 else f"{_SIDES[camera]} camera: "
         lines += [f"{whose}{line}" for line in _of_camera(result, camera)]
-    lines += _of_pair(result)
-    if result.board.square_m > _LARGE_SQUARE_M:
-        lines.append(
-            f"squares of {1000 * result.board.square_m:g} mm are large; --square is in "
-            "metres, 0.03 for 30 mm"
-        )
-    return lines
+    return lines + _of_board(result.board)
+
+
+def _of_board(board: Board) -> list[str]:
+    width_m = (board.columns + 1) * board.square_m
+    if _WIDTHS_M[0] <= width_m <= _WIDTHS_M[1]:
+        return []
+    return [
+        f"the board would be {width_m:.3g} m wide, with squares of {1000 * board.square_m:g} mm: "
+        "--square is in metres, 0.03 for 30 mm; the baseline is wrong by the same factor"
+    ]
 
 
 def coverage(result: Result, camera: int) -> Bools:
@@ -86,7 +93,8 @@ def _of_camera(result: Result, camera: int) -> list[str]:
     if error > _LARGE_RMS_PX:
         lines.append(
             f"corners are off by {error:.2f} px (RMS), where 0.1 to 0.3 is usual: images unsharp "
-            "from motion, a board that is not flat, or a lens of another kind (--model)"
+            "or bent by motion (rolling shutter), a board that is not flat, or a lens of another "
+            "kind (--model)"
         )
     off = np.abs(known[2:4] - (np.array(result.size) - 1) / 2) / result.size
     if off.max() > _FAR_OFF_CENTRE:
@@ -127,14 +135,20 @@ def _of_pair(result: Result) -> list[str]:
     if pairs < _FEW_VIEWS:
         lines.append(f"only {pairs} views show the board to both cameras; {_FEW_VIEWS} and more")
     error = float(np.sqrt(np.mean([value**2 for _, value in result.epipolar_px])))
-    if error > _LARGE_EPIPOLAR_PX:
+    together = result.fit.adjusted.rms_px
+    alone = max(
+        errors[lens.name] for errors, lens in zip(result.compared, result.fit.lenses, strict=True)
+    )
+    if error > _LARGE_EPIPOLAR_PX or together > max(_LARGE_TOGETHER * alone, _LEAST_TOGETHER_PX):
         lines.append(
-            f"left and right miss each other's epipolar lines by {error:.2f} px (RMS): check that "
-            "both take their images at the same moment, and hold the board still"
+            f"corners are off by {together:.2f} px in both cameras together, by {alone:.2f} px in "
+            f"one alone, and by {error:.2f} px from epipolar lines: check that both take their "
+            "images at the same moment, and hold the board still"
         )
     right_of_left = -(transform[:3, :3].T @ transform[:3, 3])
     if right_of_left[0] < 0.5 * np.linalg.norm(right_of_left):
         lines.append(
-            "cam1 is not to the right of cam0: swap left and right, or vo run will refuse the pair"
+            "cam1 is not to the right of cam0: left and right are swapped (--topic left=… "
+            "right=…), or the images are mirrored; vo run will refuse the pair"
         )
     return lines

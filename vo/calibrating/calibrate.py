@@ -18,6 +18,9 @@ from vo.geometry.cameras import normalise
 from vo.geometry.transforms import make_transform, skew
 from vo.types import Camera, Floats, Rig
 
+_HOPELESS, _HOPELESS_PX = 5.0, 1.0
+"""A pair is refused if its error is so many times that of each camera, and above."""
+
 MODELS = {
     "auto": LENSES,
     "radtan": LENSES[:2],
@@ -82,6 +85,7 @@ def calibrate(
         rig = Rig(camera_of(fits[0].lenses[0], fits[0].adjusted.unknowns.intrinsics[0], size))
         return Result(board, found, size, rig, fits[0], tuple(compared))
     pair = fit_pair(fits[0], fits[1], board.points, size)
+    _check_together(pair, fits)
     rig = _rig(pair, size)
     return Result(board, found, size, rig, pair, tuple(compared), _epipolar(pair, rig))
 
@@ -117,6 +121,17 @@ def _check_count(found: Survey, camera: int, count: int) -> None:
         f"the board is seen in {seen} of {found.frames} images{whose}{alike}; {FEWEST_VIEWS} at "
         "the very least are needed, better 20: from near and far, tilted, in all parts of the image"
     )
+
+
+def _check_together(pair: Fit, alone: Sequence[Fit]) -> None:
+    """Refuse a pair that spoils the lenses, which were known well before."""
+    error, least = pair.adjusted.rms_px, max(fit.adjusted.rms_px for fit in alone)
+    if error > max(_HOPELESS * least, _HOPELESS_PX):
+        raise CalibrationError(
+            f"corners are off by {error:.2f} px in both cameras together, but by {least:.2f} px in "
+            "each alone: they do not take their images at the same moment, or one moved against "
+            "the other; hold the board still for each view, or calibrate one: --mode mono"
+        )
 
 
 def _rig(fit: Fit, size: tuple[int, int]) -> Rig:

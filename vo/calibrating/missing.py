@@ -6,9 +6,12 @@ from collections.abc import Iterable
 from itertools import islice
 
 import cv2
+import numpy as np
 
-from vo.calibrating.board import Board, dictionaries
+from vo.calibrating.board import Board, dictionaries, make_board
+from vo.calibrating.detection import detect
 from vo.calibrating.survey import Survey
+from vo.errors import ConfigError
 from vo.types import Bytes, Frame
 
 _IMAGES = 8
@@ -54,14 +57,40 @@ def _other_chessboard(images: list[Bytes]) -> str:
 def _other_markers(board: Board, images: list[Bytes]) -> str:
     counts = {name: max(_count(name, image) for image in images) for name in dictionaries()}
     if counts[board.dictionary] >= _ENOUGH_MARKERS:
-        return (
-            f"markers of {board.dictionary} are there, but not as on such a board: check --columns "
-            "and --rows (inner corners, one less than squares), or try --legacy"
-        )
+        return _other_layout(board, images)
     best = max(counts, key=lambda name: counts[name])
     if counts[best] >= _ENOUGH_MARKERS:
         return f"there are markers of another dictionary: --dictionary {best}?"
     return "no markers are seen either; check --board and --dictionary, and that images are sharp"
+
+
+def _other_layout(board: Board, images: list[Bytes]) -> str:
+    """Of boards that are often meant instead, the one that is seen."""
+    columns, rows = board.columns, board.rows
+    shapes = [(columns, rows), (columns - 1, rows - 1), (columns + 1, rows + 1)]
+    for one, other in [*shapes, *(shape[::-1] for shape in shapes)]:
+        for legacy in (board.legacy, not board.legacy):
+            try:
+                meant = make_board(
+                    board.kind,
+                    one,
+                    other,
+                    board.square_m,
+                    board.marker_m,
+                    board.dictionary,
+                    legacy,
+                )
+            except ConfigError:
+                continue
+            if any(detect(meant, image) is not None for image in images):
+                options = f"--columns {one} --rows {other}{' --legacy' if legacy else ''}"
+                return f"one of {one} x {other} inner corners is there: {options}?"
+    if any(detect(board, np.ascontiguousarray(image[:, ::-1])) is not None for image in images):
+        return "it is there in mirror image: switch mirroring off where the camera is recorded"
+    return (
+        f"markers of {board.dictionary} are there, but not as on such a board: check --columns "
+        "and --rows (inner corners, one less than squares), or try --legacy"
+    )
 
 
 def _count(dictionary: str, image: Bytes) -> int:
