@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
+from statistics import NormalDist
 from typing import Any, TypeVar, cast
 
 import numba
@@ -18,6 +19,7 @@ _READ_BEFORE_GAIN = 0.4  # grey levels
 _READ_AFTER_GAIN = 0.7
 _CORNER_LOSS = 0.25
 _CURVE_STEPS = 1 << 16
+_NORMAL_STEPS = 1 << 16
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -72,7 +74,7 @@ def develop(
     image = np.empty(grey.shape, np.uint8)
     shade = _EVEN if vignette is None else vignette
     if effects.noise > 0.0:
-        normals = rng.standard_normal(grey.shape, dtype=np.float32)
+        normals = _normals(rng, grey.shape)
         shot = np.float32(255.0 * settings.gain / FULL_WELL * effects.noise**2)
         read = np.float32((read_noise(settings.gain) * effects.noise) ** 2)
     else:
@@ -83,6 +85,22 @@ def develop(
 
 
 _EVEN = np.zeros((0, 0), np.float32)
+
+
+def _normals(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats32:
+    """Quantiles drawn by 16 random bits each: a fifth of the time of exact normal numbers."""
+    pixels = int(np.prod(shape))
+    bits = rng.integers(0, 1 << 64, -(-pixels // 4), dtype=np.uint64, endpoint=False)
+    return np.take(_quantiles(), bits.view(np.uint16)[:pixels]).reshape(shape)
+
+
+@cache
+def _quantiles() -> Floats32:
+    """The middles of equally likely stretches of the standard normal distribution."""
+    inverse = NormalDist().inv_cdf
+    upper = np.array([inverse((k + 0.5) / _NORMAL_STEPS) for k in range(_NORMAL_STEPS // 2)])
+    both = np.concatenate([upper, -upper])
+    return np.asarray(both / both.std(), dtype=np.float32)
 
 
 @lru_cache(maxsize=8)

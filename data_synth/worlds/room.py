@@ -8,7 +8,6 @@ from data_synth.scene.builder import Builder, Place
 from data_synth.scene.lighting import lit
 from data_synth.scene.scene import Body, Course, Scene, level
 from data_synth.scene.solids import Lamp, Lighting
-from data_synth.scene.world import World
 from data_synth.worlds import bodies, textures
 
 WIDTH_M, DEPTH_M, HEIGHT_M = 9.0, 7.0, 2.9
@@ -24,21 +23,16 @@ _USUAL_PEOPLE = 2
 
 
 def make_scene(seed: int, movers: float = 0.0) -> Scene:
-    """The room, with people who pace up and down at its ends."""
+    """A room of 9 x 7 x 2.9 m, with people who pace up and down at its ends.
+
+    Its floor is at z = 0 and its middle at the origin. Furniture stands along the walls and in the
+    middle; a ring of 1.2 m to 2.3 m around the origin is free to walk in.
+    """
     build = _furnished(seed)
     half = np.array(_COURSE)
     course = Course(np.vstack([half, -half]), 0.5, 2.5, level(), outlook_deg=-25.0)
     people = _people(build, round(_USUAL_PEOPLE * movers))
     return Scene(lit(build.world(), _LIGHT), course, people)
-
-
-def make_room(seed: int = 0) -> World:
-    """A room of 9 x 7 x 2.9 m, its floor at z = 0 and its middle at the origin.
-
-    Furniture stands along the walls and in the middle; a ring of 1.2 m to 2.3 m around the
-    origin is free to walk in.
-    """
-    return lit(_furnished(seed).world(), _LIGHT)
 
 
 def _people(build: Builder, count: int) -> tuple[Body, ...]:

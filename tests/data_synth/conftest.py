@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from data_synth.scene.world import World
-from data_synth.worlds.room import make_room
+from data_synth.worlds.room import make_scene
 
 
 @pytest.fixture(scope="session")
 def room() -> World:
-    return make_room(seed=0)
+    return make_scene(seed=0).world
 
 
 @pytest.fixture(scope="session")

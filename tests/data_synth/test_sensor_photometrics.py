@@ -110,3 +110,20 @@ def test_the_same_generator_gives_the_same_image() -> None:
 
     assert np.array_equal(image(0), image(0))
     assert not np.array_equal(image(0), image(1))
+
+
+def test_noise_is_normal_and_independent_between_pixels_and_frames() -> None:
+    effects = PERFECT.model_copy(update={"noise": 5.0})
+    first, second = (
+        develop(_even(0.5), Settings(), effects, 1.0, None, _rng(frame)).astype(float)
+        for frame in (0, 1)
+    )
+    first, second = (first - first.mean()) / first.std(), (second - second.mean()) / second.std()
+    spread = 1.0 / np.sqrt(first.size)  # of a mean of products of independent normal numbers
+    assert abs((first**3).mean()) < 5.0 * np.sqrt(15.0) * spread
+    assert abs((first**4).mean() - 3.0) < 5.0 * np.sqrt(96.0) * spread
+    assert np.abs(first).max() > 4.0
+    for apart in (1, 2, 3, 4, 8):
+        assert abs((first[:, apart:] * first[:, :-apart]).mean()) < 5.0 * spread
+        assert abs((first[apart:] * first[:-apart]).mean()) < 5.0 * spread
+    assert abs((first * second).mean()) < 5.0 * spread
