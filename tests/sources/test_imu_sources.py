@@ -234,6 +234,32 @@ def test_of_several_sensors_one_is_chosen(tmp_path: Path) -> None:
         open_source(tmp_path / "a.mcap", topics=["imu=/truth"])
 
 
+def test_gyroscope_and_accelerometer_of_their_own_topics_are_one_sensor(tmp_path: Path) -> None:
+    zero = np.zeros(3)
+    parts: list[tuple[str, Message]] = []
+    for stamp, gyro in zip(STAMPS_NS.tolist(), GYRO, strict=True):
+        parts.append(("/camera/gyro/sample", ImuMessage(stamp, "body", gyro, zero)))
+    for i in range(0, SAMPLES, 3):
+        accel = np.array([0.1 * i, 2.0, 9.81 - 0.01 * i])
+        stamp = int(STAMPS_NS[i]) + 1_000_000
+        parts.append(("/camera/accel/sample", ImuMessage(stamp, "body", zero, accel)))
+    both = sorted([*layouts.log_messages(), *parts], key=lambda each: each[1].stamp_ns)
+    mcap_logs.write_log(tmp_path / "a.mcap", both)
+    imu = the_imu(tmp_path / "a.mcap")
+    assert imu.name == "/camera/gyro/sample with /camera/accel/sample"
+    samples = imu.read()
+    assert np.array_equal(samples.stamps_ns, STAMPS_NS[1:])  # the first comes before
+    assert np.array_equal(samples.gyro, GYRO[1:])
+    share = (samples.stamps_ns - STAMPS_NS[0] - 1_000_000) / STEP_NS
+    expected = np.stack([0.1 * share, 2.0 + 0 * share, 9.81 - 0.01 * share], axis=1)
+    assert samples.accel == pytest.approx(expected, abs=1e-9)
+    part = imu.read(int(STAMPS_NS[8]), int(STAMPS_NS[10]))
+    assert part.accel == pytest.approx(expected[7:10], abs=1e-9)
+    assert np.array_equal(part.gyro, GYRO[8:11])
+    assert imu.cam0_from_imu == pytest.approx(inverse(layouts.BODY_FROM_CAM0), abs=1e-12)
+    assert len(imu.read_some(10)) == 10
+
+
 def test_many_samples_are_read_in_stretches(tmp_path: Path) -> None:
     mcap_logs.write_log(tmp_path / "a.mcap", all_messages())
     imu = the_imu(tmp_path / "a.mcap")

@@ -18,7 +18,8 @@ from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import IMAGE_KINDS, choose_topics
 from vo.sources.logs.images import list_images
-from vo.sources.logs.imu import LogImu, imu_topics
+from vo.sources.logs.imu import imu_topics
+from vo.sources.logs.imu_pairs import log_imus
 from vo.sources.logs.log import Log, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
 from vo.sources.pairing import pair_by_stamp
@@ -143,7 +144,7 @@ def _log_at(
         name,
         topics=_with_own_spans(log),
         unread=tuple(log.unread),
-        imus=tuple(LogImu(log, topic, lambda _: None) for topic in imu_topics(log.topics)),
+        imus=tuple(log_imus(log, imu_topics(log.topics), lambda _: None)),
     )
     try:
         choice = choose_topics(log.topics, wishes, mode)

@@ -11,13 +11,14 @@ from vo.errors import CalibrationError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.formats.messages import CalibrationMessage, TransformsMessage
 from vo.sources.assembly import Gathered, assemble
-from vo.sources.imu import cam0_from_imu_in
+from vo.sources.imu import Imu, cam0_from_imu_in
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import Choice, choose_topics
 from vo.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
 from vo.sources.logs.frames import FrameTree, read_frames
 from vo.sources.logs.images import list_images
-from vo.sources.logs.imu import LogImu, imu_topics
+from vo.sources.logs.imu import imu_topics
+from vo.sources.logs.imu_pairs import log_imus
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
 from vo.sources.logs.truth import find_truth_topic, read_truth
@@ -127,7 +128,7 @@ class _Opened:
         frame = self._frame(self._choice.left)
         return read_truth(self._log, self._truth, entries, frame, self._frames, calibration)
 
-    def imus(self, calibration: Calibration | None) -> list[LogImu]:
+    def imus(self, calibration: Calibration | None) -> list[Imu]:
         """The inertial sensors, and a way to find out where they are."""
         said = cam0_from_imu_in(calibration)
 
@@ -136,7 +137,7 @@ class _Opened:
                 return said
             return self._frames.between(self._frame(self._choice.left), frame)
 
-        return [LogImu(self._log, topic, place) for topic in self._imus]
+        return log_imus(self._log, self._imus, place)
 
     def _camera(self, image: Topic) -> LogCamera:
         return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
