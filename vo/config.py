@@ -130,7 +130,7 @@ class SmoothingConfig(Section):
     fixed: int = Field(4, ge=1, description="older keyframes that hold the window in place")
     max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
     iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
-    relative_error_tolerance: float = Field(1e-2, gt=0, description="when to stop earlier")
+    relative_error_tolerance: float = Field(1e-3, gt=0, description="when to stop earlier")
     huber: float = Field(1.5, gt=0, description="standard deviations from which it counts less")
     gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
