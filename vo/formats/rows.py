@@ -31,6 +31,8 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         SourceError: the file is missing, not text or without data.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():  # it may have no end
+        raise SourceError(f"{path} is no file but a device or a pipe; give a trajectory file")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:

@@ -145,6 +145,8 @@ def choose_format(path: Path, format: str | None) -> str:
     """
     if not path.exists() and not _is_pattern(path):
         raise SourceError(f"{path} does not exist; give the folder of a recording")
+    if path.exists() and not path.is_file() and not path.is_dir():  # opening it may never end
+        raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
     name = detect_format(path) if format is None else format
     if name not in FORMATS:
         raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")

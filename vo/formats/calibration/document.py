@@ -88,6 +88,8 @@ def load_document(path: Path) -> Document:
         CalibrationError: it is missing, far too large or not text.
     """
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():  # it may have no end
+            raise CalibrationError(f"calibration {path} is no file but a device or a pipe")
         if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
             raise CalibrationError(
                 f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "

@@ -1,0 +1,37 @@
+"""Devices and pipes in the place of files: they may have no end, or never begin."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from vo.errors import CalibrationError, SourceError
+from vo.formats.calibration import read_calibration
+from vo.formats.trajectory import read_trajectory
+from vo.sources.registry import FORMATS, open_source
+
+
+@pytest.fixture(params=["device", "pipe"])
+def endless(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    if request.param == "device":
+        return Path("/dev/zero")
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path / "pipe"
+
+
+def test_as_a_trajectory(endless: Path) -> None:
+    with pytest.raises(SourceError, match="is no file but a device or a pipe"):
+        read_trajectory(endless)
+
+
+def test_as_a_calibration(endless: Path) -> None:
+    with pytest.raises(CalibrationError, match="is no file but a device or a pipe"):
+        read_calibration(endless)
+
+
+@pytest.mark.parametrize("format", [None, *FORMATS])
+def test_as_a_recording(endless: Path, format: str | None) -> None:
+    with pytest.raises(SourceError, match="is neither a file nor a folder"):
+        open_source(endless, format=format)
