@@ -17,6 +17,9 @@ from numba.extending import intrinsic
 _LANES = 16
 _INTEGER, _NUMBERS = ir.IntType(32), ir.VectorType(ir.FloatType(), _LANES)
 _UNDEFINED = ir.Constant(_NUMBERS, ir.Undefined)
+# A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
+# hall 15 would have been found after all, and a sixth of all steps is saved.
+_HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 
 # All compiled code that calls each other stays in this file: numba's cache does not notice when
 # a function in another file has changed.
@@ -48,6 +51,21 @@ def _blend_16(
     return signature, generate
 
 
+@intrinsic
+def _prefetch(typing_context: Any, image: Any, at: Any) -> Any:
+    """Begin to fetch the bytes around `at` of a flat image from memory."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pixels = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        place = builder.gep(pixels, [arguments[1]])
+        kind = ir.FunctionType(ir.VoidType(), [place.type, _INTEGER, _INTEGER, _INTEGER])
+        prefetch = builder.module.declare_intrinsic("llvm.prefetch", (place.type,), kind)
+        builder.call(prefetch, [place, _INTEGER(0), _INTEGER(3), _INTEGER(1)])  # read, keep, data
+        return context.get_dummy_value()
+
+    return types.void(image, types.int64), generate
+
+
 def _load(builder: Any, pixels: Any) -> Any:
     grey = ir.VectorType(ir.IntType(8), _LANES)
     loaded = builder.load(builder.bitcast(pixels, grey.as_pointer()))
@@ -73,6 +91,11 @@ def align(  # type: ignore[no-untyped-def]
     score = np.full(count, -1.0)
     converged = np.zeros(count, dtype=np.bool_)
     for n in range(count):
+        if n + 1 < count:
+            x, y = reference_xy[n + 1, 0], reference_xy[n + 1, 1]
+            _prefetch_patch(references[reference[n + 1]], x, y, half + 2)
+            x, y = start_xy[n + 1, 0], start_xy[n + 1, 1]
+            _prefetch_patch(targets[target[n + 1]], x, y, half + 2)
         image = references[reference[n]]
         x, y = reference_xy[n, 0], reference_xy[n, 1]
         if len(inverses) == 0:
@@ -92,6 +115,16 @@ def align(  # type: ignore[no-untyped-def]
         x, y, score[n], converged[n] = _search(image, x, y, half, stride, sums, iterations, work)
         xy[n, 0], xy[n, 1] = x, y
     return xy, score, converged
+
+
+@numba.njit(cache=True, nogil=True)
+def _prefetch_patch(image, x, y, reach):  # type: ignore[no-untyped-def]
+    """Ask for the rows of the next patch: a third of the time went into waiting for them."""
+    height, width = image.shape
+    flat = image.reshape(-1)
+    left = max(min(int(x), width - 1) - reach, 0)
+    for row in range(max(int(y) - reach, 0), min(int(y) + reach, height - 1) + 1):
+        _prefetch(flat, row * width + left)  # type: ignore[call-arg]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -222,7 +255,7 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
     mean, hxx, hxy, hyy, variance, bx, by = sums
     side, score = 2 * half + 1, -1.0
     area, determinant = np.float32(side * side), hxx * hyy - hxy * hxy
-    for _ in range(iterations):
+    for step in range(iterations):
         left, top = x - half, y - half
         if not (left >= 0 and left + side < width - 1 and top >= 0 and top + side < height - 1):
             return x, y, -1.0, False
@@ -245,6 +278,8 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
         score = cross / np.sqrt(variance * variance_now)
         if step_x * step_x + step_y * step_y < 1e-4:
             return x, y, score, True
+        if step + 1 >= _HOPELESS_AFTER and score < _HOPELESS_SCORE:
+            break
     return x, y, score, False
 
 
