@@ -137,6 +137,38 @@ def match_epipolar(
     return _one_to_one(matched, distance)
 
 
+def match_segments(
+    query_octave: NDArray[np.int32],
+    query_descriptor: Bytes,
+    train_xy: Floats | Floats32,
+    train_octave: NDArray[np.int32],
+    train_descriptor: Bytes,
+    segment_start: Floats,
+    segment_end: Floats,
+    *,
+    tolerance_px: Floats,
+    max_distance: int,
+    ratio: float,
+) -> Ints:
+    """The matches of `match_epipolar`, but only features in cells near a segment are looked at."""
+    if len(query_octave) == 0 or len(train_xy) == 0:
+        return np.full(len(query_octave), NO_MATCH)
+    train_xy = np.ascontiguousarray(train_xy, dtype=np.float64)
+    matched, distance = _best_near_segments(
+        query_octave,
+        as_words(query_descriptor),
+        train_xy,
+        train_octave,
+        as_words(train_descriptor),
+        np.ascontiguousarray(segment_start, dtype=np.float64),
+        np.ascontiguousarray(segment_end, dtype=np.float64),
+        np.ascontiguousarray(tolerance_px, dtype=np.float64),
+        max_distance,
+        ratio,
+    )
+    return _one_to_one(matched, distance)
+
+
 def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
     """Mask of the matches (N,) whose change of orientation is a common one.
 
@@ -307,3 +339,75 @@ def _best_on_segments(  # type: ignore[no-untyped-def]
             matched[i] = winner
             distance[i] = best
     return matched, distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _best_near_segments(  # type: ignore[no-untyped-def]
+    query_octave,
+    query_words,
+    train_xy,
+    train_octave,
+    train_words,
+    start,
+    end,
+    tolerance,
+    max_distance,
+    ratio,
+):
+    count = len(query_words)
+    matched = np.full(count, -1, dtype=np.int64)
+    distance = np.full(count, 512, dtype=np.int64)
+    order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
+    margin = tolerance.max() + 1e-3
+    for i in range(count):
+        x, y = start[i, 0], start[i, 1]
+        dx, dy = end[i, 0] - x, end[i, 1] - y
+        length = np.sqrt(dx * dx + dy * dy)
+        # Of a segment without length any direction will do.
+        dx, dy = (dx / length, dy / length) if length > 1e-9 else (1.0, 0.0)
+        first_row, last_row = _cells(y, y + length * dy, margin, origin[1], rows)
+        best, second, winner = 512, 512, -1
+        for row in range(first_row, last_row + 1):
+            top = row * _CELL_PX + origin[1] - y
+            near, far = _part(dy, length, margin, top, top + _CELL_PX)
+            first, last = _cells(x + near * dx, x + far * dx, margin, origin[0], columns)
+            for k in range(starts[row * columns + first], starts[row * columns + last + 1]):
+                j = order[k]
+                px, py = train_xy[j, 0] - x, train_xy[j, 1] - y
+                along = px * dx + py * dy
+                across = px * dy - py * dx
+                t = tolerance[j]
+                if across > t or across < -t or along < -t or along > length + t:
+                    continue
+                if abs(train_octave[j] - query_octave[i]) > 1:
+                    continue
+                d = int(hamming(query_words[i], train_words[j]))
+                if d < best:
+                    second = best
+                    best = d
+                    winner = j
+                elif d < second:
+                    second = d
+                if d == best and j < winner:
+                    winner = j
+        if winner >= 0 and best <= max_distance and best < ratio * second:
+            matched[i] = winner
+            distance[i] = best
+    return matched, distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _cells(a, b, margin, origin, count):  # type: ignore[no-untyped-def]
+    """First and last cell, of those there are, that hold what lies between a and b or near."""
+    low, high = (min(a, b) - margin - origin) / _CELL_PX, (max(a, b) + margin - origin) / _CELL_PX
+    return int(min(max(low, 0.0), count)), int(max(min(high, count - 1.0), -1.0))
+
+
+@numba.njit(cache=True, nogil=True)
+def _part(slope, length, margin, top, bottom):  # type: ignore[no-untyped-def]
+    """From where to where along a segment its neighbourhood may lie in a band of rows."""
+    near, far = -margin, length + margin
+    if abs(slope) > 1e-9:
+        a, b = (top - margin) / slope, (bottom + margin) / slope
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near, far
