@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from vo.config import Config
-from vo.features.matching import match_epipolar
+from vo.features.matching import match_segments
+from vo.geometry.neighbours import NEIGHBOURS, median_of_nearest
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.later import Later
-from vo.pipeline.observe import align_landmarks, among, measure_disparity, visible_landmarks
+from vo.pipeline.observe import measure_disparity
+from vo.pipeline.patch_search import find_patches
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Floats, Ints
 
 _CELL_PX = 6.0
-_NEIGHBOURS = 3
 
 
 def far_from(xy: Floats, taken_xy: Floats) -> Bools:
@@ -82,8 +83,7 @@ def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: C
     nearest = xy - (config.stereo.max_disparity_share * width, 0.0)
     farthest = xy + (config.stereo.max_row_offset_px, 0.0)
     scale = config.features.scale_factor ** right.octave.astype(np.float64)
-    matched = match_epipolar(
-        xy,
+    matched = match_segments(
         left.octave[rows],
         left.descriptor[rows],
         right.xy.astype(np.float64),
@@ -126,11 +126,9 @@ def _filled_from_neighbours(
     """Try features without a partner, such as those in grass, at the disparity of those beside."""
     assert frame.image1 is not None
     known, missing = np.flatnonzero(~np.isnan(disparity)), np.flatnonzero(np.isnan(disparity))
-    if len(known) < _NEIGHBOURS or len(missing) == 0:
+    if len(known) < NEIGHBOURS or len(missing) == 0:
         return disparity
-    distance = np.linalg.norm(xy[missing][:, None] - xy[known][None], axis=2)
-    nearest = np.argpartition(distance, _NEIGHBOURS - 1, axis=1)[:, :_NEIGHBOURS]
-    guess = np.median(disparity[known[nearest]], axis=1)
+    guess = median_of_nearest(xy[missing], xy[known], disparity[known])
     filled = disparity.copy()
     filled[missing] = measure_disparity(
         frame.image0, frame.image1, xy[missing], guess, rig, config.tracking, config.stereo
@@ -141,24 +139,22 @@ def _filled_from_neighbours(
 def look_back(world: Map, keyframe: Keyframe, rig: WorkingRig, config: Config) -> None:
     """Find the newest landmarks in the keyframes before, which did not know them yet."""
     new = np.flatnonzero((world.last_seen == keyframe.id) & (world.found <= 1))
-    for other in world.keyframes[-1 - config.mapping.look_back : -1]:
-        unseen = new[~np.isin(world.id[new], other.landmark)]
-        visible = visible_landmarks(world, rig, other.world_from_cam)
-        observed = align_landmarks(
-            world,
-            among(visible, unseen),
-            other.world_from_cam,
-            world.images[other.slot],
-            rig,
-            config.tracking,
-        )
-        other.add_observations(
-            world.id[observed.rows],
-            observed.xy,
-            observed.image_xy,
-            observed.disparity,
-            observed.sigma_px,
-        )
+    others = world.keyframes[-1 - config.mapping.look_back : -1]
+    if len(new) == 0 or not others:
+        return
+    first = world.id[new[0]]
+    unseen = [~np.isin(world.id[new], k.landmark[k.landmark >= first]) for k in others]
+    rows = np.concatenate([new[mask] for mask in unseen])
+    camera = np.repeat(np.arange(len(others)), [np.count_nonzero(mask) for mask in unseen])
+    camera += len(world.keyframes) - 1 - len(others)
+    found = find_patches(world, rows, camera, rig, config.tracking)
+    for number, other in enumerate(world.keyframes):
+        mine = found.camera == number
+        if mine.any():
+            none = np.full(np.count_nonzero(mine), np.nan)
+            sigma = np.full(len(none), config.tracking.sigma_px)
+            ids = world.id[found.rows[mine]]
+            other.add_observations(ids, found.xy[mine], found.image_xy[mine], none, sigma)
 
 
 def _strongest(keyframe: Keyframe, rows: Ints, count: int) -> Ints:

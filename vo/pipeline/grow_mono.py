@@ -6,7 +6,7 @@ import numpy as np
 
 from vo.config import Config
 from vo.features.alignment import align_patches
-from vo.features.matching import agree_in_rotation, match_epipolar
+from vo.features.matching import agree_in_rotation, match_segments
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import in_front, triangulate
@@ -103,8 +103,7 @@ def _match_between(
     query, start, end = query[possible], start[possible], end[possible]
     keypoints = keyframe.keypoints
     size = config.features.scale_factor ** keypoints.octave[train].astype(np.float64)
-    matched = match_epipolar(
-        other.ideal_xy[query],
+    matched = match_segments(
         other.keypoints.octave[query],
         other.keypoints.descriptor[query],
         keyframe.ideal_xy[train],

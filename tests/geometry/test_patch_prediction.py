@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from vo.geometry.neighbours import median_of_nearest
+from vo.geometry.patch_prediction import PatchPrediction, predict_patches
+from vo.geometry.transforms import inverse, make_transform, transform_points
+from vo.types import Floats
+
+FX, FY, CX, CY = 400.0, 410.0, 320.0, 240.0
+
+
+def _pose(rotvec: tuple[float, float, float], centre: tuple[float, float, float]) -> Floats:
+    return make_transform(cv2.Rodrigues(np.array(rotvec))[0], np.array(centre))
+
+
+def _project(world_from_cam: Floats, points: Floats) -> Floats:
+    seen = transform_points(inverse(world_from_cam), points)
+    return np.asarray(seen[:, :2] / seen[:, 2:] * (FX, FY) + (CX, CY))
+
+
+def _predict(points: Floats, reference: Floats, target: Floats) -> PatchPrediction:
+    """Points whose patches the reference holds, in the target."""
+    count = len(points)
+    return predict_patches(
+        points,
+        np.zeros(count, np.int64),
+        np.arange(count),
+        np.ones(count, np.int64),
+        np.stack([reference, target]),
+        (FX, FY, CX, CY),
+    )
+
+
+def _points() -> Floats:
+    return np.random.default_rng(0).uniform((-2, -2, 4), (2, 2, 9), (50, 3))
+
+
+def test_points_are_projected_and_their_size_follows_the_distance() -> None:
+    reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
+    target = _pose((-0.05, 0.1, 0.3), (-0.4, 0.2, 0.5))
+    points = _points()
+    seen = _predict(points, reference, target)
+    np.testing.assert_allclose(seen.xy, _project(target, points), atol=1e-9)
+    then = np.linalg.norm(points - reference[:3, 3], axis=1)
+    now = np.linalg.norm(points - target[:3, 3], axis=1)
+    np.testing.assert_allclose(seen.scale, then / now)
+
+
+def test_the_stretch_takes_steps_back_on_a_wall_that_faces_the_reference() -> None:
+    reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
+    target = _pose((-0.05, 0.3, 0.3), (-0.9, 0.2, 0.5))
+    points = _points()
+    seen = _predict(points, reference, target)
+    depth = transform_points(inverse(reference), points)[:, 2]
+    for step in ((1e-3, 0.0), (0.0, 1e-3), (-1e-3, 2e-3)):
+        on_wall = np.column_stack([np.tile(step, (len(points), 1)), np.zeros(len(points))])
+        moved = points + (on_wall * depth[:, None] / (FX, FY, 1.0)) @ reference[:3, :3].T
+        there = _project(target, moved) - _project(target, points)
+        back = np.einsum("nij,nj->ni", seen.reference_from_target, there)
+        np.testing.assert_allclose(back, np.tile(step, (len(points), 1)), atol=2e-5)
+
+
+def test_nothing_is_predicted_behind_a_camera() -> None:
+    behind = _pose((0.0, np.pi, 0.0), (0.0, 0.0, 0.0))
+    seen = _predict(_points(), np.eye(4), behind)
+    assert np.isnan(seen.xy).all() and (seen.scale == 0.0).all()
+
+
+def test_what_is_seen_from_the_side_is_not_stretched() -> None:
+    aside = _pose((0.0, -np.pi / 2 + 0.01, 0.0), (6.0, 0.0, 6.0))
+    seen = _predict(np.array([[0.0, 0.0, 6.0]]), np.eye(4), aside)
+    np.testing.assert_array_equal(seen.reference_from_target[0], np.eye(2))
+
+
+def test_the_median_is_that_of_the_three_nearest() -> None:
+    rng = np.random.default_rng(1)
+    xy, known_xy, known = rng.random((200, 2)), rng.random((40, 2)), rng.random(40)
+    distance = np.linalg.norm(xy[:, None] - known_xy[None], axis=2)
+    expected = np.median(known[np.argsort(distance, axis=1)[:, :3]], axis=1)
+    np.testing.assert_array_equal(median_of_nearest(xy, known_xy, known), expected)
+
+
+def test_of_equally_far_points_the_first_count() -> None:
+    square = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    values = np.array([5.0, 1.0, 3.0, 100.0])
+    assert median_of_nearest(np.zeros((1, 2)), square, values).tolist() == [3.0]
+    values = np.array([100.0, 50.0, 1.0, 2.0])
+    assert median_of_nearest(np.zeros((1, 2)), square, values).tolist() == [50.0]

@@ -1,0 +1,120 @@
+"""Where the patches of points should be in other views, and how they look there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from vo.types import Floats, Ints
+
+_NEAREST = 1e-3  # depth in distances of the reference camera below which nothing is predicted
+
+
+class PatchPrediction(NamedTuple):
+    """Patches in other views, (N,) pairs of a point and a camera.
+
+    Attributes:
+        xy: (N, 2) ideal pixels, NaN where the point is not in front of the camera.
+        scale: (N,) size of the patch there against its reference.
+        reference_from_target: (N, 2, 2) takes steps of pixels there back to the reference image.
+    """
+
+    xy: Floats
+    scale: Floats
+    reference_from_target: Floats
+
+
+def predict_patches(
+    points: Floats,
+    reference: Ints,
+    point: Ints,
+    camera: Ints,
+    world_from_cam: Floats,
+    intrinsics: tuple[float, float, float, float],
+) -> PatchPrediction:
+    """Project points into cameras, together with the neighbourhood that their patch shows.
+
+    Two neighbours one pixel away at the same depth are carried over.
+
+    Args:
+        points: (M, 3) in the world.
+        reference: (M,) row in world_from_cam of the camera that holds each point's patch.
+        point: (N,) row in points of each pair.
+        camera: (N,) row in world_from_cam of each pair.
+        world_from_cam: (K, 4, 4).
+        intrinsics: fx, fy, cx, cy.
+
+    Source: Forster et al., SVO, 2014, sec. IV-B: the patch is taken to face its reference camera.
+    """
+    return PatchPrediction(
+        *_predict(
+            np.ascontiguousarray(points),
+            reference,
+            point,
+            camera,
+            np.ascontiguousarray(world_from_cam),
+            intrinsics,
+        )
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _predict(points, reference, point, camera, poses, intrinsics):  # type: ignore[no-untyped-def]
+    count = len(point)
+    fx, fy, cx, cy = intrinsics
+    xy = np.full((count, 2), np.nan)
+    scale = np.zeros(count)
+    back = np.zeros((count, 2, 2))
+    for n in range(count):
+        at, there, here = points[point[n]], poses[reference[point[n]]], poses[camera[n]]
+        x, y, z = _seen_from(here, at[0], at[1], at[2])
+        then, now = _distance(there, at), _distance(here, at)
+        if not z > _NEAREST * then:
+            continue
+        u, v = fx * x / z + cx, fy * y / z + cy
+        xy[n, 0], xy[n, 1], scale[n] = u, v, then / now
+        depth = _seen_from(there, at[0], at[1], at[2])[2]
+        a, c = _moved(at, there, 0, depth / fx, here, fx, fy)
+        b, d = _moved(at, there, 1, depth / fy, here, fx, fy)
+        a, c = a + cx - u, c + cy - v
+        b, d = b + cx - u, d + cy - v
+        determinant = a * d - b * c
+        if 0.1 <= abs(determinant) <= 10.0:
+            back[n, 0, 0], back[n, 0, 1] = d / determinant, -b / determinant
+            back[n, 1, 0], back[n, 1, 1] = -c / determinant, a / determinant
+        else:  # seen from the side, or from behind: as it was is as good a guess as any
+            back[n, 0, 0] = back[n, 1, 1] = 1.0
+    return xy, scale, back
+
+
+@numba.njit(cache=True, nogil=True)
+def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
+    """A point of the world in a camera's frame."""
+    x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
+    return (
+        pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z,
+        pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z,
+        pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _distance(pose, at):  # type: ignore[no-untyped-def]
+    x, y, z = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(at, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
+    """Pixel, less the principal point, of a point moved along an axis of another camera."""
+    x, y, z = _seen_from(
+        here,
+        at[0] + step * there[0, axis],
+        at[1] + step * there[1, axis],
+        at[2] + step * there[2, axis],
+    )
+    if z == 0.0:
+        return np.nan, np.nan
+    return fx * x / z, fy * y / z
