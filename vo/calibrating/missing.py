@@ -30,38 +30,56 @@ def why_not_found(board: Board, found: Survey, frames: Iterable[Frame]) -> str:
     every = max(found.frames // _IMAGES, 1)
     images = [frame.image0 for frame in islice(frames, 0, None, every)][:_IMAGES]
     message = f"no {board} in any of {found.frames} frames"
-    guess = (
-        _other_chessboard(images) if board.kind == "chessboard" else _other_markers(board, images)
-    )
-    return f"{message}; {guess}"
+    if board.kind == "chessboard":
+        return f"{message}; {_other_chessboard(images)}"
+    return f"{message}; {_other_markers(board, images)}"
 
 
 def _other_chessboard(images: list[Bytes]) -> str:
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
-    sizes = []
-    for image in images:
-        ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, _SMALLEST, flags)
-        if ok:
-            sizes.append((meta.shape[1], meta.shape[0]))
-    if sizes:
-        columns, rows = max(sizes, key=lambda size: size[0] * size[1])
-        return (
-            f"one of {columns} x {rows} inner corners is there: --columns {columns} --rows {rows}?"
-        )
+    # Of a ChArUco board the squares without markers can pass for a small chessboard.
+    if _most_markers(images)[0] >= _ENOUGH_MARKERS:
+        return "there are markers: a ChArUco board? (--board charuco)"
+    size = _largest_chessboard(images)
+    if size is not None:
+        options = f"--columns {size[0]} --rows {size[1]}"
+        return f"one of {size[0]} x {size[1]} inner corners is there: {options}?"
     return (
         "check --columns and --rows (corners where four squares meet, not squares); a chessboard "
         "must be seen whole, with a white margin (a ChArUco board need not)"
     )
 
 
+def _largest_chessboard(images: list[Bytes]) -> tuple[int, int] | None:
+    """Columns and rows of the largest that any image shows."""
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    sizes = []
+    for image in images:
+        ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, _SMALLEST, flags)
+        if ok:
+            sizes.append((meta.shape[1], meta.shape[0]))
+    return max(sizes, key=lambda size: size[0] * size[1], default=None)
+
+
 def _other_markers(board: Board, images: list[Bytes]) -> str:
-    counts = {name: max(_count(name, image) for image in images) for name in dictionaries()}
-    if counts[board.dictionary] >= _ENOUGH_MARKERS:
+    if max(_count(board.dictionary, image) for image in images) >= _ENOUGH_MARKERS:
         return _other_layout(board, images)
-    best = max(counts, key=lambda name: counts[name])
-    if counts[best] >= _ENOUGH_MARKERS:
+    if any(detect(board, np.ascontiguousarray(image[:, ::-1])) is not None for image in images):
+        return "it is there in mirror image: switch mirroring off where the camera is recorded"
+    count, best = _most_markers(images)
+    if count >= _ENOUGH_MARKERS:
         return f"there are markers of another dictionary: --dictionary {best}?"
+    size = _largest_chessboard(images)
+    if size is not None:
+        options = f"--board chessboard --columns {size[0]} --rows {size[1]}"
+        return f"a chessboard without markers is there: {options}?"
     return "no markers are seen either; check --board and --dictionary, and that images are sharp"
+
+
+def _most_markers(images: list[Bytes]) -> tuple[int, str]:
+    """How many markers of which dictionary are seen at once; the smallest of those with as many."""
+    counts = {name: max(_count(name, image) for image in images) for name in dictionaries()}
+    best = max(counts, key=lambda name: counts[name])
+    return counts[best], best
 
 
 def _other_layout(board: Board, images: list[Bytes]) -> str:
@@ -83,10 +101,10 @@ def _other_layout(board: Board, images: list[Bytes]) -> str:
             except ConfigError:
                 continue
             if any(detect(meant, image) is not None for image in images):
-                options = f"--columns {one} --rows {other}{' --legacy' if legacy else ''}"
+                word = " with" if legacy else " without"
+                option = "" if legacy == board.legacy else f"{word} --legacy"
+                options = f"--columns {one} --rows {other}{option}"
                 return f"one of {one} x {other} inner corners is there: {options}?"
-    if any(detect(board, np.ascontiguousarray(image[:, ::-1])) is not None for image in images):
-        return "it is there in mirror image: switch mirroring off where the camera is recorded"
     return (
         f"markers of {board.dictionary} are there, but not as on such a board: check --columns "
         "and --rows (inner corners, one less than squares), or try --legacy"

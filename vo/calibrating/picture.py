@@ -72,8 +72,8 @@ def _draw_corners(axes: Axes, result: Result, camera: int) -> None:
     longer = _round(_ARROW_SHARE * width / max(typical, 1e-6))
     bare = ~coverage(result, camera)
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-    axes.imshow(bare, cmap="Greys", vmin=0.0, vmax=6.0, extent=extent, zorder=0)
-    axes.plot(*xy.T, ".", color=_CORNER, ms=4.0, alpha=0.6, mew=0)
+    axes.imshow(bare, cmap="Greys", vmin=0.0, vmax=4.0, extent=extent, zorder=0)
+    axes.plot(*xy.T, ".", color=_CORNER, ms=6.0, alpha=0.7, mew=0)
     axes.quiver(
         *xy.T,
         *(longer * residuals).T,
@@ -89,7 +89,8 @@ def _draw_corners(axes: Axes, result: Result, camera: int) -> None:
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
     axes.set_aspect("equal")
-    title = f"cam{camera}: {len(xy)} corners, errors drawn {longer} times as long; grey: none seen"
+    title = f"cam{camera}: {len(xy)} corners, their errors {longer} times as long; + optical axis\n"
+    title += "grey: no corner yet, hold the board there too" if bare.any() else "seen everywhere"
     axes.set_title(title, loc="left", fontsize=10)
     axes.tick_params(labelsize=9)
 
