@@ -203,8 +203,9 @@ def _trajectory(rows: list[Row], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floats
 
     What motion capture writes where it saw nothing, NaN or quaternions of zero, is left out.
     """
-    known = np.isfinite(xyz).all(axis=1) & (np.linalg.norm(quat_xyzw, axis=1) >= 1e-6)
-    unknown = np.flatnonzero(~known)  # a comparison with NaN is false
+    finite = np.isfinite(xyz).all(axis=1) & np.isfinite(quat_xyzw).all(axis=1)
+    known = finite & (np.linalg.norm(quat_xyzw, axis=1) >= 1e-6)
+    unknown = np.flatnonzero(~known)
     if len(unknown):
         told = f"{len(unknown)} of {len(rows)} lines are no pose (NaN, or a quaternion of zero)"
         first = rows[unknown[0]].place
