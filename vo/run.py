@@ -22,7 +22,7 @@ from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
 from vo.recording.recorder import ImageChoice, NullRecorder, Recorder
 from vo.results.account import Account
-from vo.results.claim import claimed, refuse_to_overwrite
+from vo.results.claim import claimed, refuse_to_collide, refuse_to_overwrite
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
@@ -93,10 +93,13 @@ def run(
         CalibrationError: its calibration is missing or cannot be true.
         ConfigError: a log that is followed is to be tracked in part.
         OutputError: the folder or the recording cannot be written, another run is writing there,
-            it holds files of others with names of a run's, or no viewer answers.
+            it holds files of others with names of a run's, two outputs are the same file or
+            one is what is read, or no viewer answers.
     """
     exports = exports or Exports()
-    refuse_to_overwrite((Path(source), calibration), (exports.mcap, exports.ply))
+    replaced = None if rrd is None or rrd.suffix == ".rrd" else rrd  # no recording is an .rrd
+    refuse_to_overwrite((Path(source), calibration), (exports.mcap, exports.ply, replaced))
+    refuse_to_collide(Path(output), (rrd, exports.mcap, exports.ply, exports.colmap))
     every = config.tracking.every
     if follow and every > 1:
         raise ConfigError(f"tracking.every is {every}; a log that is followed needs 1")

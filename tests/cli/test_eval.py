@@ -76,6 +76,12 @@ def test_json_for_machines(run_folder: Path, truth: Path) -> None:
     assert numbers["plot"] is None
 
 
+def test_no_number_of_poses_is_too_large(run_folder: Path, truth: Path) -> None:
+    result = vo_eval(run_folder, truth, "--delta", 10**30, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["rpe_frames"] is None
+
+
 def test_plot(run_folder: Path, truth: Path, tmp_path: Path) -> None:
     result = vo_eval(run_folder, truth, "--plot", tmp_path / "eval.png")
     assert result.exit_code == 0, result.output

@@ -252,6 +252,24 @@ def test_what_is_no_run_is_refused(content: str | None, tmp_path: Path) -> None:
     assert "error: " in make(tmp_path, "-o", tmp_path / "r.html", expect=1)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("source", 5), ("tracked", "all"), ("segments", None), ("versions", []), ("wall_s", "1")],
+)
+def test_a_summary_of_other_makers_is_refused(own_run: Path, name: str, value: object) -> None:
+    change_summary(own_run, **{name: value})
+    assert f"summary.json: '{name}' is {value}; run" in make(own_run, expect=1)
+
+
+def test_a_report_replaces_nothing_but_a_report(own_run: Path, tmp_path: Path) -> None:
+    before = (own_run / "trajectory.tum").read_bytes()
+    said = make(own_run, "-o", own_run / "trajectory.tum", expect=1)
+    assert "trajectory.tum is no report and would be replaced" in said
+    assert (own_run / "trajectory.tum").read_bytes() == before
+    for _ in range(2):
+        make(own_run, "-o", tmp_path / "r.html", "--no-images")
+
+
 @pytest.mark.parametrize("name", ["frames.csv", "covariance.csv", "trajectory.tum", "causal.tum"])
 def test_a_line_that_was_cut_off_costs_no_more_than_itself(
     own_run: Path, tmp_path: Path, name: str

@@ -76,6 +76,39 @@ def test_a_recording_is_never_written_over(synthetic_stereo: Path, tmp_path: Pat
     assert inside.read_bytes() == b"precious"
 
 
+def test_a_log_is_not_replaced_by_what_rerun_gets(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(b"precious")
+    link = tmp_path / "link.mcap"
+    link.symlink_to(log)
+    for target in (log, link):
+        with pytest.raises(OutputError, match="mcap belongs to what is read"):
+            run(log, tmp_path / "out", config=FAST, rrd=target)
+    assert log.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("name", ["summary.json", "trajectory.tum", "frames.csv.partial"])
+def test_no_output_takes_the_place_of_a_result(
+    synthetic_stereo: Path, tmp_path: Path, name: str
+) -> None:
+    with pytest.raises(OutputError, match=f"{name} is written already by this run"):
+        run(synthetic_stereo, tmp_path, config=FAST, end=2, rrd=tmp_path / "x" / ".." / name)
+    with pytest.raises(OutputError, match="is written already by this run"):
+        run(synthetic_stereo, tmp_path, config=FAST, exports=Exports(ply=tmp_path / name))
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_outputs_cannot_be_one_file(synthetic_stereo: Path, tmp_path: Path) -> None:
+    exports = Exports(mcap=tmp_path / "one", ply=tmp_path / "one")
+    with pytest.raises(OutputError, match="one is written already by this run"):
+        run(synthetic_stereo, tmp_path / "out", config=FAST, exports=exports)
+
+
+def test_what_rerun_got_is_replaced_by_a_later_run(synthetic_stereo: Path, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert run(synthetic_stereo, tmp_path, config=FAST, end=2, rrd=tmp_path / "run.rrd").tracked
+
+
 def test_names_that_are_no_utf8_cost_nothing(synthetic_stereo: Path, tmp_path: Path) -> None:
     name = os.fsdecode(b"w\xe4lk")
     try:

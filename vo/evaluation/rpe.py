@@ -23,7 +23,8 @@ def relative_errors(estimate: Floats, reference: Floats, pairs: Ints) -> PoseErr
 
 def pairs_over_frames(count: int, delta: int) -> Ints:
     """All pairs (i, i + delta) among `count` poses, as (P, 2)."""
-    first = np.arange(max(count - delta, 0), dtype=np.int64)
+    delta = min(delta, count)  # beyond, there are none, and no number is too large
+    first = np.arange(count - delta, dtype=np.int64)
     return np.column_stack([first, first + delta])
 
 

@@ -13,6 +13,7 @@ from vo.report.markup import Markup, element, join
 from vo.report.plots.catalogue import Plot
 
 _ERRORS = ("error_time", "error_distance", "rpe", "drift")
+_BEGINS = "<!doctype html>"
 # Nothing may be loaded, whatever a file's name manages to smuggle in.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -67,15 +68,27 @@ def _document(title: str, body: Markup) -> str:
         element("style", Markup(style)),
     )
     page = join(element("head", head), element("body", element("main", body)))
-    return f'<!doctype html>\n<html lang="en">{page}</html>\n'
+    return f'{_BEGINS}\n<html lang="en">{page}</html>\n'
+
+
+def _is_page(path: Path) -> bool:
+    """Whether a file is a page, or empty."""
+    try:
+        with path.open("rb") as stream:
+            begins = stream.read(len(_BEGINS)).decode(errors="replace").lower()
+    except OSError:
+        return False
+    return not begins or begins == _BEGINS
 
 
 def write_page(path: Path, page: str) -> None:
     """Write a report.
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: it cannot be written, or would replace something else than a page.
     """
+    if path.is_file() and not _is_page(path):
+        raise OutputError(f"{path} is no report and would be replaced; choose another file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8", errors="replace")  # names may be no UTF-8

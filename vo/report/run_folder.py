@@ -21,6 +21,16 @@ _log = logging.getLogger(__name__)
 
 _PARTIAL = ".partial"  # of a run that was killed
 _STAGE_SUFFIX = "_ms"
+# What a report cannot do without, by its type in JSON.
+_NEEDED: Mapping[Any, tuple[str, ...]] = {
+    str: ("source", "format", "mode", "status"),
+    int: ("frames", "tracked", "keyframes", "landmarks", "start", "end", "stride", "seed"),
+    (int, float): ("path_m", "frames_per_s", "wall_s", "peak_rss_mb"),
+    (int, float, type(None)): ("median_inliers",),
+    (str, type(None)): ("error",),
+    list: ("warnings", "segments", "without_pose"),
+    dict: ("versions",),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +125,11 @@ def _summary(path: Path) -> dict[str, Any]:
         raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
     if not isinstance(summary, dict) or "schema_version" not in summary:
         raise SourceError(f"{path} is no summary of a run; give the --output of a `vo run`")
+    for kind, names in _NEEDED.items():
+        for name in names:
+            found = summary.get(name, "missing")
+            if name not in summary or not isinstance(found, kind):
+                raise SourceError(f"{path}: '{name}' is {found}; run `vo run` again")
     return summary
 
 

@@ -61,6 +61,24 @@ def refuse_to_overwrite(inputs: Iterable[Path | None], outputs: Iterable[Path | 
             raise OutputError(f"{target} belongs to what is read; choose another file to write")
 
 
+def refuse_to_collide(folder: Path, outputs: Iterable[Path | None]) -> None:
+    """Keep what a run writes apart from its own results and from each other.
+
+    Args:
+        folder: of the results.
+        outputs: what is written beside them; those that are None do not count.
+
+    Raises:
+        OutputError: two of them are the same.
+    """
+    taken = {Path(os.path.realpath(folder / name)) for name in (*RESULTS, *PARTIAL_FILES)}
+    for target in (path for path in outputs if path is not None):
+        place = Path(os.path.realpath(target))  # also through a loop of links
+        if place in taken:
+            raise OutputError(f"{target} is written already by this run; choose another file")
+        taken.add(place)
+
+
 def _lock(folder: int, path: Path) -> None:
     try:
         fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
