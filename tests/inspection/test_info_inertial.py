@@ -78,7 +78,7 @@ def test_a_sound_sensor_is_described(synthetic_stereo: Path) -> None:
     [
         (1.0, 1 / 9.80665, "looks as if it were in g"),
         (1.0, 0.1 / 9.80665, "with gravity it should be about 9.81"),
-        (1.0, 1.5, "and not about 9.81"),
+        (1.0, 3.28084, "and not about 9.81"),
         (180 / np.pi, 1.0, "looks as if it were in degrees"),
     ],
 )

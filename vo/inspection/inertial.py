@@ -17,7 +17,7 @@ _LOOKED_AT = 10_000
 """Of a long log no more samples than so many."""
 
 _IN_G = (0.8, 1.2)
-_GRAVITY = (8.3, 11.5)  # means; moving about adds little to them
+_GRAVITY = (7.0, 20.0)  # means; only racing drones are far above 9.81
 _WITHOUT_GRAVITY_M_S2 = 5.0
 _TURNING_RAD_S = 4.0  # as a median; nothing that carries a camera turns so fast all the time
 _FASTEST_RAD_S = 35.0  # 2000 degrees a second, where most sensors end
