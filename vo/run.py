@@ -98,7 +98,8 @@ def run(
     """
     exports = exports or Exports()
     replaced = None if rrd is None or rrd.suffix == ".rrd" else rrd  # no recording is an .rrd
-    refuse_to_overwrite((Path(source), calibration), (exports.mcap, exports.ply, replaced))
+    written = (exports.mcap, exports.ply, replaced)
+    refuse_to_overwrite((Path(source), calibration), written, Path(output))
     refuse_to_collide(Path(output), (rrd, exports.mcap, exports.ply, exports.colmap))
     every = config.tracking.every
     if follow and every > 1:

@@ -67,6 +67,8 @@ def test_folders_without_what_is_needed(tmp_path: Path) -> None:
         load_inputs(tmp_path, truth)
     with pytest.raises(SourceError, match="no ground truth"):
         load_inputs(truth, tmp_path)
+    with pytest.raises(SourceError, match="is a run, which is no truth; give the run first"):
+        load_inputs(truth, run_folder(tmp_path / "run"))
 
 
 def test_euroc_truth_is_moved_to_the_camera(tmp_path: Path) -> None:

@@ -73,7 +73,22 @@ def test_a_recording_is_never_written_over(synthetic_stereo: Path, tmp_path: Pat
         run(recording, tmp_path / "out", config=FAST, exports=Exports(mcap=inside))
     with pytest.raises(OutputError, match="belongs to what is read"):
         run(inside, tmp_path / "out", config=FAST, exports=Exports(mcap=inside))
+    deep = next((recording / "mav0" / "cam0" / "data").iterdir())
+    for place in (deep, recording / "mav0" / "cam0" / "sensor.yaml"):
+        before = place.read_bytes()
+        with pytest.raises(OutputError, match="belongs to what is read"):
+            run(recording, tmp_path / "out", config=FAST, rrd=place)
+        assert place.read_bytes() == before
     assert inside.read_bytes() == b"precious"
+
+
+def test_results_in_the_folder_of_a_recording_are_replaced(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    recording = shutil.copytree(synthetic_stereo, tmp_path / "recording")
+    out = recording / "out"
+    for _ in range(2):
+        assert run(recording, out, config=FAST, end=2, exports=Exports(ply=out / "m.ply")).tracked
 
 
 def test_a_log_is_not_replaced_by_what_rerun_gets(tmp_path: Path) -> None:

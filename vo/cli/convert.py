@@ -96,7 +96,9 @@ def convert_command(
     from vo.cli.conversion import Conversion
     from vo.cli.progress import warnings_on
     from vo.inspection.material import look_into
+    from vo.results.claim import refuse_to_overwrite
 
+    refuse_to_overwrite((source, calibration), (output,))
     console = Console(stderr=True, highlight=False, quiet=quiet)
     how = Conversion(_format(format, output), codec, start, end, stride, _size(resize), gray)
     material = look_into(

@@ -67,6 +67,9 @@ def info_command(
 
     from vo.inspection.material import look_into
     from vo.inspection.report import DEFAULT_IMAGES, inspect
+    from vo.results.claim import refuse_to_overwrite
+
+    refuse_to_overwrite((source, calibration), (contact_sheet,))
 
     with Console(stderr=True).status("looking at images"):
         material = look_into(

@@ -105,6 +105,8 @@ def _reference_file(path: Path) -> Path:
     for name in _REFERENCE_NAMES:
         if (path / name).is_file():
             return path / name
+    if any((path / name).is_file() for name in _ESTIMATE_NAMES):
+        raise SourceError(f"{path} is a run, which is no truth; give the run first, then the truth")
     names = ", ".join(_REFERENCE_NAMES)
     raise SourceError(f"{path} has no ground truth ({names}); give its file")
 

@@ -43,21 +43,29 @@ def claimed(path: Path) -> Iterator[None]:
         os.close(folder)  # the lock goes with it
 
 
-def refuse_to_overwrite(inputs: Iterable[Path | None], outputs: Iterable[Path | None]) -> None:
+def refuse_to_overwrite(
+    inputs: Iterable[Path | None], outputs: Iterable[Path | None], results: Path | None = None
+) -> None:
     """Protect what a run reads from what it writes.
 
     Args:
         inputs: recording, calibration; those that are None or do not exist do not count.
         outputs: files to write.
+        results: a folder of results; where it is in a recording, what is in it is not the
+            recording's.
 
     Raises:
-        OutputError: an output is an input, or is a file of a recording that is a folder.
+        OutputError: an output is an input, or is a file anywhere in a recording that is a folder.
     """
-    read = [path for path in inputs if path is not None and path.exists()]
+    read = [Path(os.path.realpath(path)) for path in inputs if path is not None and path.exists()]
+    own = None if results is None else Path(os.path.realpath(results))
     for target in outputs:
         if target is None or not target.exists():
             continue
-        if any(path.samefile(target) or path.samefile(target.parent) for path in read):
+        place = Path(os.path.realpath(target))
+        if own in place.parents and own not in read:
+            continue
+        if any(path.samefile(target) or path in place.parents for path in read):
             raise OutputError(f"{target} belongs to what is read; choose another file to write")
 
 

@@ -1,0 +1,51 @@
+"""Commands that only read a recording never write over it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from vo.cli.app import app
+
+CALIBRATION = "cam0: {resolution: [96, 64], intrinsics: [80.0, 80.0, 47.5, 31.5]}\n"
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for i in range(4):
+        noise = np.random.default_rng(i).integers(0, 256, (64, 96), dtype=np.uint8)
+        assert cv2.imwrite(str(folder / f"{i}.png"), noise)
+    (folder / "calibration.yaml").write_text(CALIBRATION, encoding="utf-8")
+    return folder
+
+
+def assert_refused(path: Path, *words: str | Path) -> None:
+    before = path.read_bytes()
+    result = CliRunner().invoke(app, list(map(str, words)))
+    assert result.exit_code == 1
+    assert "belongs to what is read; choose another file to write" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert path.read_bytes() == before
+
+
+def test_by_a_contact_sheet(images: Path, tmp_path: Path) -> None:
+    assert_refused(images / "0.png", "info", images, "--contact-sheet", images / "0.png")
+    sheet = tmp_path / "sheet.png"
+    for _ in range(2):
+        result = CliRunner().invoke(app, ["info", str(images), "--contact-sheet", str(sheet)])
+        assert result.exit_code == 0, result.output
+
+
+def test_by_its_own_conversion(images: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    made = CliRunner().invoke(app, ["convert", str(images), str(log)])
+    assert made.exit_code == 0, made.output
+    assert_refused(log, "convert", log, log, "--force", "--end", "2")
+    target = images / "calibration.yaml"
+    assert_refused(target, "convert", images, target, "--format", "mcap", "--force")
