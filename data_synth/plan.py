@@ -12,13 +12,13 @@ from data_synth.motion.imu import measure
 from data_synth.motion.motions import make_path, mount
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import Recipe
-from data_synth.records import BodyTruth, Imu, ImuNoise, MoverTruth, Recording
+from data_synth.records import BodyTruth, Imu, MoverTruth, Recording
 from data_synth.scene.scene import Scene
 from data_synth.scene.world import clearance
 from data_synth.sensor.timing import Timing, make_timing
 from data_synth.worlds.registry import make_scene
 from data_synth.writers.registry import check
-from vo.types import Floats, Trajectory
+from vo.types import Floats, ImuNoise, Trajectory
 
 FIRST_STAMP_NS = 1_700_000_000_000_000_000
 

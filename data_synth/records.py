@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.types import Bools, Floats, Floats32, Ints, Rig, Trajectory
+from vo.types import Bools, Floats, Floats32, ImuNoise, Ints, Rig, Trajectory
 
 GRAVITY_M_S2 = 9.81
 
@@ -23,23 +23,6 @@ Pixels = NDArray[np.unsignedinteger]
 
 BODY = "body"
 """Name of the frame whose poses are the truth."""
-
-
-@dataclass(frozen=True)
-class ImuNoise:
-    """Continuous-time noise of an inertial sensor, as Kalibr and EuRoC give it.
-
-    Attributes:
-        gyro_noise: rad/s/√Hz.
-        gyro_walk: rad/s²/√Hz.
-        accel_noise: m/s²/√Hz.
-        accel_walk: m/s³/√Hz.
-    """
-
-    gyro_noise: float
-    gyro_walk: float
-    accel_noise: float
-    accel_walk: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,6 +139,23 @@ class Trajectory:
         return np.asarray(self.world_from_cam[:, :3, 3], dtype=np.float64)
 
 
+@dataclass(frozen=True)
+class ImuNoise:
+    """Continuous-time noise of an inertial sensor, as Kalibr and EuRoC give it.
+
+    Attributes:
+        gyro_noise: rad/s/√Hz.
+        gyro_walk: rad/s²/√Hz.
+        accel_noise: m/s²/√Hz.
+        accel_walk: m/s³/√Hz.
+    """
+
+    gyro_noise: float
+    gyro_walk: float
+    accel_noise: float
+    accel_walk: float
+
+
 @dataclass(frozen=True, eq=False)
 class PlacedFrames:
     """The frames of a run that have a pose, in time order.

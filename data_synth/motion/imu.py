@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from data_synth.motion.spline import PosePath
-from data_synth.records import GRAVITY_M_S2, BodyTruth, Imu, ImuNoise
-from vo.types import Floats, Ints
+from data_synth.records import GRAVITY_M_S2, BodyTruth, Imu
+from vo.types import Floats, ImuNoise, Ints
 
 _AROUND_NS = 100_000_000  # measured before the first frame and after the last
 _SEED_GYRO, _SEED_ACCEL = 31, 32

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data_synth.records import BodyTruth, Imu, ImuNoise, MoverTruth, Recording, Shot
+from data_synth.records import BodyTruth, Imu, MoverTruth, Recording, Shot
 from vo.geometry.transforms import make_transform, se3_exp, so3_exp
-from vo.types import Camera, Floats, Ints, Rig, Trajectory
+from vo.types import Camera, Floats, ImuNoise, Ints, Rig, Trajectory
 
 FRAMES = 7
 FPS = 20.0

@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 
-from data_synth.records import BODY, Imu, ImuNoise
+from data_synth.records import BODY, Imu
 from vo.errors import VoError
 from vo.geometry.transforms import inverse
 from vo.sources.source import Source
@@ -51,13 +51,12 @@ def imu_around(source: Source, stamps_ns: Ints, format: str) -> tuple[Imu | None
         return None, np.eye(4)
     if place is None:
         _log.warning("%s: nothing says where it is beside the camera", sensor.name)
-    noise = sensor.noise
     imu = Imu(
         stamps_ns=samples.stamps_ns,
         gyro=samples.gyro,
         accel=samples.accel,
         rate_hz=1e9 / float(np.median(np.diff(samples.stamps_ns))),
-        noise=None if noise is None else ImuNoise(**vars(noise)),
+        noise=sensor.noise,
         frame=_SENSOR if place is None else BODY,
     )
     return imu, np.eye(4) if place is None else inverse(place)

@@ -11,9 +11,9 @@ from vo.formats.calibration import Calibration
 from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
-from vo.sources.imu import ImuNoise, ImuSamples, TableImu, cam0_from_imu_in, make_samples
+from vo.sources.imu import ImuSamples, TableImu, cam0_from_imu_in, make_samples
 from vo.sources.listing import LARGEST_NS, read_lines, whole_ns
-from vo.types import Floats
+from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)
 

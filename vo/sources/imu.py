@@ -11,7 +11,7 @@ import numpy as np
 
 from vo.formats.calibration import Calibration
 from vo.geometry.transforms import inverse
-from vo.types import Floats, Ints
+from vo.types import Floats, ImuNoise, Ints
 
 _BODY_IS_IMU = ("Kalibr", "Basalt", "ORB-SLAM3")
 """Kinds of calibration file that say where cameras are beside the inertial sensor."""
@@ -39,23 +39,6 @@ class ImuSamples:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
-
-
-@dataclass(frozen=True)
-class ImuNoise:
-    """Continuous-time noise, as Kalibr and EuRoC give it.
-
-    Attributes:
-        gyro_noise: rad/s/√Hz.
-        gyro_walk: rad/s²/√Hz.
-        accel_noise: m/s²/√Hz.
-        accel_walk: m/s³/√Hz.
-    """
-
-    gyro_noise: float
-    gyro_walk: float
-    accel_noise: float
-    accel_walk: float
 
 
 class Imu(Protocol):

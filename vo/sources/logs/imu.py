@@ -10,11 +10,11 @@ import numpy as np
 
 from vo.errors import SourceError, VoError
 from vo.formats.messages import ImuMessage
-from vo.sources.imu import ImuNoise, ImuSamples, make_samples, rows_between
+from vo.sources.imu import ImuSamples, make_samples, rows_between
 from vo.sources.listing import LARGEST_NS
 from vo.sources.logs.images import in_order
 from vo.sources.logs.log import Entry, Log, Topic
-from vo.types import Floats, Ints
+from vo.types import Floats, ImuNoise, Ints
 
 _log = logging.getLogger(__name__)
 

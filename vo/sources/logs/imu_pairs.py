@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vo.sources.imu import Imu, ImuNoise, ImuSamples, rows_between
+from vo.sources.imu import Imu, ImuSamples, rows_between
 from vo.sources.logs.imu import LogImu
 from vo.sources.logs.log import Log, Topic
-from vo.types import Floats, Ints
+from vo.types import Floats, ImuNoise, Ints
 
 _GYRO = re.compile(r"(?<![a-z])gyro(?![a-z])")
 
