@@ -24,15 +24,21 @@ _SAID_BETTER = ("have no left partner", "images repeat a stamp", "if that is mil
 _SEVERITY: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
 
 
-def find_all(report: Report, material: Material, imus_not_read: Sequence[str] = ()) -> Report:
-    """The report with its findings, the most serious first, and the command to try."""
+def find_all(report: Report, material: Material, said_of_imus: Sequence[str]) -> Report:
+    """The report with its findings, the most serious first, and the command to try.
+
+    Args:
+        report: all but these.
+        material: the recording.
+        said_of_imus: warnings of its inertial sensors.
+    """
     findings = [*_refusal(material)]
     for camera in report.cameras:
         findings += [*_time(camera), *_images(camera)]
     findings += [*_pair(report), *in_calibration(report, material.rig), *_truth(report)]
     for imu in report.imu:
         findings += in_imu(imu)
-    findings += [Finding("warning", line) for line in imus_not_read]
+    findings += [Finding("warning", line) for line in said_of_imus]
     said = " ".join(finding.what for finding in findings)
     findings += [
         Finding("warning", line)

@@ -35,16 +35,16 @@ def look_at_imus(
         everything: whether all values are looked at.
 
     Returns:
-        A report of each sensor, and why those were left out that could not be read.
+        A report of each sensor, and what was said of them while they were read.
     """
-    reports, failures = [], []
-    with collected_warnings():  # what they say is found out here too
+    reports = []
+    with collected_warnings() as said:
         for imu in imus:
             try:
                 reports.append(_look_at(imu, image_stamps_ns, everything))
             except VoError as error:
-                failures.append(f"{imu.name}: {error}")
-    return tuple(reports), failures
+                said.append(f"{imu.name}: {error}")
+    return tuple(reports), list(dict.fromkeys(said))
 
 
 def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
@@ -78,12 +78,6 @@ def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
 
 def in_imu(imu: ImuReport) -> Iterator[Finding]:
     """What is wrong with an inertial sensor."""
-    if imu.unreadable:
-        yield Finding(
-            "warning",
-            f"{imu.name}: samples that are damaged or not finite: {imu.unreadable}",
-            "they are left out",
-        )
     if imu.gaps:
         yield Finding(
             "warning",

@@ -48,7 +48,7 @@ def inspect(material: Material, images: int | None = DEFAULT_IMAGES) -> Report:
         material.close()
     lefts = material.cameras[0].shots if material.cameras else ()
     stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
-    imus, not_read = look_at_imus(material.imus, stamps, everything=images is None)
+    imus, said_of_imus = look_at_imus(material.imus, stamps, everything=images is None)
     report = Report(
         path=str(material.path),
         format=material.format,
@@ -69,7 +69,7 @@ def inspect(material: Material, images: int | None = DEFAULT_IMAGES) -> Report:
         findings=(),
         command="",
     )
-    return find_all(report, material, not_read)
+    return find_all(report, material, said_of_imus)
 
 
 def _camera(camera: CameraShots, images: int | None) -> CameraReport:
