@@ -10,6 +10,7 @@ import pytest
 from vo.errors import CalibrationError, SourceError
 from vo.formats.calibration import read_calibration
 from vo.formats.trajectory import read_trajectory
+from vo.sources.images import ImageFile
 from vo.sources.registry import FORMATS, open_source
 
 
@@ -35,3 +36,8 @@ def test_as_a_calibration(endless: Path) -> None:
 def test_as_a_recording(endless: Path, format: str | None) -> None:
     with pytest.raises(SourceError, match="is neither a file nor a folder"):
         open_source(endless, format=format)
+
+
+def test_as_an_image(endless: Path) -> None:
+    with pytest.raises(SourceError, match="is no file but a device or a pipe"):
+        ImageFile(endless).read()

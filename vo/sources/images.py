@@ -77,6 +77,8 @@ class ImageFile:
 
     def read(self, colour: bool = False) -> Pixels:
         """The image as `StoredImage.read` has it; also raises as that does."""
+        if self.path.is_fifo() or self.path.is_char_device():  # reading it may never end
+            raise SourceError(f"image {self.path} is no file but a device or a pipe")
         try:
             data = self.path.read_bytes()
         except FileNotFoundError as error:
