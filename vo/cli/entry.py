@@ -5,11 +5,8 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+import sys
 from types import FrameType
-
-# Matrices are small here: a second thread of BLAS only waits, at the cost of the core it waits on,
-# and the bits of a result may depend on their number.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -20,6 +17,11 @@ def main() -> None:
     if answers:
         # While modules are loaded, an exception could be swallowed or turned into another one.
         signal.signal(signal.SIGINT, _leave)
+    # Matrices are small here: a second thread of BLAS only waits, at the cost of the core it waits
+    # on, and the bits of a result may depend on their number.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Nothing here uses scipy; numba would load it, where it is installed, to look for a BLAS.
+    sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
     from vo.cli.app import app
 
     if answers:

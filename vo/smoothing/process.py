@@ -23,7 +23,13 @@ _log = logging.getLogger(__name__)
 
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
 # where this process finds them, not in the folder that it happens to be started in.
-_PROGRAM = "import sys; sys.path[:] = {path!r}; from vo.smoothing.worker import main; main()"
+# numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
+_PROGRAM = """
+import sys
+sys.path[:], sys.modules["scipy"] = {path!r}, None
+from vo.smoothing.worker import main
+main()
+"""
 _ATTEMPTS = 2
 
 
