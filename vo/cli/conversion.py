@@ -19,7 +19,7 @@ from vo.cli.conversion_truth import around, body_truth, no_poses, poses_at, sett
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.geometry.transforms import inverse
 from vo.inspection.material import Material, collected_warnings, right_stamps
-from vo.sources.images import ImageKind
+from vo.sources.images import ImageKind, is_in_colour
 from vo.sources.sequence import choose_frames
 from vo.sources.source import Source
 from vo.types import Frame, Ints, Rig, Trajectory
@@ -103,7 +103,7 @@ def convert(
     truth = around(plan.left_ns, source.ground_truth)
     _check(_recording(source, truth, plan, how), how)
     imu, body_from_cam0 = imu_around(source, plan.left_ns, how.format)
-    has_colour = not how.gray and _in_colour(material)
+    has_colour = not how.gray and is_in_colour([s.image for s in material.cameras[0].shots])
     while True:
         recording = replace(
             _recording(source, truth, plan, how),
@@ -162,16 +162,6 @@ def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conve
         movers=(),
         has_depth=rig.has_depth,
     )
-
-
-def _in_colour(material: Material) -> bool:
-    """Whether the first image that can be read is."""
-    for shot in material.cameras[0].shots:
-        try:
-            return shot.image.read(colour=True).ndim == 3
-        except SourceError:
-            continue
-    return False
 
 
 def _check(recording: Recording, how: Conversion) -> None:

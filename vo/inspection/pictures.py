@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.inspection.records import Look
-from vo.sources.images import StoredImage, depth_bits_of, read_grey
+from vo.sources.images import StoredImage, depth_bits_of, is_in_colour, read_grey
 from vo.types import Bytes
 
 _DARK, _BRIGHT = 10, 250
@@ -35,12 +35,7 @@ class Viewer:
     @property
     def has_colour(self) -> bool:
         """Whether the first image that can be read is in colour."""
-        for stored in self._images:
-            try:
-                return stored.read(colour=True).ndim == 3
-            except SourceError:
-                continue
-        return False
+        return is_in_colour(self._images)
 
     def read(self, number: int) -> Bytes | None:
         """An image (H, W), or None where it cannot be read."""

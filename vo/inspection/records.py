@@ -16,7 +16,6 @@ class TopicLine:
         name: such as `/cam0/image_raw`.
         schema: name of its kind of message, as stored.
         kind: what it is here; empty where nobody reads it.
-        count: of its messages.
         rate_hz: messages in a second; 0 where that is not known.
         is_read: whether it is of any use here.
     """
@@ -239,8 +238,7 @@ class ImuReport:
         accel_m_s2: mean of the specific force's length; about 9.81.
         gyro_rad_s: median of the rate's length.
         gyro_high_rad_s: 99 % of the lengths are below.
-        covered: share of the left images whose time lies between the first and the last sample;
-            None without images.
+        covered: share of the left images taken while it measured; None without images.
         cam0_from_imu: rows of the (4, 4) transform; None where nothing says where it is.
     """
 

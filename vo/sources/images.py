@@ -162,6 +162,16 @@ def depth_bits_of(images: Sequence[StoredImage]) -> int:
     return next(bits for bits in _DEPTHS if brightest < 2**bits)
 
 
+def is_in_colour(images: Sequence[StoredImage]) -> bool:
+    """Whether the first image that can be read is in colour."""
+    for stored in images:
+        try:
+            return stored.read(colour=True).ndim == 3
+        except SourceError:
+            continue
+    return False
+
+
 def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     """The image that a file in memory holds, 8 or 16 bits, without transparency.
 
