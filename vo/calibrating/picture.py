@@ -22,6 +22,9 @@ _SUFFIXES = (".png", ".pdf", ".svg")
 _ARROW_SHARE = 0.03
 """Length of an arrow for a typical residual, of the image's width."""
 
+_MOST_ARROWS = 600
+_MOST_TICKS = 9
+
 
 def save_picture(path: Path | str, result: Result) -> None:
     """Draw a calibration into a .png, .pdf or .svg file.
@@ -74,14 +77,15 @@ def _draw_corners(axes: Axes, result: Result, camera: int) -> None:
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
     axes.imshow(bare, cmap="Greys", vmin=0.0, vmax=4.0, extent=extent, zorder=0)
     axes.plot(*xy.T, ".", color=_CORNER, ms=6.0, alpha=0.7, mew=0)
+    some = slice(None, None, len(xy) // _MOST_ARROWS + 1)
     axes.quiver(
-        *xy.T,
-        *(longer * residuals).T,
+        *xy[some].T,
+        *(longer * residuals[some]).T,
         color=_ARROW,
         angles="xy",
         scale_units="xy",
         scale=1.0,
-        width=0.0012,
+        width=0.0016,
         alpha=0.7,
     )
     matrix = result.fit.adjusted.unknowns.intrinsics[camera]
@@ -102,7 +106,7 @@ def _draw_errors(axes: Axes, result: Result, camera: int) -> None:
     whole = camera_rms_px(result, camera)
     axes.bar(range(len(errors)), errors, color=_CORNER, width=0.8)
     axes.axhline(whole, color=_INK, lw=0.9, ls=":")
-    every = max(1, len(frames) // 15)
+    every = len(frames) // _MOST_TICKS + 1
     axes.set_xticks(range(0, len(frames), every), [str(frame) for frame in frames[::every]])
     axes.set_xlabel("frame")
     axes.set_ylabel("error (px, RMS)")
