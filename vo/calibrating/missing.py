@@ -20,7 +20,7 @@ _ENOUGH_MARKERS = 4
 
 
 def why_not_found(board: Board, found: Survey, frames: Iterable[Frame]) -> str:
-    """What to tell a user whose board was found nowhere.
+    """What to tell a user whose board was found nowhere, or hardly anywhere.
 
     Args:
         board: that was looked for.
@@ -29,7 +29,12 @@ def why_not_found(board: Board, found: Survey, frames: Iterable[Frame]) -> str:
     """
     every = max(found.frames // _IMAGES, 1)
     images = [frame.image0 for frame in islice(frames, 0, None, every)][:_IMAGES]
-    message = f"no {board} in any of {found.frames} frames"
+    seen = len(found.views)
+    message = (
+        f"{board}: seen in {seen} of {found.frames} frames"
+        if seen
+        else (f"no {board} in any of {found.frames} frames")
+    )
     if board.kind == "chessboard":
         return f"{message}; {_other_chessboard(images)}"
     return f"{message}; {_other_markers(board, images)}"
@@ -56,14 +61,14 @@ def _largest_chessboard(images: list[Bytes]) -> tuple[int, int] | None:
     for image in images:
         ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, _SMALLEST, flags)
         if ok:
-            sizes.append((meta.shape[1], meta.shape[0]))
+            sizes.append((max(meta.shape), min(meta.shape)))  # it can be read either way
     return max(sizes, key=lambda size: size[0] * size[1], default=None)
 
 
 def _other_markers(board: Board, images: list[Bytes]) -> str:
     if max(_count(board.dictionary, image) for image in images) >= _ENOUGH_MARKERS:
         return _other_layout(board, images)
-    if any(detect(board, np.ascontiguousarray(image[:, ::-1])) is not None for image in images):
+    if _is_there(board, [np.ascontiguousarray(image[:, ::-1]) for image in images]):
         return "it is there in mirror image: switch mirroring off where the camera is recorded"
     count, best = _most_markers(images)
     if count >= _ENOUGH_MARKERS:
@@ -100,7 +105,7 @@ def _other_layout(board: Board, images: list[Bytes]) -> str:
                 )
             except ConfigError:
                 continue
-            if any(detect(meant, image) is not None for image in images):
+            if _is_there(meant, images):
                 word = " with" if legacy else " without"
                 option = "" if legacy == board.legacy else f"{word} --legacy"
                 options = f"--columns {one} --rows {other}{option}"
@@ -109,6 +114,13 @@ def _other_layout(board: Board, images: list[Bytes]) -> str:
         f"markers of {board.dictionary} are there, but not as on such a board: check --columns "
         "and --rows (inner corners, one less than squares), or try --legacy"
     )
+
+
+def _is_there(board: Board, images: list[Bytes]) -> bool:
+    """Whether every other image shows most of it: a few corners fit boards of other sizes too."""
+    found = [detect(board, image) for image in images]
+    enough = [each for each in found if each is not None and 2 * len(each.ids) > len(board.points)]
+    return 2 * len(enough) >= len(images)
 
 
 def _count(dictionary: str, image: Bytes) -> int:

@@ -187,6 +187,7 @@ def _calibrate(
     from rich.console import Console
 
     from vo.calibrating.calibrate import calibrate
+    from vo.calibrating.fit import FEWEST_VIEWS
     from vo.calibrating.missing import why_not_found
     from vo.calibrating.survey import stillest, survey
     from vo.cli.progress import warnings_on
@@ -205,7 +206,7 @@ def _calibrate(
         cameras = 2 if source.rig.is_stereo else 1
         with _bar(console, -(-count // (stride * of))) as progress:
             found = survey(board, chosen, cameras, os.cpu_count() or 1, progress)
-        if not found.views:
+        if len(found.views) < min(FEWEST_VIEWS, found.frames / 2):
             every = stride * of
             raise CalibrationError(why_not_found(board, found, source.frames(start, end, every)))
         size = (source.rig.cam0.width, source.rig.cam0.height)
