@@ -126,8 +126,8 @@ class MappingConfig(Section):
 class SmoothingConfig(Section):
     """The GTSAM window."""
 
-    window: int = Field(6, ge=2, description="keyframes whose poses are adjusted")
-    fixed: int = Field(4, ge=1, description="older keyframes that hold the window in place")
+    window: int = Field(6, ge=2, le=100, description="keyframes whose poses are adjusted")
+    fixed: int = Field(4, ge=1, le=100, description="older keyframes that hold the window in place")
     max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
     iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
     relative_error_tolerance: float = Field(1e-3, gt=0, description="when to stop earlier")
@@ -142,7 +142,7 @@ class SmoothingConfig(Section):
 class Config(Section):
     """All settings of a run."""
 
-    seed: int = Field(0, ge=0, description="seed of every random choice")
+    seed: int = Field(0, ge=0, lt=2**31, description="seed of every random choice")
     threads: int = Field(
         0, ge=0, description="cores to work on, 0 for all; the result is the same with any number"
     )
