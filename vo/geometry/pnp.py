@@ -10,6 +10,9 @@ import numpy as np
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bools, Floats
 
+# Squared length of a step, in standard deviations of the pose it leads to, that ends the search.
+_SETTLED = 1e-6
+
 
 class PoseFit(NamedTuple):
     """A refined pose.
@@ -53,8 +56,9 @@ def refine_pose(
         intrinsics: fx, fy, cx, cy.
         focal_baseline: fx * baseline, 0 in mono.
         huber: residual, in standard deviations, from which a match counts less.
-        gate: residual from which a match counts nothing in the second half and as an outlier.
-        iterations: Gauss-Newton steps.
+        gate: residual from which a match is an outlier; it counts nothing once the pose has settled
+            with all, or half of the steps are done.
+        iterations: most Gauss-Newton steps.
 
     Source: Huber 1964; the two-stage rejection follows Mur-Artal 2015, sec. V.
     """
@@ -78,76 +82,87 @@ def refine_pose(
 def _gauss_newton(  # type: ignore[no-untyped-def]
     start, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, gate, iterations
 ):
-    fx, fy, cx, cy = intrinsics
     transform = start.copy()
-    count = len(points)
-    residual = np.full(count, np.inf)
-    information = np.zeros((6, 6))
-    j = np.zeros((3, 6))
-    e = np.zeros(3)
+    residual = np.full(len(points), np.inf)
+    rows = np.zeros((7, 3 * len(points)))
+    limit = np.inf
     for step in range(iterations + 1):
-        h = np.zeros((6, 6))
-        b = np.zeros(6)
-        for i in range(count):
-            p = points[i]
-            x = transform[0, 0] * p[0] + transform[0, 1] * p[1] + transform[0, 2] * p[2]
-            y = transform[1, 0] * p[0] + transform[1, 1] * p[1] + transform[1, 2] * p[2]
-            z = transform[2, 0] * p[0] + transform[2, 1] * p[1] + transform[2, 2] * p[2]
-            x += transform[0, 3]
-            y += transform[1, 3]
-            z += transform[2, 3]
-            if z < 1e-6:
-                residual[i] = np.inf
-                continue
-            iz = 1.0 / z
-            e[0] = (fx * x * iz + cx - xy[i, 0]) / sigma[i]
-            e[1] = (fy * y * iz + cy - xy[i, 1]) / sigma[i]
-            rows = 2
-            if fb > 0.0 and not np.isnan(disparity[i]):
-                e[2] = (fb * iz - disparity[i]) / sigma_d
-                rows = 3
-            square = e[0] * e[0] + e[1] * e[1]
-            if rows == 3:
-                square += e[2] * e[2]
-            r = np.sqrt(square)
-            residual[i] = r
-            if step > iterations // 2 and r >= gate:
-                continue
-            weight = 1.0 if r < huber else huber / r
-            # Derivative by a motion of the camera's own frame: p' = exp(xi) p.
-            j[0, 0] = -fx * x * y * iz * iz / sigma[i]
-            j[0, 1] = fx * (1.0 + x * x * iz * iz) / sigma[i]
-            j[0, 2] = -fx * y * iz / sigma[i]
-            j[0, 3] = fx * iz / sigma[i]
-            j[0, 4] = 0.0
-            j[0, 5] = -fx * x * iz * iz / sigma[i]
-            j[1, 0] = -fy * (1.0 + y * y * iz * iz) / sigma[i]
-            j[1, 1] = fy * x * y * iz * iz / sigma[i]
-            j[1, 2] = fy * x * iz / sigma[i]
-            j[1, 3] = 0.0
-            j[1, 4] = fy * iz / sigma[i]
-            j[1, 5] = -fy * y * iz * iz / sigma[i]
-            j[2, 0] = -fb * y * iz * iz / sigma_d
-            j[2, 1] = fb * x * iz * iz / sigma_d
-            j[2, 2] = 0.0
-            j[2, 3] = 0.0
-            j[2, 4] = 0.0
-            j[2, 5] = -fb * iz * iz / sigma_d
-            for k in range(rows):
-                for m in range(6):
-                    b[m] -= weight * j[k, m] * e[k]
-                    for n in range(m, 6):
-                        h[m, n] += weight * j[k, m] * j[k, n]
-        for m in range(6):
-            for n in range(m):
-                h[m, n] = h[n, m]
+        _weigh(
+            *(transform, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, limit),
+            *(rows, residual),
+        )
+        h, b = _normal_equations(rows)
         if step == iterations:
-            information = h
             break
+        information = h.copy()
         for m in range(6):
             h[m, m] += 1e-9 + 1e-9 * h[m, m]
-        transform = _product(_exp(_solve(h, b)), transform)
-    return transform, residual, information
+        change = _solve(h, b)
+        settled = np.sum(change * b) < _SETTLED
+        if settled and limit == gate:
+            return transform, residual, information
+        if settled or step == iterations // 2:
+            limit = gate
+        transform = _product(_exp(change), transform)
+    return transform, residual, h
+
+
+@numba.njit(cache=True, nogil=True)
+def _weigh(  # type: ignore[no-untyped-def]
+    t, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, limit, rows, residual
+):
+    """Fill rows (7, 3 N): derivatives by the six of the tangent, then the error, weighted."""
+    fx, fy, cx, cy = intrinsics
+    for i in range(len(points)):
+        p = points[i]
+        x = t[0, 0] * p[0] + t[0, 1] * p[1] + t[0, 2] * p[2] + t[0, 3]
+        y = t[1, 0] * p[0] + t[1, 1] * p[1] + t[1, 2] * p[2] + t[1, 3]
+        z = t[2, 0] * p[0] + t[2, 1] * p[1] + t[2, 2] * p[2] + t[2, 3]
+        k = 3 * i
+        if z < 1e-6:
+            residual[i] = np.inf
+            rows[:, k : k + 3] = 0.0
+            continue
+        iz = 1.0 / z
+        x *= iz
+        y *= iz
+        iu = 1.0 / sigma[i]
+        ex, ey, ed = (fx * x + cx - xy[i, 0]) * iu, (fy * y + cy - xy[i, 1]) * iu, 0.0
+        su, sv, sd = fx * iu, fy * iu, 0.0
+        if fb > 0.0 and not np.isnan(disparity[i]):
+            ed = (fb * iz - disparity[i]) / sigma_d
+            sd = -fb * iz / sigma_d
+        r = np.sqrt(ex * ex + ey * ey + ed * ed)
+        residual[i] = r
+        weight = 0.0 if r >= limit else 1.0 if r < huber else np.sqrt(huber / r)
+        su, sv, sd = su * weight, sv * weight, sd * weight
+        # Derivative by a motion of the camera's own frame: p' = exp(xi) p.
+        rows[0, k], rows[0, k + 1], rows[0, k + 2] = -su * x * y, -sv * (1.0 + y * y), sd * y
+        rows[1, k], rows[1, k + 1], rows[1, k + 2] = su * (1.0 + x * x), sv * x * y, -sd * x
+        rows[2, k], rows[2, k + 1] = -su * y, sv * x
+        rows[3, k] = su * iz
+        rows[4, k + 1] = sv * iz
+        rows[5, k], rows[5, k + 1], rows[5, k + 2] = -su * x * iz, -sv * y * iz, sd * iz
+        rows[6, k], rows[6, k + 1], rows[6, k + 2] = ex * weight, ey * weight, ed * weight
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal_equations(rows):  # type: ignore[no-untyped-def]
+    """J^T J and -J^T e of all rows."""
+    h, b = np.empty((6, 6)), np.empty(6)
+    for m in range(6):
+        b[m] = -_dot(rows[m], rows[6])
+        for n in range(m, 6):
+            h[m, n] = h[n, m] = _dot(rows[m], rows[n])
+    return h, b
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
 
 
 @numba.njit(cache=True, nogil=True)
