@@ -109,7 +109,7 @@ def test_a_typo_in_a_file_names_the_file(tmp_path: Path) -> None:
         ("features.count=", "'features.count'.*None"),
         ("features.count=1", "'features.count'.*greater than or equal to 50.*found 1"),
         ("tracking.gate=.nan", "'tracking.gate'.*nan"),
-        ("seed=99999999999999999999", "'seed'.*less than 2147483648"),
+        ("seed=99999999999999999999", "'seed'.*less than or equal to 1000000000"),
         ("smoothing.window=1000000", "'smoothing.window'.*less than or equal to 100"),
         ("smoothing.fixed=1000000000", "'smoothing.fixed'.*less than or equal to 100"),
         ("features=3", "'features'.*found 3"),

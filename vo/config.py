@@ -142,7 +142,7 @@ class SmoothingConfig(Section):
 class Config(Section):
     """All settings of a run."""
 
-    seed: int = Field(0, ge=0, lt=2**31, description="seed of every random choice")
+    seed: int = Field(0, ge=0, le=10**9, description="seed of every random choice")
     threads: int = Field(
         0, ge=0, description="cores to work on, 0 for all; the result is the same with any number"
     )

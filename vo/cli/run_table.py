@@ -79,6 +79,9 @@ def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str
         commands.append(f"vo view {_quoted(rrd)}")
     elif Path(summary.facts.source).exists():  # what came through a pipe is gone
         again = f"vo run {_quoted(summary.facts.source)} --output {_quoted(output)}"
+        if summary.facts.calibration is not None:
+            again += f" --calibration {_quoted(summary.facts.calibration)}"
+        again += "".join(f" --topic {_quoted(topic)}" for topic in summary.facts.topics)
         commands.append(f"{again} --rrd {_quoted(output / 'run.rrd')}")
     return commands
 
