@@ -288,6 +288,15 @@ def test_image_of_another_size_in_the_middle_is_skipped(images: Path, out: Path)
     assert [s["index"] for s in summary_in(out)["skipped"]] == [3]
 
 
+def test_the_next_command_brings_the_calibration_along(images: Path, out: Path) -> None:
+    chosen = images.parent / "my camera.yaml"
+    (images / "calibration.yaml").rename(chosen)
+    result = vo_run(images, out, "--calibration", chosen)
+    assert result.exit_code == 0, result.output
+    (again,) = [line for line in result.stdout.splitlines() if line.startswith("next: vo run")]
+    assert f"--calibration '{chosen}'" in again
+
+
 def test_missing_calibration(images: Path, out: Path) -> None:
     (images / "calibration.yaml").unlink()
     assert_one_line(vo_run(images, out), "calibration")
