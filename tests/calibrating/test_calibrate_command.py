@@ -55,6 +55,46 @@ def test_wrong_rows_are_told(recording: Path) -> None:
     assert_one_line(run(recording, *OPTIONS, "--columns", "7"), "--columns and --rows")
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (["--columns", "4", "--rows", "5"], "--columns 5 --rows 4?"),
+        (["--columns", "6", "--rows", "5"], "--columns 5 --rows 4?"),
+        (["--board", "chessboard"], "--board charuco"),
+    ],
+    ids=["swapped", "squares", "kind"],
+)
+def test_the_board_that_is_there_is_named(recording: Path, given: list[str], told: str) -> None:
+    assert_one_line(run(recording, *OPTIONS, *given), told)
+
+
+def test_mirrored_markers_are_told(recording: Path, tmp_path: Path) -> None:
+    for path in recording.glob("*.png"):
+        cv2.imwrite(str(tmp_path / path.name), cv2.imread(str(path))[:, ::-1])
+    assert_one_line(run(tmp_path, *OPTIONS), "mirror image")
+
+
+def test_a_chessboard_taken_for_charuco_is_named(tmp_path: Path) -> None:
+    board = make_board("chessboard", 6, 4, 0.04)
+    for number, pose in enumerate(poses_around(board, CAMERA, 3)):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), render(board, CAMERA, pose))
+    assert_one_line(run(tmp_path, *OPTIONS), "--board chessboard --columns 6 --rows 4?")
+
+
+def test_centimetres_are_warned_of(recording: Path, tmp_path: Path) -> None:
+    words = [*OPTIONS, "--square", "0.4", "--model", "radtan", "-o", tmp_path / "c.yaml"]
+    result = run(recording, *words)
+    assert result.exit_code == 0
+    assert "the board would be 2.4 m wide" in result.stdout
+
+
+def test_a_folder_that_is_not_there_is_told_before_the_work(
+    recording: Path, tmp_path: Path
+) -> None:
+    result = run(recording, *OPTIONS, "-o", tmp_path / "missing" / "c.yaml")
+    assert_one_line(result, "give a file in a folder that exists")
+
+
 def test_another_dictionary_is_suggested(recording: Path) -> None:
     words = run(recording, *OPTIONS, "--dictionary", "5X5_50")
     assert_one_line(words, "--dictionary 4X4")

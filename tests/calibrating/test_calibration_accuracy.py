@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from board_images import poses_around, render
@@ -16,6 +17,7 @@ from vo.calibrating.calibrate import Result, calibrate
 from vo.calibrating.projection import LENSES
 from vo.calibrating.start import first_pose
 from vo.calibrating.survey import survey
+from vo.errors import CalibrationError
 from vo.geometry.cameras import distort, normalise
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, so3_exp
 from vo.types import Camera, Floats, Frame
@@ -152,3 +154,39 @@ def test_a_single_row_of_corners_has_no_pose() -> None:
     row = np.arange(7)
     sight = Sight(0, 0, row, np.column_stack([100.0 + 30.0 * row, 50.0 + 0.2 * row**2]))
     assert first_pose(lens, intrinsics, sight, CHARUCO.points, SIZE) is None
+
+
+def test_a_pair_that_is_not_synchronised_is_refused() -> None:
+    poses = poses_around(CHARUCO, RADTAN, 14)
+    frames = recorded(CHARUCO, [RADTAN, RADTAN], poses)
+    # The board moved on by a few centimetres, another way each time, before the right image.
+    rng = np.random.default_rng(1)
+    later = [make_transform(np.eye(3), rng.uniform(-0.02, 0.02, 3)) @ pose for pose in poses]
+    late = [
+        replace(frame, image1=render(CHARUCO, RADTAN, CAM1_FROM_CAM0 @ pose))
+        for frame, pose in zip(frames, later, strict=True)
+    ]
+    found = survey(CHARUCO, late, 2, threads=2)
+    with pytest.raises(CalibrationError, match="at the same moment"):
+        calibrate(CHARUCO, found, SIZE, "radtan")
+
+
+def test_swapped_cameras_are_warned_of() -> None:
+    frames = recorded(CHARUCO, [RADTAN, RADTAN], poses_around(CHARUCO, RADTAN, 12))
+    swapped = [replace(f, image0=f.image1, image1=f.image0) for f in frames if f.image1 is not None]
+    result = calibrate(CHARUCO, survey(CHARUCO, swapped, 2, threads=2), SIZE, "radtan")
+    assert any("left and right are swapped" in line for line in warnings_of(result))
+
+
+def test_standard_deviations_are_those_of_opencv() -> None:
+    result = calibrated(CHARUCO, RADTAN, count=14, model="radtan")
+    sights = [sight for sight, _ in result.sights_of(0)]
+    points = [CHARUCO.points[sight.ids].astype(np.float32) for sight in sights]
+    pixels = [sight.xy.astype(np.float32) for sight in sights]
+    flags = cv2.CALIB_FIX_K3
+    _, matrix, _, _, _, sigmas, *_ = cv2.calibrateCameraExtended(
+        points, pixels, SIZE, np.eye(3), np.zeros(5), flags=flags
+    )
+    known = result.fit.adjusted
+    assert known.unknowns.intrinsics[0][0] == pytest.approx(matrix[0, 0], abs=0.01)
+    assert known.sigmas.intrinsics[0] == pytest.approx(sigmas.ravel()[:8], rel=0.05)
