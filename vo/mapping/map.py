@@ -62,6 +62,8 @@ class Keyframe:
 
     def keep_observations(self, mask: Bools) -> None:
         """Forget the observations outside of the mask."""
+        if mask.all():
+            return
         self.landmark = self.landmark[mask]
         self.xy = self.xy[mask]
         self.image_xy = self.image_xy[mask]
@@ -195,10 +197,15 @@ class Map:
 
     def keep_landmarks(self, mask: Bools) -> None:
         """Drop the landmarks outside of the mask, and all observations of them."""
+        if mask.all():
+            return
+        first = self.id[0]
+        kept = np.zeros(self.id[-1] - first + 1, dtype=bool)  # by id
+        kept[self.id[mask] - first] = True
         for name in _LANDMARK_FIELDS:
             setattr(self, name, getattr(self, name)[mask])
         for keyframe in self.keyframes:
-            keyframe.keep_observations(self.rows(keyframe.landmark) >= 0)
+            keyframe.keep_observations(kept[keyframe.landmark - first])
 
     def keyframe(self, keyframe_id: int) -> Keyframe:
         """A kept keyframe by its id."""
