@@ -131,7 +131,7 @@ class SmoothingConfig(Section):
     max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
     iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
     relative_error_tolerance: float = Field(1e-3, gt=0, description="when to stop earlier")
-    huber: float = Field(1.5, gt=0, description="standard deviations from which it counts less")
+    huber: float = Field(1.0, gt=0, description="standard deviations from which it counts less")
     gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
     covariance_scale: float = Field(
