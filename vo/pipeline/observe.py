@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.config import StereoConfig, TrackingConfig
-from vo.features.alignment import align_patches
+from vo.features.alignment import align_between
 from vo.features.matching import agree_in_rotation, match_everywhere, match_windows
+from vo.geometry.patch_prediction import predict_patches
 from vo.geometry.pnp import PoseFit, refine_pose
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, make_transform, transform_points
@@ -31,15 +32,15 @@ class Visible:
         rows: (n,) rows of the map.
         xy: (n, 2) ideal pixels where they should be.
         image_xy: (n, 2) the same in the working image.
-        depth: (n,) along the optical axis.
         scale: (n,) size of their patch now against its reference.
+        reference_from_image: (n, 2, 2) takes steps of pixels back to their reference image.
     """
 
     rows: Ints
     xy: Floats
     image_xy: Floats
-    depth: Floats
     scale: Floats
+    reference_from_image: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,24 +71,25 @@ class Observed:
 
 def visible_landmarks(world: Map, rig: WorkingRig, world_from_cam: Floats) -> Visible:
     """The landmarks that a camera at this pose should see."""
-    in_cam = transform_points(inverse(world_from_cam), world.xyz)
-    depth = in_cam[:, 2]
-    typical = float(np.median(np.abs(depth))) if len(depth) else 0.0
-    rows = np.flatnonzero(depth > 1e-3 * max(typical, 1e-9))
-    xy = rig.project(in_cam[rows])
-    image_xy = rig.image_from_ideal(xy)
-    inside = (
-        (image_xy[:, 0] >= _BORDER_PX)
-        & (image_xy[:, 1] >= _BORDER_PX)
-        & (image_xy[:, 0] < rig.width - _BORDER_PX)
-        & (image_xy[:, 1] < rig.height - _BORDER_PX)
+    poses = np.stack([*(k.world_from_cam for k in world.keyframes), world_from_cam])
+    first = world.keyframes[0].id if world.keyframes else 0
+    seen = predict_patches(
+        world.xyz,
+        world.reference - first,
+        np.arange(len(world)),
+        np.full(len(world), len(poses) - 1),
+        poses,
+        (rig.fx, rig.fy, rig.cx, rig.cy),
     )
-    reference_centre = world.reference_poses()[rows, :3, 3]
-    now = np.linalg.norm(world.xyz[rows] - world_from_cam[:3, 3], axis=1)
-    then = np.linalg.norm(world.xyz[rows] - reference_centre, axis=1)
-    scale = then / np.maximum(now, 1e-12)
-    inside &= (scale < _SCALE_RANGE) & (scale > 1.0 / _SCALE_RANGE)
-    return Visible(rows[inside], xy[inside], image_xy[inside], depth[rows[inside]], scale[inside])
+    rows = np.flatnonzero((seen.scale < _SCALE_RANGE) & (seen.scale > 1.0 / _SCALE_RANGE))
+    xy = seen.xy[rows]
+    image_xy = rig.image_from_ideal(xy)
+    farthest = (rig.width - _BORDER_PX, rig.height - _BORDER_PX)
+    inside = ((image_xy >= _BORDER_PX) & (image_xy < farthest)).all(axis=1)
+    rows = rows[inside]
+    return Visible(
+        rows, xy[inside], image_xy[inside], seen.scale[rows], seen.reference_from_target[rows]
+    )
 
 
 def most_promising(world: Map, visible: Visible, count: int) -> Visible:
@@ -98,18 +100,13 @@ def most_promising(world: Map, visible: Visible, count: int) -> Visible:
     return _some(visible, np.sort(np.lexsort((-visible.rows, -found))[:count]))
 
 
-def among(visible: Visible, rows: Ints) -> Visible:
-    """Those of the landmarks that are in these rows of the map."""
-    return _some(visible, np.flatnonzero(np.isin(visible.rows, rows)))
-
-
 def _some(visible: Visible, kept: Ints) -> Visible:
     return Visible(
         visible.rows[kept],
         visible.xy[kept],
         visible.image_xy[kept],
-        visible.depth[kept],
         visible.scale[kept],
+        visible.reference_from_image[kept],
     )
 
 
@@ -193,19 +190,19 @@ def pose_from_matches(
 def align_landmarks(
     world: Map,
     visible: Visible,
-    world_from_cam: Floats,
     image: Bytes,
     rig: WorkingRig,
     config: TrackingConfig,
 ) -> Observed:
-    """Find landmarks to sub-pixel in an image seen from about this pose; no disparities yet."""
+    """Find landmarks to sub-pixel in an image that should show them; no disparities yet."""
     rows = visible.rows
-    found = align_patches(
+    found = align_between(
         world.images,
         world.reference_slots()[rows],
         world.reference_xy[rows],
-        patch_warp(world, visible, rig, world_from_cam),
-        image,
+        visible.reference_from_image,
+        image[None],
+        np.zeros(len(rows), dtype=np.int64),
         visible.image_xy,
         half_px=config.patch_half_px,
     )
@@ -258,14 +255,9 @@ def measure_disparity(
     """Sub-pixel disparity (n,) of patches around xy (n, 2), NaN where there is none."""
     offset = rig.disparity_offset_px
     start = xy - np.column_stack([guess + offset, np.zeros(len(guess))])
-    found = align_patches(
-        image0[None],
-        np.zeros(len(xy), dtype=np.int64),
-        xy,
-        np.tile(np.eye(2), (len(xy), 1, 1)),
-        image1,
-        start,
-        half_px=config.patch_half_px,
+    only = np.zeros(len(xy), dtype=np.int64)
+    found = align_between(
+        image0[None], only, xy, None, image1[None], only, start, half_px=config.patch_half_px
     )
     disparity = xy[:, 0] - found.xy[:, 0] - offset
     good = found.converged & (found.score >= config.min_patch_score)
@@ -296,32 +288,6 @@ def predicted_octave(
     change = np.round(np.log(scale) / np.log(scale_factor))
     level: NDArray[np.int32] = np.maximum(octave + change, 0).astype(np.int32)
     return level
-
-
-def patch_warp(world: Map, visible: Visible, rig: WorkingRig, world_from_cam: Floats) -> Floats:
-    """How patches (n, 2, 2) are stretched from their reference image to this one.
-
-    Two neighbours one pixel away at the same depth are carried over (Forster et al., SVO, 2014,
-    sec. IV-B: the patch is taken to face its reference camera).
-    """
-    rows = visible.rows
-    reference = world.reference_poses()[rows]
-    in_reference = np.einsum(
-        "nji,nj->ni", reference[:, :3, :3], world.xyz[rows] - reference[:, :3, 3]
-    )
-    cam_from_world = inverse(world_from_cam)
-    centre = visible.xy
-    columns = []
-    for axis, focal in ((0, rig.fx), (1, rig.fy)):
-        moved = in_reference.copy()
-        moved[:, axis] += in_reference[:, 2] / focal
-        in_world = np.einsum("nij,nj->ni", reference[:, :3, :3], moved) + reference[:, :3, 3]
-        columns.append(rig.project(transform_points(cam_from_world, in_world)) - centre)
-    warp = np.stack(columns, axis=-1)
-    determinant = np.abs(np.linalg.det(warp))
-    bad = ~np.isfinite(determinant) | (determinant < 0.1) | (determinant > 10.0)
-    warp[bad] = np.eye(2)
-    return warp
 
 
 def _refine(
