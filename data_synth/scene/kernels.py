@@ -372,7 +372,7 @@ def _mean_of_rays(
                     (d, e),
                     middles,
                 )
-            if mean >= 0.0:
+            if mean >= 0.0 or asked == _UNCERTAIN:
                 image[row, column] = mean
             else:
                 crossed[0, row, column] = _UNCERTAIN
