@@ -12,6 +12,7 @@ _SYSTEMATIC_PX = 0.1
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_CHANGE_PX = 0.05
 _LEAST_WINDOWS = 3
+_OVERLAP = 10  # windows from one to the next that shares no keyframe with it
 
 
 class DisparityWatch:
@@ -31,15 +32,16 @@ class DisparityWatch:
     def update(self, left_over: DisparityOffset) -> float | None:
         """Take in a window's estimate; the new offset to apply, or None to leave it.
 
-        Windows overlap, so the mean is never taken to be surer than its newest window.
+        Windows overlap: one in ten counts for how sure their mean is.
         """
         sigma = float(np.hypot(left_over.sigma_px, _SYSTEMATIC_PX))
         self._weight += sigma**-2
         self._sum += (self.applied_px + left_over.offset_px) * sigma**-2
         estimate = self.estimate_px
         self._windows += 1
+        sure_px = sigma / np.sqrt(1.0 + (self._windows - 1) / _OVERLAP)
         if self.applied_px == 0.0 and (
-            self._windows < _LEAST_WINDOWS or abs(estimate) <= _SIGNIFICANT * sigma
+            self._windows < _LEAST_WINDOWS or abs(estimate) <= _SIGNIFICANT * sure_px
         ):
             return None
         # An estimate that has come back to what windows differ by anyway is none.
