@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from vo.features.matching import match_epipolar, match_segments
+from vo.features.matching import NO_MATCH, match_segments
 from vo.types import Bytes, Floats, Ints
+
+Ints32 = NDArray[np.int32]
 
 KINDS = ["slanted", "rows", "columns", "far away", "huge"]
 
@@ -23,6 +26,39 @@ def _segments(kind: str, rng: np.random.Generator, count: int) -> tuple[Floats, 
     return start + (3000 if kind == "far away" else 0), start + reach[kind]
 
 
+def _plain(
+    query_octave: Ints32,
+    query: Bytes,
+    xy: Floats,
+    train_octave: Ints32,
+    train: Bytes,
+    start: Floats,
+    end: Floats,
+    tolerance: Floats,
+) -> Ints:
+    """The definition, written with numpy."""
+    chosen: dict[int, tuple[int, int]] = {}  # distance and query of each train feature
+    for i, (a, b) in enumerate(zip(start, end, strict=True)):
+        length = max(float(np.linalg.norm(b - a)), 1e-9)
+        along = (xy - a) @ (b - a) / length
+        across = (xy - a) @ ((b - a)[::-1] * (1, -1)) / length
+        near = (np.abs(across) <= tolerance) & (along >= -tolerance)
+        near &= (along <= length + tolerance) & (np.abs(train_octave - query_octave[i]) <= 1)
+        rows = np.flatnonzero(near)
+        if len(rows) == 0:
+            continue
+        distance = np.bitwise_count(train[rows] ^ query[i]).sum(axis=1, dtype=np.int64)
+        best, *others = np.argsort(distance, kind="stable")[:2].tolist()
+        second = int(distance[others[0]]) if others else 512
+        d, j = int(distance[best]), int(rows[best])
+        if d <= 64 and d < 0.9 * second and (d, i) < chosen.get(j, (512, 0)):
+            chosen[j] = (d, i)
+    result = np.full(len(query), NO_MATCH)
+    for j, (_, i) in chosen.items():
+        result[i] = j
+    return result
+
+
 def _both(
     query: Bytes, train: Bytes, xy: Floats, start: Floats, end: Floats, rng: np.random.Generator
 ) -> tuple[Ints, Ints]:
@@ -30,7 +66,7 @@ def _both(
     train_octave = rng.integers(0, 4, len(train)).astype(np.int32)
     tolerance = 1.5 * 1.44 ** train_octave.astype(np.float64)
     shared = (query_octave, query, xy, train_octave, train, start, end)
-    plain = match_epipolar(start, *shared, tolerance_px=tolerance, max_distance=64, ratio=0.9)
+    plain = _plain(*shared, tolerance)
     cells = match_segments(*shared, tolerance_px=tolerance, max_distance=64, ratio=0.9)
     return plain, cells
 

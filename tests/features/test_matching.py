@@ -6,8 +6,8 @@ import pytest
 from vo.features.matching import (
     NO_MATCH,
     agree_in_rotation,
-    match_epipolar,
     match_everywhere,
+    match_segments,
     match_windows,
 )
 from vo.types import Bytes, Floats, Ints
@@ -194,8 +194,7 @@ def _epipolar(
     tolerance: float = 2.0,
     train_octave: list[int] | None = None,
 ) -> list[int]:
-    return match_epipolar(
-        np.zeros((len(query), 2)),
+    return match_segments(
         _zeros(len(query)),
         query,
         np.asarray(train_xy, dtype=np.float64).reshape(-1, 2),

@@ -100,8 +100,7 @@ def match_everywhere(
     return _one_to_one(matched, distance)
 
 
-def match_epipolar(
-    query_xy: Floats | Floats32,
+def match_segments(
     query_octave: NDArray[np.int32],
     query_descriptor: Bytes,
     train_xy: Floats | Floats32,
@@ -120,37 +119,6 @@ def match_epipolar(
     nearest allowed depth, to `segment_end` (N, 2), that of its farthest; `tolerance_px` (M,) is
     the allowed distance from it for each train feature.
     """
-    if len(query_xy) == 0 or len(train_xy) == 0:
-        return np.full(len(query_xy), NO_MATCH)
-    matched, distance = _best_on_segments(
-        query_octave,
-        as_words(query_descriptor),
-        np.ascontiguousarray(train_xy, dtype=np.float64),
-        train_octave,
-        as_words(train_descriptor),
-        np.ascontiguousarray(segment_start, dtype=np.float64),
-        np.ascontiguousarray(segment_end, dtype=np.float64),
-        np.ascontiguousarray(tolerance_px, dtype=np.float64),
-        max_distance,
-        ratio,
-    )
-    return _one_to_one(matched, distance)
-
-
-def match_segments(
-    query_octave: NDArray[np.int32],
-    query_descriptor: Bytes,
-    train_xy: Floats | Floats32,
-    train_octave: NDArray[np.int32],
-    train_descriptor: Bytes,
-    segment_start: Floats,
-    segment_end: Floats,
-    *,
-    tolerance_px: Floats,
-    max_distance: int,
-    ratio: float,
-) -> Ints:
-    """The matches of `match_epipolar`, but only features in cells near a segment are looked at."""
     if len(query_octave) == 0 or len(train_xy) == 0:
         return np.full(len(query_octave), NO_MATCH)
     train_xy = np.ascontiguousarray(train_xy, dtype=np.float64)
@@ -294,50 +262,6 @@ def _best_of_all(query_words, train_words, max_distance, ratio):  # type: ignore
     for i in range(n):
         if matched[i] >= 0 and back[matched[i]] != i:
             matched[i] = -1
-    return matched, distance
-
-
-@numba.njit(cache=True, nogil=True)
-def _best_on_segments(  # type: ignore[no-untyped-def]
-    query_octave,
-    query_words,
-    train_xy,
-    train_octave,
-    train_words,
-    start,
-    end,
-    tolerance,
-    max_distance,
-    ratio,
-):
-    count = len(query_words)
-    matched = np.full(count, -1, dtype=np.int64)
-    distance = np.full(count, 512, dtype=np.int64)
-    for i in range(count):
-        dx, dy = end[i, 0] - start[i, 0], end[i, 1] - start[i, 1]
-        length = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-        dx /= length
-        dy /= length
-        best, second, winner = 512, 512, -1
-        for j in range(len(train_xy)):
-            px, py = train_xy[j, 0] - start[i, 0], train_xy[j, 1] - start[i, 1]
-            along = px * dx + py * dy
-            across = px * dy - py * dx
-            t = tolerance[j]
-            if across > t or across < -t or along < -t or along > length + t:
-                continue
-            if abs(train_octave[j] - query_octave[i]) > 1:
-                continue
-            d = int(hamming(query_words[i], train_words[j]))
-            if d < best:
-                second = best
-                best = d
-                winner = j
-            elif d < second:
-                second = d
-        if winner >= 0 and best <= max_distance and best < ratio * second:
-            matched[i] = winner
-            distance[i] = best
     return matched, distance
 
 
