@@ -124,7 +124,7 @@ def _used(pid: int) -> tuple[float, float]:
         resident = int(Path(f"/proc/{each}/statm").read_text().split()[1])
         memory_mb += resident * os.sysconf("SC_PAGE_SIZE") / 2**20
         fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
-        # With the time of children that have ended: a smoother that is closed must not take it along.
+        # With the time of children that have ended: a closed smoother must not take it along.
         cpu_s += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
     return memory_mb, cpu_s
 
