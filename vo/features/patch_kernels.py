@@ -17,6 +17,9 @@ from numba.extending import intrinsic
 _LANES = 16
 _INTEGER, _NUMBERS = ir.IntType(32), ir.VectorType(ir.FloatType(), _LANES)
 _UNDEFINED = ir.Constant(_NUMBERS, ir.Undefined)
+# A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
+# hall 15 would have been found after all, and a sixth of all steps is saved.
+_HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 
 # All compiled code that calls each other stays in this file: numba's cache does not notice when
 # a function in another file has changed.
@@ -252,7 +255,7 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
     mean, hxx, hxy, hyy, variance, bx, by = sums
     side, score = 2 * half + 1, -1.0
     area, determinant = np.float32(side * side), hxx * hyy - hxy * hxy
-    for _ in range(iterations):
+    for step in range(iterations):
         left, top = x - half, y - half
         if not (left >= 0 and left + side < width - 1 and top >= 0 and top + side < height - 1):
             return x, y, -1.0, False
@@ -275,6 +278,8 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
         score = cross / np.sqrt(variance * variance_now)
         if step_x * step_x + step_y * step_y < 1e-4:
             return x, y, score, True
+        if step + 1 >= _HOPELESS_AFTER and score < _HOPELESS_SCORE:
+            break
     return x, y, score, False
 
 
