@@ -36,7 +36,7 @@ def _estimate(window: Window) -> DisparityOffset:
 def test_an_offset_is_found_to_a_twentieth_of_a_pixel(offset_px: float, seed: int) -> None:
     found = _estimate(_shifted(offset_px, seed))
     # It is one linear step: of large offsets a little is left for the next window.
-    assert found.offset_px == pytest.approx(offset_px, abs=max(0.05, 0.08 * abs(offset_px)))
+    assert found.offset_px == pytest.approx(offset_px, abs=max(0.05, 0.12 * abs(offset_px)))
     assert 0.0 < found.sigma_px < 0.1
 
 
