@@ -50,7 +50,7 @@ class BarProgress:
         """Show the bar."""
         self._task = self._bar.add_task("", total=total or None, title=escape(name))
         self._counts = _Counts()
-        self._live.start()
+        self._live.start(refresh=True)  # the first frame may be done before the first refresh
 
     def step(self, done: int, estimate: Estimate) -> None:
         """Move the bar."""
