@@ -5,7 +5,7 @@ heading can wander at the window's edge (Mur-Artal 2015, sec. VI-D).
 
 The observations make one factor on all poses that may move: the landmarks are eliminated before
 GTSAM sees it, because six thousand factors and a thousand points, built and linearised one by one,
-take GTSAM five times as long to the same optimum (docs/accuracy.md). Keys are the poses' rows.
+take GTSAM some ten times as long to the same optimum (docs/accuracy.md). Keys are the poses' rows.
 """
 
 from __future__ import annotations
