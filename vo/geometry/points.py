@@ -68,14 +68,13 @@ def point_views(
         focal_baseline: fx * baseline, 0 in mono.
         huber: residual, in standard deviations, from which an observation counts less.
     """
-    order = np.argsort(point, kind="stable")
-    order = order[point_ok[point[order]]]
+    starts, order = _by_points(point_ok, point)
     return PointViews(
-        np.searchsorted(point[order], np.arange(len(point_ok) + 1)),
-        camera[order],
-        xy[order],
-        disparity[order],
-        1.0 / sigma_px[order],
+        starts,
+        camera.take(order),
+        xy.take(order, axis=0),
+        disparity.take(order),
+        1.0 / sigma_px.take(order),
         np.array(intrinsics),
         focal_baseline,
         1.0 / sigma_disparity_px,
@@ -108,6 +107,24 @@ def best_points(
     moved = points.copy()
     poses = np.ascontiguousarray(cam_from_world[:, :3])
     return moved, float(_refined(moved, poses, steps, tolerance, *views))
+
+
+@numba.njit(cache=True, nogil=True)
+def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
+    """First observation (M + 1,) of each point that is ok, and rows of theirs in that order."""
+    starts = np.zeros(len(point_ok) + 1, dtype=np.int64)
+    for m in point:
+        starts[m + 1] += point_ok[m]
+    for m in range(len(point_ok)):
+        starts[m + 1] += starts[m]
+    order = np.empty(starts[-1], dtype=np.int64)
+    end = starts[:-1].copy()
+    for n in range(len(point)):
+        m = point[n]
+        if point_ok[m]:
+            order[end[m]] = n
+            end[m] += 1
+    return starts, order
 
 
 @numba.njit(cache=True, nogil=True)

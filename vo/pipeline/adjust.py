@@ -11,6 +11,7 @@ from vo.geometry.points import best_points
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, orthonormalised
 from vo.mapping.map import Keyframe, Map
+from vo.pipeline.choice import choose_landmarks
 from vo.pipeline.path_covariance import update_covariances
 from vo.smoothing.bundle import views_of
 from vo.smoothing.residuals import residuals
@@ -46,7 +47,8 @@ def make_window(
     free = len(keyframes) - 1 if whole_map else min(config.smoothing.window, len(keyframes) - 1)
     fixed = np.arange(len(keyframes)) < len(keyframes) - free
     everything = _everything(world, rig, fixed)
-    problem, rows = _restricted(everything, _chosen(everything, config))
+    chosen = choose_landmarks(everything, config.smoothing.max_landmarks)
+    problem, rows = _restricted(everything, chosen)
     return Window(problem, tuple(keyframes), world.id[rows])
 
 
@@ -106,12 +108,11 @@ def _carry_landmarks(world: Map, before: Floats, carried: Bools) -> None:
 def cull(world: Map, config: Config) -> None:
     """Drop landmarks that are rarely found, or that too few keyframes see to hold them."""
     newest = world.keyframes[-1].id
-    seen = np.zeros(len(world), dtype=np.int64)
+    _, row = world.sightings()
+    disparity = np.concatenate([k.disparity for k in world.keyframes])
+    seen = np.bincount(row, minlength=len(world))
     measured = np.zeros(len(world), dtype=bool)
-    for keyframe in world.keyframes:
-        rows = world.rows(keyframe.landmark)
-        seen[rows] += 1
-        measured[rows] |= ~np.isnan(keyframe.disparity)
+    measured[row[~np.isnan(disparity)]] = True
     rarely = world.found < config.mapping.min_found_share * world.visible
     # Two views (or left and right of one) hold a landmark for a while, three for good.
     weak = (seen < 2) & ~(measured & (world.last_seen >= newest - 1))
@@ -121,14 +122,15 @@ def cull(world: Map, config: Config) -> None:
 def _everything(world: Map, rig: WorkingRig, fixed: Bools) -> WindowProblem:
     """All keyframes, landmarks and observations of the map; its points are the map's rows."""
     keyframes = world.keyframes
+    number, row = world.sightings()
     return WindowProblem(
         intrinsics=(rig.fx, rig.fy, rig.cx, rig.cy),
         baseline_m=rig.baseline_m,
         world_from_cam=np.stack([k.world_from_cam for k in keyframes]),
         fixed=fixed,
         points=world.xyz,
-        keyframe=np.repeat(np.arange(len(keyframes)), [len(k.landmark) for k in keyframes]),
-        point=np.concatenate([world.rows(k.landmark) for k in keyframes]),
+        keyframe=number,
+        point=row,
         xy=np.concatenate([k.xy for k in keyframes]),
         disparity=np.concatenate([k.disparity for k in keyframes]),
         sigma_px=np.concatenate([k.sigma_px for k in keyframes]),
@@ -137,41 +139,18 @@ def _everything(world: Map, rig: WorkingRig, fixed: Bools) -> WindowProblem:
 
 def _restricted(problem: WindowProblem, chosen: Bools) -> tuple[WindowProblem, Ints]:
     """The same with the chosen points (M,) only, and their rows in the whole."""
-    used = chosen[problem.point]
+    used, rows = np.flatnonzero(chosen[problem.point]), np.flatnonzero(chosen)
     place = np.cumsum(chosen) - 1
     restricted = replace(
         problem,
-        points=problem.points[chosen],
-        keyframe=problem.keyframe[used],
-        point=place[problem.point[used]],
-        xy=problem.xy[used],
-        disparity=problem.disparity[used],
-        sigma_px=problem.sigma_px[used],
+        points=problem.points.take(rows, axis=0),
+        keyframe=problem.keyframe.take(used),
+        point=place[problem.point.take(used)],
+        xy=problem.xy.take(used, axis=0),
+        disparity=problem.disparity.take(used),
+        sigma_px=problem.sigma_px.take(used),
     )
-    return restricted, np.flatnonzero(chosen)
-
-
-def _chosen(problem: WindowProblem, config: Config) -> Bools:
-    """Mask (M,) of the landmarks that take part in the window.
-
-    They are ranked within each keyframe, most seen first, and taken by their best rank. That gives
-    every keyframe its share, also one that has just turned to a part of the scene that no other
-    keyframe has seen for long.
-    """
-    count = len(problem.points)
-    seen = np.bincount(problem.point, minlength=count)
-    moves = ~problem.fixed[problem.keyframe]
-    seen_by_free = np.bincount(problem.point[moves], minlength=count)
-    best = np.full(count, np.iinfo(np.int64).max)
-    for k in range(len(problem.world_from_cam)):
-        mine = problem.point[problem.keyframe == k]
-        order = mine[np.argsort(-seen[mine], kind="stable")]
-        best[order] = np.minimum(best[order], np.arange(len(order)))
-    candidates = np.flatnonzero((seen >= 2) & (seen_by_free >= 1))
-    order = np.lexsort((-seen[candidates], best[candidates]))[: config.smoothing.max_landmarks]
-    chosen = np.zeros(count, dtype=bool)
-    chosen[candidates[order]] = True
-    return chosen
+    return restricted, rows
 
 
 def _refine(world: Map, everything: WindowProblem, chosen: Bools, config: Config) -> None:
@@ -179,9 +158,8 @@ def _refine(world: Map, everything: WindowProblem, chosen: Bools, config: Config
 
     They were triangulated from poses that have moved since, all in the same wrong way.
     """
-    part, rows = _restricted(everything, chosen)
-    views = views_of(part, np.ones(len(rows), dtype=bool), config.smoothing)
-    world.xyz[rows], _ = best_points(part.points, inverse(part.world_from_cam), views)
+    views = views_of(everything, chosen, config.smoothing)
+    world.xyz, _ = best_points(world.xyz, inverse(everything.world_from_cam), views)
 
 
 def _drop_outliers(
@@ -193,10 +171,10 @@ def _drop_outliers(
     """
     sigma_px = config.smoothing.sigma_disparity_px
     residual, _ = residuals(everything, everything.world_from_cam, world.xyz, sigma_px)
-    disagree = ~(residual <= config.smoothing.gate)
-    for k, keyframe in enumerate(world.keyframes):
-        mine = everything.keyframe == k
-        dropped = degenerate[everything.point[mine]]
-        if keyframe.id <= newest.id:
-            dropped |= disagree[mine]
-        keyframe.keep_observations(~dropped)
+    judged = everything.keyframe <= newest.id - world.keyframes[0].id
+    dropped = degenerate[everything.point] | (judged & ~(residual <= config.smoothing.gate))
+    begin = 0
+    for keyframe in world.keyframes:
+        end = begin + len(keyframe.landmark)
+        keyframe.keep_observations(~dropped[begin:end])
+        begin = end
