@@ -36,7 +36,8 @@ ALLOWED = {
     "vo.run": GROUND | ROOMS | {"vo.pipeline", "vo.odometry", "vo.progress", "vo.interrupts"},
     "vo.cli": GROUND
     | ROOMS
-    | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.odometry", "vo.run"}
+    | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.pipeline"}
+    | {"vo.odometry", "vo.run"}
     | {"data_synth"},
     "data_synth": {"vo.errors", "vo.types", "vo.settings", "vo.geometry", "vo.formats"},
 }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from subprocess import Popen
 
 import cv2
 import numpy as np
@@ -49,9 +50,16 @@ class Odometry:
     """Turns frames into poses, one `step` a frame; `close` it at the end.
 
     How many threads there are, and how fast, makes no difference to any pose.
+
+    Args:
+        rig: the cameras, as recorded.
+        config: all settings.
+        smoother_process: that of the smoother (`vo.smoothing.child`), if it was started already.
     """
 
-    def __init__(self, rig: Rig, config: Config) -> None:
+    def __init__(
+        self, rig: Rig, config: Config, smoother_process: Popen[bytes] | None = None
+    ) -> None:
         cv2.setRNGSeed(config.seed)
         self.history = History()
         self._config = config
@@ -59,7 +67,7 @@ class Odometry:
         self._corrects_offset = config.stereo.offset_correction and not rig.has_depth
         self._rig = working_rig(rig)
         threads = config.threads or available_cores()
-        self._smoother = make_smoother(config.smoothing, threads)
+        self._smoother = make_smoother(config.smoothing, threads, smoother_process)
         self._preparation = Preparation(config.features, threads=threads)
         capacity = config.smoothing.window + config.smoothing.fixed
         self._map = Map(capacity, self._rig.height, self._rig.width)

@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from subprocess import Popen
 
 from vo.config import Config, dump_config
 from vo.errors import ConfigError, OutputError, SourceError
@@ -59,6 +60,7 @@ def run(
     exports: Exports | None = None,
     progress: Progress | None = None,
     profile_since: float | None = None,
+    smoother_process: Popen[bytes] | None = None,
 ) -> Summary:
     """Compute a camera's path from a recording and write it as it grows.
 
@@ -87,6 +89,7 @@ def run(
         exports: files for other programs.
         progress: what watches the run.
         profile_since: write a profile; it begins at this time of `time.perf_counter`.
+        smoother_process: that of the smoother (`vo.smoothing.child`), if it was started already.
 
     Raises:
         SourceError: the recording is missing, damaged, or holds no frame that can be read.
@@ -110,7 +113,7 @@ def run(
     called = source_name or str(source)
     facts = partial(_facts, opened, called, config, start, end, stride, calibration, topics)
     frames = opened.frames(start, end, stride * every)
-    with claimed(Path(output)), closing(Odometry(opened.rig, config)) as odometry:
+    with claimed(Path(output)), closing(Odometry(opened.rig, config, smoother_process)) as odometry:
         if every > 1:
             odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
         recorder = recorder or _make_recorder(rrd, rrd_images, viewer)

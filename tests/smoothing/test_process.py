@@ -16,7 +16,7 @@ import pytest
 from windows import drive
 
 from vo.config import SmoothingConfig
-from vo.smoothing import process as process_module
+from vo.smoothing import child as child_module
 from vo.smoothing.process import SmootherProcess
 from vo.smoothing.smoother import SmootherHere, make_smoother, smooth
 from vo.smoothing.solution import WindowSolution
@@ -97,7 +97,7 @@ def test_a_window_that_kills_its_process_again_is_left_as_it_is(
 ) -> None:
     smoother.ask(_problem())
     smoother.answer()
-    monkeypatch.setattr(process_module, "_PROGRAM", "import os; os.abort() # {path!r}")
+    monkeypatch.setattr(child_module, "_PROGRAM", "import os; os.abort() # {path!r}")
     os.kill(_pid(smoother), signal.SIGKILL)
     smoother.ask(_problem(2))
     solution = smoother.answer()
@@ -106,7 +106,7 @@ def test_a_window_that_kills_its_process_again_is_left_as_it_is(
 
 
 def test_a_process_that_never_starts_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process_module, "_PROGRAM", "raise SystemExit(3) # {path!r}")
+    monkeypatch.setattr(child_module, "_PROGRAM", "raise SystemExit(3) # {path!r}")
     smoother = SmootherProcess(CONFIG)
     smoother.ask(_problem())
     with pytest.raises(RuntimeError, match="does not start"):

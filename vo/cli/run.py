@@ -243,45 +243,52 @@ def run_command(
     from vo.cli.stopping import stops_gently
 
     with stops_gently(output):
-        from vo.cli.console import standard_error
-        from vo.cli.live import live_viewer
-        from vo.cli.progress import make_progress, warnings_on
-        from vo.cli.run_table import print_summary
-        from vo.cli.standard_input import NAME, spooled_input
         from vo.config import load_config
-        from vo.recording.exports import Exports
-        from vo.run import run
+        from vo.pipeline.cores import available_cores
+        from vo.smoothing.child import child_started_early
 
         settings = list(overrides or ())
         if threads is not None:
             settings.append(f"threads={threads}")
-        console = standard_error()
-        watched = live_viewer(connect, spawn=spawn, serve=serve)
-        through_pipe = str(source) == "-"
-        origin = spooled_input() if through_pipe else nullcontext(source)
-        with warnings_on(console), watched as viewer, origin as path:
-            summary = run(
-                path,
-                output,
-                config=load_config(config, settings),
-                mode=mode.value,
-                start=start,
-                end=end,
-                stride=stride,
-                rrd=rrd,
-                exports=Exports(mcap=mcap, colmap=colmap, ply=ply),
-                rrd_images=rrd_images.value,
-                viewer=viewer,
-                calibration=calibration,
-                format=format,
-                topics=topic or (),
-                follow=follow or through_pipe,
-                source_name=NAME if through_pipe else None,
-                progress=make_progress(console, quiet=quiet),
-                profile_since=begun if profile else None,
-            )
-            if not quiet:
-                print_summary(summary, output, rrd)
+        merged = load_config(config, settings)
+        # Two processes load at the same time, instead of one after the other.
+        with child_started_early(merged.threads or available_cores()) as child:
+            from vo.cli.console import standard_error
+            from vo.cli.live import live_viewer
+            from vo.cli.progress import make_progress, warnings_on
+            from vo.cli.run_table import print_summary
+            from vo.cli.standard_input import NAME, spooled_input
+            from vo.recording.exports import Exports
+            from vo.run import run
+
+            console = standard_error()
+            watched = live_viewer(connect, spawn=spawn, serve=serve)
+            through_pipe = str(source) == "-"
+            origin = spooled_input() if through_pipe else nullcontext(source)
+            with warnings_on(console), watched as viewer, origin as path:
+                summary = run(
+                    path,
+                    output,
+                    config=merged,
+                    mode=mode.value,
+                    start=start,
+                    end=end,
+                    stride=stride,
+                    rrd=rrd,
+                    exports=Exports(mcap=mcap, colmap=colmap, ply=ply),
+                    rrd_images=rrd_images.value,
+                    viewer=viewer,
+                    calibration=calibration,
+                    format=format,
+                    topics=topic or (),
+                    follow=follow or through_pipe,
+                    source_name=NAME if through_pipe else None,
+                    progress=make_progress(console, quiet=quiet),
+                    profile_since=begun if profile else None,
+                    smoother_process=child,
+                )
+                if not quiet:
+                    print_summary(summary, output, rrd)
 
 
 def _process_begun() -> float:

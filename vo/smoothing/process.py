@@ -7,42 +7,38 @@ same window again, so that nothing is lost but time.
 from __future__ import annotations
 
 import logging
-import os
 import subprocess
-import sys
 import threading
 import weakref
 from concurrent.futures import Future
 
 from vo.config import SmoothingConfig
+from vo.smoothing.child import end_child, start_child
 from vo.smoothing.messages import receive, send
 from vo.smoothing.solution import WindowSolution, unsolved
 from vo.types import WindowProblem
 
 _log = logging.getLogger(__name__)
 
-# Not multiprocessing: that runs the caller's main module again. The child finds its modules
-# where this process finds them, not in the folder that it happens to be started in.
-# numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
-_PROGRAM = """
-import sys
-sys.path[:], sys.modules["scipy"] = {path!r}, None
-from vo.smoothing.worker import main
-main()
-"""
 _ATTEMPTS = 2
 
 
 class SmootherProcess:
     """Hands windows to another process; a thread of this one waits for the answer.
 
+    Args:
+        config: its settings.
+        child: the process, if it was started already.
+
     Raises:
         OSError: the process cannot be started.
     """
 
-    def __init__(self, config: SmoothingConfig) -> None:
+    def __init__(
+        self, config: SmoothingConfig, child: subprocess.Popen[bytes] | None = None
+    ) -> None:
         self._config = config
-        self._child = _Child()
+        self._child = _Child(child or start_child())
         self._stop = weakref.finalize(self, self._child.stop)
         self._answer: Future[WindowSolution] | None = None
 
@@ -69,11 +65,11 @@ class SmootherProcess:
 class _Child:
     """The process, replaced by another when it has died."""
 
-    def __init__(self) -> None:
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._stopped = False
         self._has_answered = False
         self._lock = threading.Lock()
-        self._process = _start()
+        self._process = process
 
     def adjust(self, problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
         """Have a window adjusted; left as it is if the process dies over it time and again."""
@@ -94,7 +90,7 @@ class _Child:
         """End it for good."""
         with self._lock:
             self._stopped = True
-            _end(self._process)
+            end_child(self._process)
 
     def _exchange(self, problem: WindowProblem, config: SmoothingConfig) -> WindowSolution | str:
         process = self._process
@@ -108,32 +104,9 @@ class _Child:
         with self._lock:
             if self._stopped:
                 raise RuntimeError("the smoother was closed") from error
-            status = _end(self._process)
+            status = end_child(self._process)
             _log.warning("the smoother's process died (status %d) and is started again", status)
-            self._process = _start()
-
-
-def _start() -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM.format(path=sys.path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        # A second thread of BLAS only waits on such small matrices, at the cost of another's core.
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        process_group=0,  # Ctrl-C in a terminal goes to a whole group
-    )
-
-
-def _end(process: subprocess.Popen[bytes]) -> int:
-    process.kill()
-    status = process.wait()
-    for pipe in (process.stdin, process.stdout):
-        assert pipe is not None
-        try:
-            pipe.close()
-        except OSError:
-            _log.debug("half a window was left in the pipe")
-    return status
+            self._process = start_child()
 
 
 def _fulfil(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from subprocess import Popen
 from typing import Protocol
 
 from vo.config import SmoothingConfig
@@ -51,11 +52,13 @@ class SmootherHere:
         """There is nothing to let go of."""
 
 
-def make_smoother(config: SmoothingConfig, threads: int) -> Smoother:
-    """A process of its own if there are cores for it."""
+def make_smoother(
+    config: SmoothingConfig, threads: int, child: Popen[bytes] | None = None
+) -> Smoother:
+    """A process of its own if there are cores for it: `child`, where that was started early."""
     if threads > 1:
         try:
-            return SmootherProcess(config)
+            return SmootherProcess(config, child)
         except OSError as error:
             _log.warning("smoothing in the same process, no other can be started: %s", error)
     return SmootherHere(config)

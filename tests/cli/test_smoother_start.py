@@ -1,0 +1,102 @@
+"""`vo run` starts the smoother's process before it loads anything, and never leaves it behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+VO = Path(sys.executable).with_name("vo")
+HEAVY = {"cv2", "gtsam", "numba", "numpy"}
+
+# Read by Python as it starts, the smoother's as well: notes which processes there are, and what is
+# loaded when they start another.
+NOTES = """
+import os, sys
+from pathlib import Path
+
+def note(event, arguments):
+    if event == "subprocess.Popen":
+        with (Path(__file__).parent / "started").open("a") as file:
+            print(*sys.modules, file=file)
+
+sys.addaudithook(note)
+(Path(__file__).parent / f"{os.getpid()}.pid").touch()
+"""
+CTRL_C = """
+class Presser:
+    def find_spec(self, name, path=None, target=None):
+        if name == "vo.run":
+            os.kill(os.getpid(), 2)
+
+sys.meta_path.insert(0, Presser())
+"""
+
+
+def run(folder: Path, source: Path, *words: str, more: str = "") -> int:
+    (folder / "sitecustomize.py").write_text(NOTES + more, encoding="utf-8")
+    command = [VO, "run", source, "-o", folder / "out", *words]
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=120, check=False)
+    return done.returncode
+
+
+def modules_at_starts(folder: Path) -> list[set[str]]:
+    """What was loaded when a process was started, one set for each."""
+    file = folder / "started"
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return [set(line.split()) for line in lines]
+
+
+def processes(folder: Path) -> list[int]:
+    return [int(path.stem) for path in folder.glob("*.pid")]
+
+
+def assert_all_ended(folder: Path, count: int) -> None:
+    pids = processes(folder)
+    assert len(pids) == count
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def test_it_is_started_once_and_before_anything_heavy(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    assert run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4") == 0
+    (loaded,) = modules_at_starts(tmp_path)
+    assert not HEAVY & loaded
+    assert_all_ended(tmp_path, 2)
+
+
+def test_with_one_thread_there_is_none(synthetic_stereo: Path, tmp_path: Path) -> None:
+    assert run(tmp_path, synthetic_stereo, "--set", "threads=1", "--end", "4") == 0
+    assert not modules_at_starts(tmp_path)
+    assert_all_ended(tmp_path, 1)
+
+
+def test_a_wrong_setting_starts_none(tmp_path: Path) -> None:
+    assert run(tmp_path, tmp_path, "--set", "thread=2") == 1
+    assert_all_ended(tmp_path, 1)
+
+
+@pytest.mark.parametrize(
+    ("source", "more", "status"),
+    [("missing", "", 1), ("", "", 1), ("missing", CTRL_C, 130)],
+    ids=["no recording", "no images", "ctrl-c"],
+)
+def test_it_ends_with_a_run_that_fails(tmp_path: Path, source: str, more: str, status: int) -> None:
+    assert run(tmp_path, tmp_path / source, "--threads", "2", more=more) == status
+    assert_all_ended(tmp_path, 2)
+
+
+def test_a_process_that_cannot_be_started_costs_a_warning(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    more = 'sys.executable = "/nowhere/python"'
+    assert run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4", more=more) == 0
+    assert len(modules_at_starts(tmp_path)) == 2
+    assert_all_ended(tmp_path, 1)
