@@ -21,6 +21,7 @@ from vo.types import Bytes, Camera, Floats, Floats32
 
 _PREVIEW_STEP = 8
 _SEED_NOISE = 2
+_FRAMES_AT_ONCE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,26 +34,32 @@ class _Eye:
     body_from_cam: Floats
 
 
+_Taken = tuple[Bytes, Floats32 | None]  # image, and depth where it is kept
+
+
 @dataclass(frozen=True, eq=False)
 class _Exposed:
-    """A frame whose images are being developed."""
+    """A frame whose images are being rendered and developed."""
 
     index: int
-    images: tuple[Future[Bytes] | None, ...]
-    depth: Floats32 | None
+    images: tuple[Future[_Taken] | None, ...]
 
     def mean(self) -> float | None:
         """Mean of cam0's image, 0…1."""
-        return None if self.images[0] is None else float(self.images[0].result().mean()) / 255.0
+        return None if self.images[0] is None else float(self.images[0].result()[0].mean()) / 255.0
 
     def shot(self) -> Shot:
         """The developed images."""
-        done = tuple(None if image is None else image.result() for image in self.images)
-        return Shot(self.index, done, self.depth)
+        done = tuple(None if image is None else image.result()[0] for image in self.images)
+        depth = None if self.images[0] is None else self.images[0].result()[1]
+        return Shot(self.index, done, depth)
 
 
 def film(plan: Plan, pool: ThreadPoolExecutor, frames: range | None = None) -> Iterator[Shot]:
-    """Render frames in order; a frame is developed while the next one is rendered.
+    """Render frames in order, both images of one and those of the next at the same time.
+
+    So no core waits for the last rows of an image. A frame is exposed by the light of the frame
+    before the last.
 
     Args:
         plan: what to film.
@@ -65,15 +72,17 @@ def film(plan: Plan, pool: ThreadPoolExecutor, frames: range | None = None) -> I
     eyes = _eyes(plan)
     effects, fps = plan.recipe.effects, plan.recipe.fps
     auto = AutoExposure(effects, fps, _preview_mean(plan, eyes[0], frames[0], pool))
-    developing: _Exposed | None = None
-    for index in frames:
-        exposed = _expose(plan, eyes, index, auto.next(), pool)
-        if developing is not None:
-            auto.observe(developing.mean())
-            yield developing.shot()
-        developing = exposed
-    if developing is not None:
-        yield developing.shot()
+    before: _Exposed | None = None
+    # Their threads only wait for those of the pool, which never wait.
+    with ThreadPoolExecutor(_FRAMES_AT_ONCE * len(eyes), thread_name_prefix="film") as images:
+        for index in frames:
+            exposed = _expose(plan, eyes, index, auto.next(), images, pool)
+            if before is not None:
+                auto.observe(before.mean())
+                yield before.shot()
+            before = exposed
+        if before is not None:
+            yield before.shot()
 
 
 def _eyes(plan: Plan) -> tuple[_Eye, ...]:
@@ -98,31 +107,35 @@ def _preview_mean(plan: Plan, eye: _Eye, index: int, pool: ThreadPoolExecutor) -
 
 
 def _expose(
-    plan: Plan, eyes: tuple[_Eye, ...], index: int, settings: Settings, pool: ThreadPoolExecutor
+    plan: Plan,
+    eyes: tuple[_Eye, ...],
+    index: int,
+    settings: Settings,
+    images: ThreadPoolExecutor,
+    pool: ThreadPoolExecutor,
 ) -> _Exposed:
-    """Render a frame and begin to develop it."""
-    images: list[Future[Bytes] | None] = []
-    depth = None
-    world = _world(plan, index)
-    for number, eye in enumerate(eyes):
-        if plan.timing.dropped[number][index]:
-            images.append(None)
-            continue
-        view = render(world, eye.rays, _shutter(plan, eye, index, settings), pool)
-        if number == 0 and plan.recording.has_depth:
-            depth = view.depth
-        images.append(
-            pool.submit(
-                develop,
-                view.image,
-                settings,
-                plan.recipe.effects,
-                float(plan.timing.illumination[index]),
-                eye.vignette,
-                np.random.default_rng([plan.recipe.seed, _SEED_NOISE, index, number]),
-            )
+    """Begin to render and develop a frame."""
+    world, dropped = _world(plan, index), plan.timing.dropped
+
+    def take(number: int) -> _Taken:
+        view = render(world, eyes[number].rays, _shutter(plan, eyes[number], index, settings), pool)
+        image = develop(
+            view.image,
+            settings,
+            plan.recipe.effects,
+            float(plan.timing.illumination[index]),
+            eyes[number].vignette,
+            np.random.default_rng([plan.recipe.seed, _SEED_NOISE, index, number]),
         )
-    return _Exposed(index, tuple(images), depth)
+        return image, view.depth if number == 0 and plan.recording.has_depth else None
+
+    return _Exposed(
+        index,
+        tuple(
+            None if dropped[number][index] else images.submit(take, number)
+            for number in range(len(eyes))
+        ),
+    )
 
 
 def _world(plan: Plan, index: int) -> World:
