@@ -7,7 +7,7 @@ and are smoothed together with the keyframes before them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from subprocess import Popen
 
@@ -204,7 +204,7 @@ class Odometry:
 
     def _smooth(self, keyframe: Keyframe, clock: Stopwatch) -> None:
         """Hang a new keyframe's frame on it, and have the window that ends with it adjusted."""
-        self._store(keyframe)
+        self._store([keyframe])
         self._hang(keyframe)
         self._take_in(clock)
         with clock.stage("window"):
@@ -235,9 +235,8 @@ class Odometry:
         assert self._window is not None
         moved = take_in(self._map, self._window, solution, self._rig, self._config)
         self._window = None
-        for keyframe in moved:
-            self._store(keyframe)
-            self._moved.add(keyframe.id)
+        self._store(moved)
+        self._moved.update(k.id for k in moved)
 
     def _correct_disparities(self, offset_px: float) -> None:
         """Move all disparities, past and future, to a new offset, and the map with them."""
@@ -288,7 +287,7 @@ class Odometry:
         first, second = map_from_pair(
             self._map, pair, self._motion.last, _MEDIAN_DEPTH, self._segment, sigma_px
         )
-        self._store(first)
+        self._store([first])
         self._hang(first)
         self._ask()
         self._settle(self._smoother.answer())
@@ -334,22 +333,21 @@ class Odometry:
         index, stamp_ns = keyframe.frame_index, keyframe.stamp_ns
         self.history.add(index, stamp_ns, keyframe.segment, keyframe.id, pose)
 
-    def _store(self, keyframe: Keyframe) -> None:
-        covariance = keyframe.covariance
-        if covariance is not None:
-            turn = adjoint(self._rig.cam0_from_working)
-            covariance = turn @ covariance @ turn.T
-        pose = KeyframePose(
-            keyframe.frame_index,
-            keyframe.stamp_ns,
-            keyframe.segment,
-            self._cam0(keyframe.world_from_cam),
-            covariance,
-        )
-        self.history.store(keyframe.id, pose)
+    def _store(self, keyframes: Sequence[Keyframe]) -> None:
+        """Enter keyframes into the path, or what has become of them."""
+        if not keyframes:
+            return
+        poses = self._cam0(np.stack([k.world_from_cam for k in keyframes]))
+        turn = adjoint(self._rig.cam0_from_working)
+        for keyframe, pose in zip(keyframes, poses, strict=True):
+            covariance = keyframe.covariance
+            if covariance is not None:
+                covariance = turn @ covariance @ turn.T
+            place = keyframe.frame_index, keyframe.stamp_ns, keyframe.segment
+            self.history.store(keyframe.id, KeyframePose(*place, pose, covariance))
 
     def _cam0(self, world_from_working: Floats) -> Floats:
-        """The same pose for the recorded cam0, in a world that is cam0 where it began."""
+        """The same poses (..., 4, 4) for the recorded cam0, in a world that is cam0 at first."""
         turn = self._rig.cam0_from_working
         return np.asarray(turn @ world_from_working @ inverse(turn))
 
@@ -378,7 +376,7 @@ class Odometry:
             is_keyframe=keyframe is not None,
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
-            keyframes=tuple(self.history.keyframe(k) for k in moved),
+            keyframes=tuple(self.history.keyframes_by_id(moved)),
             view=view,
             landmarks=self._landmarks() if moved else None,
             stage_ms=clock.stage_ms,

@@ -160,11 +160,16 @@ def tum_line(stamp_ns: int, world_from_cam: Floats) -> str:
     """One line `stamp tx ty tz qx qy qz qw`, without line end, the stamp to the nanosecond."""
     seconds, nanoseconds = divmod(abs(int(stamp_ns)), _NS_PER_S)
     sign = "-" if stamp_ns < 0 else ""
+    return f"{sign}{seconds}.{nanoseconds:09d} {' '.join(pose_fields(world_from_cam))}"
+
+
+def pose_fields(world_from_cam: Floats) -> list[str]:
+    """The digits of `tx ty tz qx qy qz qw`."""
     quat_xyzw = quat_xyzw_from_rotation(world_from_cam[:3, :3])
     if quat_xyzw[3] < 0:
         quat_xyzw = -quat_xyzw
-    numbers = " ".join(f"{value:z.9f}" for value in (*world_from_cam[:3, 3], *quat_xyzw))
-    return f"{sign}{seconds}.{nanoseconds:09d} {numbers}"
+    numbers = (*world_from_cam[:3, 3].tolist(), *quat_xyzw.tolist())
+    return [f"{value:z.9f}" for value in numbers]
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:

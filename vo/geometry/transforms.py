@@ -118,22 +118,22 @@ def rotation_from_quat_xyzw(quat_xyzw: Floats) -> Floats:
 
 def quat_xyzw_from_rotation(rotation: Floats) -> Floats:
     """Unit quaternion of one (3, 3) rotation (Shepperd 1978: the largest component first)."""
-    m = rotation
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    candidates = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
-    i = int(np.argmax(candidates))
+    m = rotation.tolist()  # numbers of Python: single entries of arrays take several times as long
+    trace = m[0][0] + m[1][1] + m[2][2]
+    candidates = (m[0][0], m[1][1], m[2][2], trace)
+    i = candidates.index(max(candidates))
     quat = np.empty(4)
     if i == 3:
         quat[3] = 1.0 + trace
-        quat[0] = m[2, 1] - m[1, 2]
-        quat[1] = m[0, 2] - m[2, 0]
-        quat[2] = m[1, 0] - m[0, 1]
+        quat[0] = m[2][1] - m[1][2]
+        quat[1] = m[0][2] - m[2][0]
+        quat[2] = m[1][0] - m[0][1]
     else:
         j, k = (i + 1) % 3, (i + 2) % 3
-        quat[i] = 1.0 - trace + 2.0 * m[i, i]
-        quat[j] = m[j, i] + m[i, j]
-        quat[k] = m[k, i] + m[i, k]
-        quat[3] = m[k, j] - m[j, k]
+        quat[i] = 1.0 - trace + 2.0 * m[i][i]
+        quat[j] = m[j][i] + m[i][j]
+        quat[k] = m[k][i] + m[i][k]
+        quat[3] = m[k][j] - m[j][k]
     return np.asarray(quat / np.linalg.norm(quat))
 
 

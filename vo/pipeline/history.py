@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,12 +94,12 @@ class History:
         place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
         triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
         fields = (*place, pose.world_from_cam0[:3], triangle)
-        row = int(self._keyframe_row(keyframe))
+        row = self._keyframe_row(keyframe)
         if row == len(self._keyframes):
             self._keyframes.append(*fields)
         else:
             self._keyframes.rows[row] = fields
-        first = int(np.searchsorted(self.frames["keyframe"], keyframe))
+        first = bisect_left(self.frames["keyframe"], keyframe)
         self._changed = min(self._changed, self._first_after_tracked(first))
         self._changed_keyframe = min(self._changed_keyframe, row)
 
@@ -109,17 +111,20 @@ class History:
 
     def keyframe(self, keyframe: int) -> KeyframePose:
         """A keyframe by its id."""
-        return self.keyframes(int(self._keyframe_row(keyframe)), 1)[0]
+        return self.keyframes_by_id([keyframe])[0]
 
-    def keyframes(self, row: int = 0, count: int | None = None) -> list[KeyframePose]:
+    def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
+        """Keyframes by their ids, which grow."""
+        return _keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
+
+    def keyframes(self, row: int = 0) -> list[KeyframePose]:
         """Keyframes from a row on."""
-        stop = None if count is None else row + count
-        return [_keyframe_pose(each) for each in self._keyframes.rows[row:stop]]
+        return _keyframe_poses(self._keyframes.rows[row:])
 
     def path(self, row: int = 0) -> PlacedFrames:
         """All frames with a pose as known now, from a row on."""
         frames = self.frames[row:]
-        rows = self._keyframe_row(frames["keyframe"])
+        rows = self._keyframe_rows(frames["keyframe"])
         interpolated = frames["share"] > 0
         frame_index = frames["frame_index"].copy()
         is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
@@ -132,7 +137,7 @@ class History:
         while first < len(self._frames) and self.frames["share"][first] > 0:
             first -= 1
         frames = self.frames[first:]
-        rows = self._keyframe_row(frames["keyframe"])
+        rows = self._keyframe_rows(frames["keyframe"])
         poses = whole_transforms(self._keyframes.rows["world_from_cam0"][rows])
         poses = poses @ whole_transforms(frames["keyframe_from_cam"])
         _fill(poses, frames["share"])
@@ -157,8 +162,16 @@ class History:
             row -= 1
         return row
 
-    def _keyframe_row(self, keyframe: Any) -> Any:
-        return np.searchsorted(self._keyframes.rows["id"], keyframe)
+    def _keyframe_row(self, keyframe: int) -> int:
+        # Not by NumPy, which would copy the whole column each time.
+        return bisect_left(self._keyframes.rows["id"], keyframe)
+
+    def _keyframe_rows(self, keyframes: Ints) -> Ints:
+        """Rows (n,) of ids (n,) that never fall."""
+        if len(keyframes) == 0:
+            return keyframes
+        first = self._keyframe_row(int(keyframes[0]))
+        return first + np.searchsorted(self._keyframes.rows["id"][first:], keyframes)
 
 
 def _fill(poses: Floats, share: Floats) -> None:
@@ -173,15 +186,20 @@ def _fill(poses: Floats, share: Floats) -> None:
         poses[row] = interpolate(first, last, float(share[row]))
 
 
-def _keyframe_pose(row: Any) -> KeyframePose:
-    covariance = None
-    if np.isfinite(row["covariance"][0]):
-        covariance = np.zeros((6, 6))
-        covariance[_TRIANGLE] = covariance.T[_TRIANGLE] = row["covariance"]
-    return KeyframePose(
-        int(row["frame_index"]),
-        int(row["stamp_ns"]),
-        int(row["segment"]),
-        whole_transforms(row["world_from_cam0"][None])[0],
-        covariance,
-    )
+def _keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
+    world_from_cam0 = whole_transforms(rows["world_from_cam0"])
+    triangles = rows["covariance"]
+    covariance = np.zeros((len(rows), 6, 6))
+    i, j = _TRIANGLE
+    covariance[:, i, j] = covariance[:, j, i] = triangles
+    known = np.isfinite(triangles[:, 0])
+    return [
+        KeyframePose(
+            int(row["frame_index"]),
+            int(row["stamp_ns"]),
+            int(row["segment"]),
+            world_from_cam0[k],
+            covariance[k] if known[k] else None,
+        )
+        for k, row in enumerate(rows)
+    ]

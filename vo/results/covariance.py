@@ -20,5 +20,5 @@ def covariance_line(keyframe: KeyframePose) -> str:
     place = f"{keyframe.stamp_ns},{keyframe.frame_index},{keyframe.segment}"
     if keyframe.covariance is None:
         return place + "," * len(_ROWS)
-    entries = keyframe.covariance[_ROWS, _COLUMNS]
-    return ",".join((place, *(f"{value:.9e}" for value in entries)))
+    entries = keyframe.covariance[_ROWS, _COLUMNS].tolist()
+    return ",".join([place, *[f"{value:.9e}" for value in entries]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from vo.formats.trajectory import tum_line
+from vo.formats.trajectory import pose_fields
 from vo.types import PlacedFrames
 
 POSES_HEADING = "frame,stamp_ns,segment,keyframe,interpolated,tx,ty,tz,qx,qy,qz,qw"
@@ -20,5 +20,4 @@ def pose_lines(placed: PlacedFrames) -> Iterator[str]:
         placed.interpolated.astype(int).tolist(),
     )
     for *marks, pose in zip(*columns, placed.trajectory.world_from_cam, strict=True):
-        numbers = tum_line(0, pose).split()[1:]
-        yield ",".join((*map(str, marks), *numbers))
+        yield ",".join((*map(str, marks), *pose_fields(pose)))
