@@ -1,13 +1,14 @@
-"""Values of points taken from those beside them."""
+"""Which pixels lie beside others, and values taken from those beside them."""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 
-from vo.types import Floats
+from vo.types import Bools, Floats, Floats32
 
 NEIGHBOURS = 3
+_CELL_PX = 6.0  # pixels are beside each other in the same cell of this size, or cells that touch
 
 
 def median_of_nearest(xy: Floats, known_xy: Floats, known: Floats) -> Floats:
@@ -24,6 +25,36 @@ def median_of_nearest(xy: Floats, known_xy: Floats, known: Floats) -> Floats:
             np.ascontiguousarray(xy), np.ascontiguousarray(known_xy), np.ascontiguousarray(known)
         )
     )
+
+
+def far_from(xy: Floats | Floats32, taken_xy: Floats) -> Bools:
+    """Mask (N,) of pixels that have no taken one (M, 2) in their cell or the cells beside it."""
+    pixels = np.ascontiguousarray(xy, dtype=np.float64)
+    return np.asarray(_far_from(pixels, np.ascontiguousarray(taken_xy)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _far_from(xy, taken_xy):  # type: ignore[no-untyped-def]
+    columns, rows = 0, 0
+    for m in range(len(taken_xy)):
+        column, row = _cell(taken_xy[m])
+        columns, rows = max(columns, column), max(rows, row)
+    near = np.zeros((columns + 2, rows + 2), dtype=np.bool_)
+    for m in range(len(taken_xy)):
+        column, row = _cell(taken_xy[m])
+        near[column - 1 : column + 2, row - 1 : row + 2] = True
+    far = np.empty(len(xy), dtype=np.bool_)
+    for n in range(len(xy)):
+        column, row = _cell(xy[n])
+        far[n] = column > columns + 1 or row > rows + 1 or not near[column, row]
+    return far
+
+
+@numba.njit(cache=True, nogil=True)
+def _cell(pixel):  # type: ignore[no-untyped-def]
+    """Column and row, both 1 at least: pixels outside of the image belong to its edge."""
+    column, row = int(np.floor(pixel[0] / _CELL_PX)), int(np.floor(pixel[1] / _CELL_PX))
+    return max(column, -1) + 2, max(row, -1) + 2
 
 
 @numba.njit(cache=True, nogil=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from vo.types import Floats, Ints
@@ -34,25 +35,46 @@ def position_sigma(
     Returns:
         (M,); infinite where the observations do not tell the depth.
     """
-    ray = points[point] - centres[camera]
-    squared = np.maximum(np.einsum("ni,ni->n", ray, ray), 1e-18)
-    across = (focal_px / sigma_px) ** 2 / squared
-    along = np.where(np.isnan(disparity), 0.0, (focal_baseline / sigma_disparity_px / squared) ** 2)
-    # across * (I - r r^T) + along * r r^T, with r the unit ray, summed over each point's rays.
-    weight = (along - across) / squared
-    x, y, z = ray.T
-    terms = (
-        across + weight * x * x,
-        across + weight * y * y,
-        across + weight * z * z,
-        weight * x * y,
-        weight * x * z,
-        weight * y * z,
+    return np.asarray(
+        _position_sigma(
+            np.ascontiguousarray(points),
+            np.ascontiguousarray(centres),
+            point,
+            camera,
+            disparity,
+            sigma_px,
+            sigma_disparity_px,
+            focal_px,
+            focal_baseline,
+        )
     )
-    xx, yy, zz, xy, xz, yz = (np.bincount(point, term, minlength=len(points)) for term in terms)
-    minors = yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy
-    determinant = xx * minors[0] - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    scale = np.maximum(xx + yy + zz, 1e-300)
-    told = determinant > 1e-9 * scale**3
-    variance = np.divide(sum(minors), determinant, out=np.full(len(points), np.inf), where=told)
-    return np.asarray(np.sqrt(variance))
+
+
+@numba.njit(cache=True, nogil=True)
+def _position_sigma(  # type: ignore[no-untyped-def]
+    points, centres, point, camera, disparity, sigma_px, sigma_d, focal, fb
+):
+    # across * (I - r r^T) + along * r r^T, with r the unit ray, summed over each point's rays.
+    information = np.zeros((len(points), 6))
+    for n in range(len(point)):
+        at, centre = points[point[n]], centres[camera[n]]
+        x, y, z = at[0] - centre[0], at[1] - centre[1], at[2] - centre[2]
+        squared = max(x * x + y * y + z * z, 1e-18)
+        across = (focal / sigma_px[n]) ** 2 / squared
+        along = 0.0 if np.isnan(disparity[n]) else (fb / sigma_d / squared) ** 2
+        weight = (along - across) / squared
+        told = information[point[n]]
+        told[0] += across + weight * x * x
+        told[1] += across + weight * y * y
+        told[2] += across + weight * z * z
+        told[3] += weight * x * y
+        told[4] += weight * x * z
+        told[5] += weight * y * z
+    sigma = np.full(len(points), np.inf)
+    for m in range(len(points)):
+        xx, yy, zz, xy, xz, yz = information[m]
+        minors = yy * zz - yz * yz + (xx * zz - xz * xz) + (xx * yy - xy * xy)
+        determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+        if determinant > 1e-9 * (xx + yy + zz) ** 3:
+            sigma[m] = np.sqrt(minors / determinant)
+    return sigma

@@ -6,18 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
+from vo.mapping.lookup import rows_of
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.grow import far_from
 from vo.pipeline.place import Tracked
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import FeatureState, Floats, Floats32, Ints, Landmarks, Sightings, View
 
 
 class Seen(NamedTuple):
-    """A tracked frame, the landmarks (n,) in it and where they were (n, 2) in its image."""
+    """A tracked frame, the landmarks (n,) in it, and where they were (n, 2) in its image.
+
+    The ids of the landmarks grow.
+    """
 
     frame: WorkingFrame
     ids: Ints
@@ -46,7 +50,7 @@ def make_view(
             tracked.observed.image_xy[:, 0] - tracked.observed.disparity - rig.disparity_offset_px
         )
         error_px = _reprojection_error(world, tracked, rig, world_from_cam)
-        free = far_from(keypoints_xy.astype(np.float64), tracked.observed.image_xy)
+        free = far_from(keypoints_xy, tracked.observed.image_xy)
     new = np.full(int(free.sum()), FeatureState.NEW)
     return View(
         image0=frame.image0,
@@ -70,11 +74,12 @@ def landmarks_of(world: Map, rig: WorkingRig, sigma_disparity_px: float) -> Land
     u, v = np.rint(world.reference_xy).astype(np.int64).T
     height, width = world.images.shape[1:]
     slots = world.reference_slots()
+    number, row = world.sightings()
     sigma = position_sigma(
         world.xyz,
         np.stack([k.world_from_cam[:3, 3] for k in keyframes]),
-        np.concatenate([world.rows(k.landmark) for k in keyframes]),
-        np.repeat(np.arange(len(keyframes)), [len(k.landmark) for k in keyframes]),
+        row,
+        number,
         np.concatenate([k.disparity for k in keyframes]),
         np.concatenate([k.sigma_px for k in keyframes]),
         sigma_disparity_px,
@@ -93,12 +98,12 @@ def landmarks_of(world: Map, rig: WorkingRig, sigma_disparity_px: float) -> Land
 
 def neighbours_of(world: Map, keyframe: Keyframe) -> dict[int, int]:
     """How many landmarks each of the map's older keyframes shares with one, by frame number."""
-    shared = {
-        other.frame_index: int(np.isin(other.landmark, keyframe.landmark).sum())
-        for other in world.keyframes
-        if other.id < keyframe.id
-    }
-    return {frame: count for frame, count in shared.items() if count}
+    number, row = world.sightings()
+    seen = np.zeros(len(world), dtype=bool)
+    seen[world.rows(keyframe.landmark)] = True
+    counts = np.bincount(number[seen[row]], minlength=len(world.keyframes)).tolist()
+    shared = zip(world.keyframes, counts, strict=True)
+    return {other.frame_index: n for other, n in shared if n and other.id < keyframe.id}
 
 
 def _reprojection_error(
@@ -121,7 +126,8 @@ def _followed_by_nan(values: Floats, count: int) -> Floats32:
 
 def _positions_in(last: Seen | None, ids: Ints) -> Floats32:
     result = np.full((len(ids), 2), np.nan, np.float32)
-    if last is not None and len(last.ids):
-        _, here, there = np.intersect1d(ids, last.ids, return_indices=True)
-        result[here] = last.image_xy[there]
+    if last is not None:
+        there = rows_of(ids, last.ids)
+        here = np.flatnonzero(there >= 0)
+        result[here] = last.image_xy[there[here]]
     return result
