@@ -26,22 +26,32 @@ def note(event, arguments):
 sys.addaudithook(note)
 (Path(__file__).parent / f"{os.getpid()}.pid").touch()
 """
-CTRL_C = """
-class Presser:
+# Waits, before the odometry is loaded, for the smoother's process to have noted itself.
+WAIT = """
+import time
+
+class Waiter:
     def find_spec(self, name, path=None, target=None):
         if name == "vo.run":
-            os.kill(os.getpid(), 2)
+            sys.meta_path.remove(self)
+            until = time.monotonic() + 30
+            while len(list(Path(__file__).parent.glob("*.pid"))) < 2 and time.monotonic() < until:
+                time.sleep(0.01)
+            {then}
 
-sys.meta_path.insert(0, Presser())
+sys.meta_path.insert(0, Waiter())
 """
 
 
-def run(folder: Path, source: Path, *words: str, more: str = "") -> int:
+def run(folder: Path, source: Path, *words: str, more: str = "") -> tuple[int, str]:
+    """Exit status, and what is said on standard error."""
     (folder / "sitecustomize.py").write_text(NOTES + more, encoding="utf-8")
     command = [VO, "run", source, "-o", folder / "out", *words]
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=120, check=False)
-    return done.returncode
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    return done.returncode, done.stderr
 
 
 def modules_at_starts(folder: Path) -> list[set[str]]:
@@ -66,30 +76,31 @@ def assert_all_ended(folder: Path, count: int) -> None:
 def test_it_is_started_once_and_before_anything_heavy(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:
-    assert run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4") == 0
+    assert run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4")[0] == 0
     (loaded,) = modules_at_starts(tmp_path)
     assert not HEAVY & loaded
     assert_all_ended(tmp_path, 2)
 
 
 def test_with_one_thread_there_is_none(synthetic_stereo: Path, tmp_path: Path) -> None:
-    assert run(tmp_path, synthetic_stereo, "--set", "threads=1", "--end", "4") == 0
+    assert run(tmp_path, synthetic_stereo, "--set", "threads=1", "--end", "4")[0] == 0
     assert not modules_at_starts(tmp_path)
     assert_all_ended(tmp_path, 1)
 
 
 def test_a_wrong_setting_starts_none(tmp_path: Path) -> None:
-    assert run(tmp_path, tmp_path, "--set", "thread=2") == 1
+    assert run(tmp_path, tmp_path, "--set", "thread=2")[0] == 1
     assert_all_ended(tmp_path, 1)
 
 
 @pytest.mark.parametrize(
-    ("source", "more", "status"),
-    [("missing", "", 1), ("", "", 1), ("missing", CTRL_C, 130)],
+    ("source", "then", "status"),
+    [("missing", "pass", 1), ("", "pass", 1), ("missing", "os.kill(os.getpid(), 2)", 130)],
     ids=["no recording", "no images", "ctrl-c"],
 )
-def test_it_ends_with_a_run_that_fails(tmp_path: Path, source: str, more: str, status: int) -> None:
-    assert run(tmp_path, tmp_path / source, "--threads", "2", more=more) == status
+def test_it_ends_with_a_run_that_fails(tmp_path: Path, source: str, then: str, status: int) -> None:
+    more = WAIT.format(then=then)
+    assert run(tmp_path, tmp_path / source, "--threads", "2", more=more)[0] == status
     assert_all_ended(tmp_path, 2)
 
 
@@ -97,6 +108,8 @@ def test_a_process_that_cannot_be_started_costs_a_warning(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     more = 'sys.executable = "/nowhere/python"'
-    assert run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4", more=more) == 0
+    status, told = run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4", "-q", more=more)
+    assert status == 0
+    assert told.startswith("warning: smoothing in the same process, no other can be started")
     assert len(modules_at_starts(tmp_path)) == 2
     assert_all_ended(tmp_path, 1)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import signal
 import sys
 from types import FrameType
+
+from vo.cli.loading import loading
 
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -22,8 +25,10 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Nothing here uses scipy; numba would load it, where it is installed, to look for a BLAS.
     sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
-    from vo.cli.app import app
+    with loading():
+        from vo.cli.app import app
 
+    atexit.register(gc.freeze)  # as the program ends there is nothing to be gained by a search
     if answers:
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # all is done by then
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -240,19 +240,23 @@ def run_command(
     so), 1 error, 2 wrong use, 130 stopped by Ctrl-C, 143 by kill.
     """
     begun = _process_begun()
+    from vo.cli.loading import loading
     from vo.cli.stopping import stops_gently
 
-    with stops_gently(output):
-        from vo.config import load_config
-        from vo.pipeline.cores import available_cores
-        from vo.smoothing.child import child_started_early
+    with stops_gently(output), ExitStack() as stack:
+        with loading():
+            from vo.config import load_config
+            from vo.pipeline.cores import available_cores
+            from vo.smoothing.child import child_started_early
 
-        settings = list(overrides or ())
-        if threads is not None:
-            settings.append(f"threads={threads}")
-        merged = load_config(config, settings)
-        # Two processes load at the same time, instead of one after the other.
-        with child_started_early(merged.threads or available_cores()) as child:
+            settings = list(overrides or ())
+            if threads is not None:
+                settings.append(f"threads={threads}")
+            merged = load_config(config, settings)
+            # Two processes load at the same time, instead of one after the other.
+            cores = merged.threads or available_cores()
+            child = stack.enter_context(child_started_early(cores))
+
             from vo.cli.console import standard_error
             from vo.cli.live import live_viewer
             from vo.cli.progress import make_progress, warnings_on
@@ -261,34 +265,34 @@ def run_command(
             from vo.recording.exports import Exports
             from vo.run import run
 
-            console = standard_error()
-            watched = live_viewer(connect, spawn=spawn, serve=serve)
-            through_pipe = str(source) == "-"
-            origin = spooled_input() if through_pipe else nullcontext(source)
-            with warnings_on(console), watched as viewer, origin as path:
-                summary = run(
-                    path,
-                    output,
-                    config=merged,
-                    mode=mode.value,
-                    start=start,
-                    end=end,
-                    stride=stride,
-                    rrd=rrd,
-                    exports=Exports(mcap=mcap, colmap=colmap, ply=ply),
-                    rrd_images=rrd_images.value,
-                    viewer=viewer,
-                    calibration=calibration,
-                    format=format,
-                    topics=topic or (),
-                    follow=follow or through_pipe,
-                    source_name=NAME if through_pipe else None,
-                    progress=make_progress(console, quiet=quiet),
-                    profile_since=begun if profile else None,
-                    smoother_process=child,
-                )
-                if not quiet:
-                    print_summary(summary, output, rrd)
+        console = standard_error()
+        stack.enter_context(warnings_on(console))
+        viewer = stack.enter_context(live_viewer(connect, spawn=spawn, serve=serve))
+        through_pipe = str(source) == "-"
+        path = stack.enter_context(spooled_input()) if through_pipe else source
+        summary = run(
+            path,
+            output,
+            config=merged,
+            mode=mode.value,
+            start=start,
+            end=end,
+            stride=stride,
+            rrd=rrd,
+            exports=Exports(mcap=mcap, colmap=colmap, ply=ply),
+            rrd_images=rrd_images.value,
+            viewer=viewer,
+            calibration=calibration,
+            format=format,
+            topics=topic or (),
+            follow=follow or through_pipe,
+            source_name=NAME if through_pipe else None,
+            progress=make_progress(console, quiet=quiet),
+            profile_since=begun if profile else None,
+            smoother_process=child,
+        )
+        if not quiet:
+            print_summary(summary, output, rrd)
 
 
 def _process_begun() -> float:

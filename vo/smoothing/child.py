@@ -18,9 +18,10 @@ _log = logging.getLogger(__name__)
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
 # where this process finds them, not in the folder that it happens to be started in.
 # numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
-# Ctrl-C is for the process that asks.
+# Ctrl-C is for the process that asks. What is loaded is no garbage, see `vo.cli.loading`.
 _PROGRAM = """
-import signal, sys
+import gc, signal, sys
+gc.disable()
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 sys.path[:], sys.modules["scipy"] = {path!r}, None
 from vo.smoothing.worker import main

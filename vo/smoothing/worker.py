@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import traceback
 from typing import IO
@@ -20,6 +21,8 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not get among the answers
     warm_up()
+    gc.freeze()  # what is loaded stays
+    gc.enable()
     try:
         serve(questions, answers)
     except (EOFError, BrokenPipeError):
