@@ -7,6 +7,7 @@ import numpy as np
 from vo.config import Config
 from vo.features.alignment import align_patches
 from vo.features.matching import agree_in_rotation, match_segments
+from vo.geometry.epipolar_segments import epipolar_segments
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import in_front, triangulate
@@ -59,21 +60,23 @@ def _grow_between(
     nearest = np.full(len(query), _NEAREST * depth)
     if thin:
         nearest = np.maximum(nearest, _not_too_near(other.ideal_xy[query], now_from_other, rig))
-    segments = _segments(other.ideal_xy[query], now_from_other, nearest, _FARTHEST * depth, rig)
-    query, train = _match_between(keyframe, other, query, train, segments, config)
-    start = keyframe.keypoints.xy[train].astype(np.float64)
+    query, start, end = _segments(other, query, now_from_other, nearest, _FARTHEST * depth, rig)
+    query, train = _match_between(keyframe, other, query, train, start, end, config)
+    if len(query) == 0:
+        return 0
+    guess = keyframe.keypoints.xy[train].astype(np.float64)
     found = align_patches(
         world.images,
         np.full(len(query), other.slot),
         other.keypoints.xy[query].astype(np.float64),
         np.tile(np.eye(2), (len(query), 1, 1)),
         image,
-        start,
+        guess,
         half_px=config.tracking.patch_half_px,
     )
     size = config.features.scale_factor ** keyframe.keypoints.octave[train]
     good = found.converged & (found.score >= config.tracking.min_patch_score)
-    good &= np.linalg.norm(found.xy - start, axis=1) <= 1.0 + 1.5 * size
+    good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * size
     query, train, image_xy = query[good], train[good], found.xy[good]
     xy = rig.ideal_from_image(image_xy)
     points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
@@ -96,11 +99,12 @@ def _match_between(
     other: Keyframe,
     query: Ints,
     train: Ints,
-    segments: tuple[Floats, Floats, Bools],
+    segment_start: Floats,
+    segment_end: Floats,
     config: Config,
 ) -> tuple[Ints, Ints]:
-    start, end, possible = segments
-    query, start, end = query[possible], start[possible], end[possible]
+    if len(query) == 0 or len(train) == 0:
+        return query[:0], train[:0]
     keypoints = keyframe.keypoints
     size = config.features.scale_factor ** keypoints.octave[train].astype(np.float64)
     matched = match_segments(
@@ -109,8 +113,8 @@ def _match_between(
         keyframe.ideal_xy[train],
         keypoints.octave[train],
         keypoints.descriptor[train],
-        start,
-        end,
+        segment_start,
+        segment_end,
         tolerance_px=1.5 * size,
         max_distance=config.tracking.max_hamming,
         ratio=config.tracking.ratio,
@@ -122,20 +126,21 @@ def _match_between(
 
 
 def _segments(
-    xy: Floats, now_from_other: Floats, nearest: Floats, farthest: float, rig: WorkingRig
-) -> tuple[Floats, Floats, Bools]:
-    """Ideal pixels of features in the other view for the nearest and the farthest depth.
+    other: Keyframe,
+    query: Ints,
+    now_from_other: Floats,
+    nearest: Floats,
+    farthest: float,
+    rig: WorkingRig,
+) -> tuple[Ints, Floats, Floats]:
+    """Features whose depths are all in front of both cameras, and where their segments end now.
 
-    Features (n,) whose nearest (n,) point would be behind the other camera are not possible.
+    When the camera has moved on by more than the nearest (n,) depth there are none.
     """
-    ends = []
-    possible = np.ones(len(xy), dtype=bool)
-    for depth in (nearest, np.full(len(xy), farthest)):
-        moved = transform_points(now_from_other, rig.back_project(xy, depth))
-        possible &= moved[:, 2] > 1e-4 * farthest
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends.append(rig.project(moved))
-    return ends[0], ends[1], possible
+    start, end, possible = epipolar_segments(
+        other.ideal_xy[query], now_from_other, nearest, farthest, (rig.fx, rig.fy, rig.cx, rig.cy)
+    )
+    return query[possible], start[possible], end[possible]
 
 
 def _not_too_near(xy: Floats, now_from_other: Floats, rig: WorkingRig) -> Floats:
@@ -172,5 +177,5 @@ def _median_depth(world: Map, keyframe: Keyframe) -> float | None:
     rows = rows[rows >= 0]
     if len(rows) < 8:
         return None
-    depth = transform_points(inverse(keyframe.world_from_cam), world.xyz[rows])[:, 2]
-    return float(np.median(depth))
+    cam_from_world = inverse(keyframe.world_from_cam)
+    return float(np.median(world.xyz[rows] @ cam_from_world[2, :3] + cam_from_world[2, 3]))

@@ -1,0 +1,55 @@
+"""Where in a second view a pixel of the first can be, if its depth is known within limits."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from vo.types import Bools, Floats
+
+_LEAST_DEPTH = 1e-4  # in the second view, of the farthest depth in the first
+
+
+def epipolar_segments(
+    xy: Floats,
+    second_from_first: Floats,
+    nearest: Floats,
+    farthest: float,
+    intrinsics: tuple[float, float, float, float],
+) -> tuple[Floats, Floats, Bools]:
+    """Ideal pixels (n, 2) in the second view for the nearest and the farthest depth, and a mask.
+
+    Pixels outside of the mask (n,) have an end behind the second camera; their segments are NaN.
+
+    Args:
+        xy: (n, 2) ideal pixels of the first view.
+        second_from_first: (4, 4).
+        nearest: (n,) least depth of each in the first view.
+        farthest: greatest depth of all.
+        intrinsics: fx, fy, cx, cy of both views.
+    """
+    start, end, possible = _segments(
+        np.ascontiguousarray(xy), second_from_first, nearest, farthest, intrinsics
+    )
+    return start, end, possible
+
+
+@numba.njit(cache=True, nogil=True)
+def _segments(xy, motion, nearest, farthest, intrinsics):  # type: ignore[no-untyped-def]
+    fx, fy, cx, cy = intrinsics
+    ends = np.full((2, len(xy), 2), np.nan)
+    possible = np.empty(len(xy), dtype=np.bool_)
+    for n in range(len(xy)):
+        x, y = (xy[n, 0] - cx) / fx, (xy[n, 1] - cy) / fy
+        rx = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2]
+        ry = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2]
+        rz = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2]
+        near_z = rz * nearest[n] + motion[2, 3]
+        far_z = rz * farthest + motion[2, 3]
+        possible[n] = min(near_z, far_z) > _LEAST_DEPTH * farthest
+        if possible[n]:
+            ends[0, n, 0] = (rx * nearest[n] + motion[0, 3]) / near_z * fx + cx
+            ends[0, n, 1] = (ry * nearest[n] + motion[1, 3]) / near_z * fy + cy
+            ends[1, n, 0] = (rx * farthest + motion[0, 3]) / far_z * fx + cx
+            ends[1, n, 1] = (ry * farthest + motion[1, 3]) / far_z * fy + cy
+    return ends[0], ends[1], possible
