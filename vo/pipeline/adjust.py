@@ -100,9 +100,10 @@ def _carry_landmarks(world: Map, before: Floats, carried: Bools) -> None:
     """Move landmarks with the keyframes of their patches, whose poses were others `before`."""
     now = np.stack([k.world_from_cam for k in world.keyframes])
     motion = now @ inverse(before)
-    by = motion[world.reference[carried] - world.keyframes[0].id]
-    turned = np.einsum("nij,nj->ni", by[:, :3, :3], world.xyz[carried])
-    world.xyz[carried] = turned + by[:, :3, 3]
+    rows = np.flatnonzero(carried)
+    by = motion[world.reference[rows] - world.keyframes[0].id]
+    turned = np.einsum("nij,nj->ni", by[:, :3, :3], world.xyz[rows])
+    world.xyz[rows] = turned + by[:, :3, 3]
 
 
 def cull(world: Map, config: Config) -> None:

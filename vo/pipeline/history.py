@@ -86,7 +86,9 @@ class History:
     ) -> None:
         """Append a frame that hangs on a keyframe, and those to be interpolated before it."""
         self._add_untracked(frame_index, segment)
-        relative = inverse(self.keyframe(keyframe).world_from_cam0) @ world_from_cam0
+        row = self._keyframe_row(keyframe)
+        hung_on = whole_transforms(self._keyframes.rows["world_from_cam0"][row : row + 1])[0]
+        relative = inverse(hung_on) @ world_from_cam0
         self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
 
     def store(self, keyframe: int, pose: KeyframePose) -> None:
@@ -108,10 +110,6 @@ class History:
         changed = self._changed, self._changed_keyframe
         self._changed, self._changed_keyframe = len(self._frames), len(self._keyframes)
         return changed
-
-    def keyframe(self, keyframe: int) -> KeyframePose:
-        """A keyframe by its id."""
-        return self.keyframes_by_id([keyframe])[0]
 
     def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
         """Keyframes by their ids, which grow."""

@@ -12,32 +12,25 @@ from vo.types import Floats
 
 def update_covariances(keyframes: tuple[Keyframe, ...], solution: WindowSolution) -> None:
     """Give the keyframes that a window moved their covariances, also those with one another."""
+    count = len(keyframes)
     joint = propagated(solution.information, solution.held, _joint(keyframes))
+    blocks = np.ascontiguousarray(joint.reshape(count, 6, count, 6).swapaxes(1, 2))
+    known = np.asarray(np.isfinite(blocks).all(axis=(2, 3)))
     for k, keyframe in enumerate(keyframes):
         if solution.held[k] and keyframe.covariance is not None:
             continue
-        keyframe.covariance = _block(joint, k, k)
-        keyframe.shared = {}
-        for j in range(k):
-            shared = _block(joint, k, j)
-            if shared is not None:
-                keyframe.shared[keyframes[j].id] = shared
+        keyframe.covariance = blocks[k, k] if known[k, k] else None
+        keyframe.shared = {keyframes[j].id: blocks[k, j] for j in range(k) if known[k, j]}
 
 
 def _joint(keyframes: tuple[Keyframe, ...]) -> Floats:
     """(6 K, 6 K) covariances as they are known; NaN on the diagonal where they are not."""
-    joint = np.zeros((6 * len(keyframes), 6 * len(keyframes)))
+    count = len(keyframes)
+    blocks = np.zeros((count, count, 6, 6))
     for k, keyframe in enumerate(keyframes):
-        rows = slice(6 * k, 6 * k + 6)
-        joint[rows, rows] = np.nan if keyframe.covariance is None else keyframe.covariance
+        blocks[k, k] = np.nan if keyframe.covariance is None else keyframe.covariance
         for j, other in enumerate(keyframes[:k]):
-            if other.id in keyframe.shared:
-                columns = slice(6 * j, 6 * j + 6)
-                joint[rows, columns] = keyframe.shared[other.id]
-                joint[columns, rows] = keyframe.shared[other.id].T
-    return joint
-
-
-def _block(joint: Floats, row: int, column: int) -> Floats | None:
-    block = joint[6 * row : 6 * row + 6, 6 * column : 6 * column + 6]
-    return block.copy() if np.isfinite(block).all() else None
+            shared = keyframe.shared.get(other.id)
+            if shared is not None:
+                blocks[k, j], blocks[j, k] = shared, shared.T
+    return blocks.swapaxes(1, 2).reshape(6 * count, 6 * count)
