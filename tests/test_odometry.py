@@ -182,6 +182,23 @@ def test_estimates_hold_together(stereo: Run) -> None:
         assert estimate.stage_ms["features"] > 0.0
 
 
+def test_what_only_recordings_show_can_be_left_out(stereo: Run, recording: Recording) -> None:
+    odometry = Odometry(recording.rig, CONFIG)
+    odometry.details = False
+    plain = list(odometry.steps(recording.frames[:15]))
+    odometry.close()
+    for ours, whole in zip(plain, stereo.estimates, strict=False):
+        np.testing.assert_array_equal(ours.world_from_cam0, whole.world_from_cam0)
+        np.testing.assert_array_equal(ours.view.xy, whole.view.xy)
+        assert ours.view.error_px is None and not ours.neighbours
+        assert whole.view.error_px is not None and not np.isnan(whole.view.error_px).all()
+        if ours.landmarks is not None and whole.landmarks is not None:
+            np.testing.assert_array_equal(ours.landmarks.ids, whole.landmarks.ids)
+            assert ours.landmarks.sigma is None and whole.landmarks.sigma is not None
+    assert sum(e.is_keyframe for e in plain) > 1
+    assert any(e.neighbours for e in stereo.estimates)
+
+
 def test_landmarks_lie_inside_the_room(stereo: Run, recording: Recording) -> None:
     landmarks = next(e.landmarks for e in reversed(stereo.estimates) if e.landmarks is not None)
     xyz = landmarks.xyz @ recording.world_from_cam0[0, :3, :3].T

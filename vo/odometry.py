@@ -31,7 +31,14 @@ from vo.pipeline.light import fault_of
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
 from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
-from vo.pipeline.view import Seen, landmarks_of, make_view, neighbours_of
+from vo.pipeline.view import (
+    Seen,
+    landmarks_of,
+    make_view,
+    neighbours_of,
+    points_of,
+    with_matches,
+)
 from vo.pipeline.working_frame import Preparation, WorkingFrame
 from vo.smoothing.smoother import make_smoother
 from vo.smoothing.solution import WindowSolution
@@ -51,6 +58,11 @@ class Odometry:
 
     How many threads there are, and how fast, makes no difference to any pose.
 
+    Attributes:
+        history: the path so far.
+        details: whether estimates also have what only recordings show: matches of the view,
+            uncertainty and sightings of landmarks, neighbours. It takes a twentieth of the time.
+
     Args:
         rig: the cameras, as recorded.
         config: all settings.
@@ -62,6 +74,7 @@ class Odometry:
     ) -> None:
         cv2.setRNGSeed(config.seed)
         self.history = History()
+        self.details = True
         self._config = config
         # Depth cameras have other errors than a wrong rectification.
         self._corrects_offset = config.stereo.offset_correction and not rig.has_depth
@@ -363,7 +376,9 @@ class Odometry:
         if tracked is not None:
             # A keyframe may have been carried along by the answer to the window before it.
             pose = tracked.world_from_cam if keyframe is None else keyframe.world_from_cam
-        view = make_view(frame, tracked, self._last, self._rig, self._map, pose)
+        view = make_view(frame, tracked, self._rig)
+        if self.details:
+            view = with_matches(view, tracked, self._last, self._rig, self._map, pose)
         self._remember(frame, tracked, keyframe)
         moved, self._moved = sorted(self._moved), set()
         return Estimate(
@@ -380,10 +395,12 @@ class Odometry:
             view=view,
             landmarks=self._landmarks() if moved else None,
             stage_ms=clock.stage_ms,
-            neighbours={} if keyframe is None else neighbours_of(self._map, keyframe),
+            neighbours=neighbours_of(self._map, keyframe) if keyframe and self.details else {},
             disparity_offset_px=self.disparity_offset_px,
         )
 
     def _landmarks(self) -> Landmarks:
+        if not self.details:
+            return points_of(self._map, self._rig)
         sigma_disparity_px = self._config.smoothing.sigma_disparity_px
         return landmarks_of(self._map, self._rig, sigma_disparity_px)

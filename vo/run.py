@@ -118,6 +118,7 @@ def run(
             odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
         recorder = recorder or _make_recorder(rrd, rrd_images, viewer)
         recorder = with_exports(recorder, exports)
+        odometry.details = not isinstance(recorder, NullRecorder)
         name = opened.name.encode("utf-8", "replace").decode()  # rerun and MCAP take no other bytes
         recorder.begin(name, opened.rig, opened.ground_truth)
         folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,44 +29,53 @@ class Seen(NamedTuple):
     image_xy: Floats
 
 
-def make_view(
-    frame: WorkingFrame,
+def make_view(frame: WorkingFrame, tracked: Tracked | None, rig: WorkingRig) -> View:
+    """Landmarks that were found in a frame, and features beside them."""
+    if tracked is None:
+        xy, codes = frame.keypoints.xy, np.empty(0, np.uint8)
+    else:
+        codes = np.where(tracked.inlier, FeatureState.TRACKED, FeatureState.REJECTED)
+        found_xy = tracked.observed.image_xy
+        free = np.flatnonzero(far_from(frame.keypoints.xy, found_xy))
+        xy = np.concatenate([found_xy.astype(np.float32), frame.keypoints.xy.take(free, axis=0)])
+    feature_state = np.full(len(xy), FeatureState.NEW, dtype=np.uint8)
+    feature_state[: len(codes)] = codes
+    return View(
+        image0=frame.image0,
+        image1=frame.image1,
+        xy=xy,
+        feature_state=feature_state,
+        previous_xy=np.full((len(xy), 2), np.nan, np.float32),
+        camera_matrix=rig.matrix,
+        lens=rig.lens,
+        baseline_m=rig.baseline_m,
+        cam0_from_image0=rig.cam0_from_working,
+        path=frame.path,
+    )
+
+
+def with_matches(
+    view: View,
     tracked: Tracked | None,
     last: Seen | None,
     rig: WorkingRig,
     world: Map,
     world_from_cam: Floats | None,
 ) -> View:
-    """Landmarks with where they were in the last tracked frame, and features beside them."""
-    keypoints_xy = frame.keypoints.xy
-    if tracked is None or world_from_cam is None:
-        xy, codes = np.empty((0, 2), np.float32), np.empty(0, np.uint8)
-        previous, free = xy, np.ones(len(keypoints_xy), dtype=bool)
-        right_u = error_px = np.empty(0)
-    else:
-        xy = tracked.observed.image_xy.astype(np.float32)
-        codes = np.where(tracked.inlier, FeatureState.TRACKED, FeatureState.REJECTED)
-        previous = _positions_in(last, tracked.ids)
-        right_u = (
-            tracked.observed.image_xy[:, 0] - tracked.observed.disparity - rig.disparity_offset_px
-        )
-        error_px = _reprojection_error(world, tracked, rig, world_from_cam)
-        free = far_from(keypoints_xy, tracked.observed.image_xy)
-    new = np.full(int(free.sum()), FeatureState.NEW)
-    return View(
-        image0=frame.image0,
-        image1=frame.image1,
-        xy=np.concatenate([xy, keypoints_xy[free]]),
-        feature_state=np.concatenate([codes, new]).astype(np.uint8),
-        previous_xy=np.concatenate([previous, np.full((len(new), 2), np.nan, np.float32)]),
-        camera_matrix=rig.matrix,
-        right_u=_followed_by_nan(right_u, len(new)),
-        error_px=_followed_by_nan(error_px, len(new)),
-        lens=rig.lens,
-        baseline_m=rig.baseline_m,
-        cam0_from_image0=rig.cam0_from_working,
-        path=frame.path,
-    )
+    """The same with where each landmark was before and on the right, and how far it is off."""
+    previous_xy = view.previous_xy.copy()
+    right_u, error_px = np.full((2, len(view.xy)), np.nan, np.float32)
+    if tracked is not None and world_from_cam is not None:
+        found, count = tracked.observed, len(tracked.ids)
+        previous_xy[:count] = _positions_in(last, tracked.ids)
+        right_u[:count] = found.image_xy[:, 0] - found.disparity - rig.disparity_offset_px
+        error_px[:count] = _reprojection_error(world, tracked, rig, world_from_cam)
+    return replace(view, previous_xy=previous_xy, right_u=right_u, error_px=error_px)
+
+
+def points_of(world: Map, rig: WorkingRig) -> Landmarks:
+    """The map's points alone."""
+    return Landmarks(world.id.copy(), transform_points(rig.cam0_from_working, world.xyz))
 
 
 def landmarks_of(world: Map, rig: WorkingRig, sigma_disparity_px: float) -> Landmarks:
@@ -86,9 +96,8 @@ def landmarks_of(world: Map, rig: WorkingRig, sigma_disparity_px: float) -> Land
         rig.fx,
         rig.fx * rig.baseline_m,
     )
-    return Landmarks(
-        ids=world.id.copy(),
-        xyz=transform_points(rig.cam0_from_working, world.xyz),
+    return replace(
+        points_of(world, rig),
         grey=world.images[slots, v.clip(0, height - 1), u.clip(0, width - 1)],
         sigma=sigma,
         # A keyframe's arrays are replaced, never changed, so that they need no copy.
@@ -117,11 +126,6 @@ def _reprojection_error(
     off = rig.project(in_cam) - tracked.observed.xy[there]
     error_px[there] = np.hypot(off[:, 0], off[:, 1])
     return error_px
-
-
-def _followed_by_nan(values: Floats, count: int) -> Floats32:
-    nothing = np.full(count, np.nan, np.float32)
-    return np.concatenate([values.astype(np.float32), nothing])
 
 
 def _positions_in(last: Seen | None, ids: Ints) -> Floats32:
