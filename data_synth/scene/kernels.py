@@ -32,6 +32,7 @@ _LEAST_JUMP = 0.01
 _FAR_M = 1000.0
 _LIFT_M = 0.012  # light is measured just above marks and rugs that lie on a surface
 _FEW_AROUND = 4  # solids that a pixel and those around it see
+_GUESSES = 6
 _FEW_CLOSE = 6  # solids that are asked one by one
 _DARKEST = 0.35  # ambient light in the deepest corner
 
@@ -43,6 +44,8 @@ _CLOUDS_PER_TURN = 22.5
 _BITS = 16  # of a texel's fraction in texture coordinates, which are whole numbers
 _ONE_TEXEL, _FRACTION = float(1 << _BITS), (1 << _BITS) - 1
 _PER_GREY = 1.0 / (255.0 * _ONE_TEXEL * _ONE_TEXEL)
+_FILTER_PIXELS = 4  # of a row that share how their texture is averaged,
+_SAME_LENGTH = 0.01  # while they are as far away as this share of the length
 _EDGE, _UNCERTAIN = 1, 2  # pixels that an edge crosses; whose rays may meet anything
 
 _at = np.uint64  # an index that is not negative: Python's negative ones cost a few steps each
@@ -56,8 +59,12 @@ _Tile = tuple[int, int, int, int]  # rows from, to, columns from, to
 _Level = tuple[int, float, float]  # mip-map level, its scale, share of the next level
 _Beam = tuple[_Vector, _Vector, _Vector, _Vector]  # least and greatest origins, then rays
 _List = tuple[Ints, Floats]  # solids, and ray lengths below which each is not met
-_Seen = tuple[Ints, Floats, float]  # solids, ray lengths below which each and the ground are not
+# Solids, ray lengths below which each and the ground are not met, and `_plunge`.
+_Seen = tuple[Ints, Floats, float, float]
+# Level, samples, share of the next level, scale; the longer side; level and scale of the stain.
+_Filter = tuple[int, int, float, float, float, float, int, float]
 _ZERO = (0.0, 0.0, 0.0)
+_NO_FILTER = (0, 1, 0.0, 1.0, 0.0, 0.0, 0, 1.0)
 
 
 def _entry(function: _F) -> _F:
@@ -103,10 +110,10 @@ def cast_rows(
             for upper in range(tile[0], tile[1], _CAST_TILE):
                 for first in range(tile[2], tile[3], _CAST_TILE):
                     part = _tile(rays, band, upper, first, _CAST_TILE)
-                    fewer, below = _thin_out(
+                    fewer, below, plunge = _thin_out(
                         world, shutter, rays, part, 0.0, far, count, earth, near
                     )
-                    seen = (near[0][:fewer], near[1][:fewer], below)
+                    seen = (near[0][:fewer], near[1][:fewer], below, plunge)
                     _meet_tile(world, middles[upper - top :], rays, part, seen, depth, surface)
             # Apart from what is met: in one loop, both would take a sixth longer.
             _shade_tile(world, middles, rays, tile, image, depth, surface)
@@ -122,6 +129,7 @@ def _meet_tile(
     depth: Floats32,
     surface: NDArray[np.int32],
 ) -> None:
+    guess = seen[2]
     for row in range(tile[0], tile[1]):
         turn, start, time = _stored(poses[row - tile[0]])
         for column in range(tile[2], tile[3]):
@@ -129,8 +137,10 @@ def _meet_tile(
             if np.isnan(x):
                 depth[row, column], surface[row, column] = np.inf, _NOTHING
                 continue
-            t, number = _meet(world, start, time, _turned(turn, (x, y, 1.0)), seen)
+            t, number = _meet(world, start, time, _turned(turn, (x, y, 1.0)), seen, guess)
             depth[row, column], surface[row, column] = t, number
+            if number == _ground_number(world):
+                guess = t
 
 
 @_compiled
@@ -143,16 +153,25 @@ def _shade_tile(
     depth: Floats32,
     surface: NDArray[np.int32],
 ) -> None:
+    filter_ = _NO_FILTER
     for row in range(tile[0], tile[1]):
         turn, start, time = _stored(poses[row - tile[0]])
+        same, first, until = _NOTHING, 0.0, 0
         for column in range(tile[2], tile[3]):
             number = surface[row, column]
             if number == _NOTHING:
                 image[row, column] = 0.0
                 continue
-            ray, across, down = _ray(rays, row, column, turn)
             t = float(depth[row, column])
-            image[row, column] = _shade(world, start, time, ray, (across, down), t, number)
+            if number == same and column < until and abs(t - first) <= _SAME_LENGTH * first:
+                ray = _turned(turn, (rays[row, column, 0], rays[row, column, 1], 1.0))
+            else:
+                ray, across, down = _ray(rays, row, column, turn)
+                filter_ = _filter(world, start, time, ray, (across, down), t, number)
+                same, first, until = number, t, column + _FILTER_PIXELS
+                if not _is_flat(world, number):
+                    until = column
+            image[row, column] = _shade(world, start, time, ray, t, number, filter_)
 
 
 @_compiled
@@ -250,15 +269,15 @@ def smooth_rows(
                     part = _tile(rays, band, upper, first, _SMOOTH_TILE)
                     if not _is_open(crossed, part):
                         continue
-                    seen = (near[0][:0], near[1][:0], np.inf)
+                    seen = (near[0][:0], near[1][:0], np.inf, 0.0)
                     for asked in (_EDGE, _UNCERTAIN):
                         if asked == _UNCERTAIN:
                             if count < 0:
                                 count, earth = _list_seen(world, shutter, rays, tile, 0.5, far)
-                            fewer, below = _thin_out(
+                            fewer, below, plunge = _thin_out(
                                 world, shutter, rays, part, 0.5, far, count, earth, near
                             )
-                            seen = (near[0][:fewer], near[1][:fewer], below)
+                            seen = (near[0][:fewer], near[1][:fewer], below, plunge)
                         if _mean_of_rays(
                             world,
                             shutter,
@@ -357,7 +376,7 @@ def _mean_of_rays(
             likely, is_open, is_clear = seen, True, True
             if asked == _EDGE:
                 count, below, open_ = _around(world, depth, surface, row, column, around[0])
-                likely, is_open = (around[0][:count], around[1][:count], below), open_
+                likely, is_open = (around[0][:count], around[1][:count], below, 0.0), open_
                 is_clear = level == 0 and count <= _FEW_AROUND
             mean = -1.0
             if is_clear:
@@ -421,7 +440,7 @@ def _mean_radiance(
         else:
             turn, start, time = _pose(shutter, rows, row, grains[k, 2])
         to = _turned(turn, _within(ray, across, down, grains[k, 0], grains[k, 1]))
-        t, number = _meet(world, start, time, to, seen)
+        t, number = _meet(world, start, time, to, seen, seen[2])
         if number == _SKY and not is_open:
             return -1.0
         inverse, group = 1.0 / t, 0
@@ -457,7 +476,8 @@ def _mean_radiance(
         t = 1.0 / inverse
         if numbers[group] == _ground_number(world):  # it bends too much for a mean length
             t = min(_ground_hit(world, start, to, 0.9 * t, 1.1 * t), 1.1 * t)
-        shade = _shade(world, start, time, to, sides, t, numbers[group])
+        filter_ = _filter(world, start, time, to, sides, t, numbers[group])
+        shade = _shade(world, start, time, to, t, numbers[group], filter_)
         total += size * shade
     return total / many
 
@@ -818,15 +838,15 @@ def _thin_out(
     count: int,
     earth: float,
     result: _List,
-) -> tuple[int, float]:
+) -> tuple[int, float, float]:
     """Of the solids listed for a larger tile, those that a smaller one may see.
 
-    Also returned is the length below which no ray meets the ground; `earth` is that of the larger
-    tile.
+    Also returned are the length below which no ray meets the ground, `earth` being that of the
+    larger tile, and `_plunge`.
     """
     beam = _beam(shutter, rays, tile, share)
     if beam[2][0] > beam[3][0]:
-        return 0, np.inf
+        return 0, np.inf, 0.0
     solids, starts = result
     fewer = 0
     for k in range(count):
@@ -835,7 +855,8 @@ def _thin_out(
             near = _earliest(world.bounds, solid, beam)
         if near != np.inf:
             fewer = _insert(solids, starts, fewer, solid, near)
-    return fewer, _ground_start(world, beam, earth)
+    below = _ground_start(world, beam, earth)
+    return fewer, below, _plunge(world, beam, below)
 
 
 @_compiled
@@ -977,8 +998,38 @@ def _ground_start(world: World, beam: _Beam, begin: float) -> float:
 @_compiled
 def _above_ground(world: World, beam: _Beam, begin: float, end: float) -> bool:
     """Whether all rays of a beam are above the ground between two lengths."""
+    least = beam[0][2] + min(begin * beam[2][2], end * beam[2][2])
+    return bool(least > _most_within(world, world.relief.peaks, _area(beam, begin, end)))
+
+
+@_compiled
+def _plunge(world: World, beam: _Beam, begin: float) -> float:
+    """Length up to which, from `begin` on, all rays of a beam come ever closer to the ground.
+
+    They are to meet it between; 0 where some might not come closer.
+    """
+    if not begin < _FAR_M:
+        return 0.0
+    relief, (_, _, low, high) = world.relief, beam
+    end = 1.15 * begin + 0.5
+    area = _area(beam, begin, end)
+    rows, columns = relief.heights.shape
+    if (
+        area[0] < relief.corner[0]
+        or area[1] > relief.corner[0] + relief.cell * (columns - 1)
+        or area[2] < relief.corner[1]
+        or area[3] > relief.corner[1] + relief.cell * (rows - 1)
+    ):
+        return 0.0
+    x, y = max(abs(low[0]), abs(high[0])), max(abs(low[1]), abs(high[1]))
+    fall = math.sqrt(x * x + y * y) * _most_within(world, relief.slopes, area)
+    return end if -high[2] > fall else 0.0
+
+
+@_compiled
+def _area(beam: _Beam, begin: float, end: float) -> tuple[float, float, float, float]:
+    """Least and greatest x, then y, of a beam between two lengths."""
     from_, to, low, high = beam
-    least = from_[2] + min(begin * low[2], end * low[2])
     x0, x1 = (
         from_[0] + min(begin * low[0], end * low[0]),
         to[0] + max(begin * high[0], end * high[0]),
@@ -987,13 +1038,13 @@ def _above_ground(world: World, beam: _Beam, begin: float, end: float) -> bool:
         from_[1] + min(begin * low[1], end * low[1]),
         to[1] + max(begin * high[1], end * high[1]),
     )
-    return bool(least > _peak_within(world, x0, x1, y0, y1))
+    return x0, x1, y0, y1
 
 
 @_compiled
-def _peak_within(world: World, x0: float, x1: float, y0: float, y1: float) -> float:
-    """Upper bound of the ground's heights over an area; minus infinity beside the ground."""
-    relief = world.relief
+def _most_within(world: World, values: Floats32, area: tuple[float, float, float, float]) -> float:
+    """The greatest of the ground's `peaks` or `slopes` over an area; -inf beside the ground."""
+    relief, (x0, x1, y0, y1) = world.relief, area
     rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
     scale = relief.per_m
     left, right = (x0 - relief.corner[0]) * scale, (x1 - relief.corner[0]) * scale
@@ -1005,12 +1056,12 @@ def _peak_within(world: World, x0: float, x1: float, y0: float, y1: float) -> fl
     level = 0
     while level + 1 < len(relief.starts) and max(j1 - j0, i1 - i0) >> level > 2:
         level += 1
-    peak = -np.inf
+    most = -np.inf
     for i in range(i0 >> level, (i1 >> level) + 1):
         for j in range(j0 >> level, (j1 >> level) + 1):
             at = relief.starts[level] + i * relief.widths[level] + j
-            peak = max(peak, relief.peaks[at])
-    return peak
+            most = max(most, values[at])
+    return most
 
 
 # --- What one ray meets ----------------------------------------------------------------------
@@ -1018,12 +1069,19 @@ def _peak_within(world: World, x0: float, x1: float, y0: float, y1: float) -> fl
 
 @_compiled
 def _meet(
-    world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen
+    world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen, guess: float
 ) -> tuple[float, int]:
-    """Ray length and number of the surface that a ray meets, among the solids seen."""
+    """Ray length and number of the surface that a ray meets, among the solids seen.
+
+    `guess` is where it may meet the ground.
+    """
     t, solid, part = _nearest(world, start, time, ray, seen)
     if seen[2] < t:
-        below = _ground_hit(world, start, ray, seen[2], t)
+        below = -1.0
+        if seen[3] > 0.0:
+            below = _ground_below(world, start, ray, (seen[2], seen[3]), guess)
+        if below < 0.0:
+            below = _ground_hit(world, start, ray, seen[2], t)
         if below < t:
             return below, _ground_number(world)
     if solid < 0:
@@ -1035,7 +1093,15 @@ def _meet(
 
 
 @_compiled
-def _shade(
+def _is_flat(world: World, number: int) -> bool:
+    """Whether a filter changes little from pixel to pixel of a surface."""
+    if number < 0 or number == _ground_number(world):
+        return True
+    return _part(world, number // 6, number % 6) < _ROUND
+
+
+@_compiled
+def _filter(
     world: World,
     start: _Vector,
     time: float,
@@ -1043,46 +1109,81 @@ def _shade(
     sides: tuple[_Vector, _Vector],
     t: float,
     number: int,
+) -> _Filter:
+    """How to average the texture where a ray meets a surface, if these are its changes."""
+    if number == _SKY:
+        return _NO_FILTER
+    if number == _ground_number(world):
+        return _ground_filter(world, _moved(start, ray, t), ray, sides, t)
+    solid, face = number // 6, number % 6
+    part = _part(world, solid, face)
+    to = _local(world, solid, ray)
+    changes = _local(world, solid, sides[0]), _local(world, solid, sides[1])
+    if part < _ROUND:
+        axis = part
+        first, second = _slid_on_flat(axis, 2.0 * (face % 2) - 1.0, to, changes, t)
+    else:
+        hit = _moved(_local_point(world, solid, _beside(world, solid, start, time)), to, t)
+        normal = _normal(world, solid, part, face, hit)
+        axis = 0 if part == _SIDE else _longest(normal)
+        first, second = _slid_on_round(world, solid, part, axis, normal, hit, to, changes, t)
+    su, sv = world.scales[_at(solid), _at(axis), 0], world.scales[_at(solid), _at(axis), 1]
+    scale = 0.0
+    if world.stains[_at(solid), 0] > 0.0:
+        scale = world.stains[_at(solid), 1]
+    return _filter_over(first, second, su, sv, scale)
+
+
+@_compiled
+def _shade(
+    world: World,
+    start: _Vector,
+    time: float,
+    ray: _Vector,
+    t: float,
+    number: int,
+    filter_: _Filter,
 ) -> float:
-    """Radiance where a ray meets a surface, over a footprint with these changes of the ray."""
+    """Radiance where a ray meets a surface."""
     if number == _SKY:
         return _sky(world, ray)
     if number == _ground_number(world):
-        return _ground_shade(world, _moved(start, ray, t), ray, sides, t)
+        return _ground_shade(world, _moved(start, ray, t), filter_)
     solid, face = number // 6, number % 6
     part = _part(world, solid, face)
     to = _local(world, solid, ray)
     hit = _moved(_local_point(world, solid, _beside(world, solid, start, time)), to, t)
-    changes = _local(world, solid, sides[0]), _local(world, solid, sides[1])
     normal = _normal(world, solid, part, face, hit)
     if part < _ROUND:
         axis = part
-        at, first, second = _on_flat(axis, 2.0 * (face % 2) - 1.0, hit, to, changes, t)
+        at = _on_face(axis, 2.0 * (face % 2) - 1.0, hit)
+    elif part == _SIDE:
+        axis = 0
+        at = _unrolled(world, solid, hit)
     else:
-        axis = 0 if part == _SIDE else _longest(normal)
-        at, first, second = _on_round(world, solid, part, axis, normal, hit, to, changes, t)
-    shade = _texture(world, solid, axis, part == _SIDE, at, first, second)
+        axis = _longest(normal)
+        at = _on_face(axis, 1.0 if normal[axis] > 0.0 else -1.0, hit)
+    shade = _texture(world, solid, axis, part == _SIDE, at, filter_)
     return shade * _light(world, solid, part, normal, hit)
 
 
 @_compiled
-def _on_flat(
-    axis: int, sign: float, hit: _Vector, ray: _Vector, changes: tuple[_Vector, _Vector], t: float
-) -> tuple[_Pair, _Pair, _Pair]:
-    """Right and down of a hit on the face of an axis, and how they change with the ray."""
+def _slid_on_flat(
+    axis: int, sign: float, ray: _Vector, changes: tuple[_Vector, _Vector], t: float
+) -> tuple[_Pair, _Pair]:
+    """How a hit on the face of an axis changes to the right and down when the ray does."""
     facing = 1.0 / min(sign * ray[axis], -1e-9)
     along = _on_face(axis, sign, ray)
     first, second = _on_face(axis, sign, changes[0]), _on_face(axis, sign, changes[1])
     p, q = sign * changes[0][axis] * facing, sign * changes[1][axis] * facing
     return (
-        _on_face(axis, sign, hit),
         (t * (first[0] - p * along[0]), t * (first[1] - p * along[1])),
         (t * (second[0] - q * along[0]), t * (second[1] - q * along[1])),
     )
 
 
 @_compiled
-def _on_round(
+def _slid_on_round(
     world: World,
     solid: int,
     part: int,
@@ -1092,27 +1193,19 @@ def _on_round(
     ray: _Vector,
     changes: tuple[_Vector, _Vector],
     t: float,
-) -> tuple[_Pair, _Pair, _Pair]:
-    """As `_on_flat`, on the side of a cylinder or on the face of an ellipsoid's cube."""
+) -> tuple[_Pair, _Pair]:
+    """As `_slid_on_flat`, on the side of a cylinder or on the face of an ellipsoid's cube."""
     facing = _facing(normal, ray)
     first, second = (
         _slid(ray, changes[0], normal, t, facing),
         _slid(ray, changes[1], normal, t, facing),
     )
     if part == _SIDE:
-        right, low, turn = _unrolled(world, solid, hit)
+        turn = 1.0 if _runs_on(world, solid, hit) else -1.0
         tangent = (-turn * normal[1], turn * normal[0], 0.0)
-        return (
-            (right, low),
-            (_dot(tangent, first), -first[2]),
-            (_dot(tangent, second), -second[2]),
-        )
+        return (_dot(tangent, first), -first[2]), (_dot(tangent, second), -second[2])
     sign = 1.0 if normal[axis] > 0.0 else -1.0
-    return (
-        _on_face(axis, sign, hit),
-        _on_face(axis, sign, first),
-        _on_face(axis, sign, second),
-    )
+    return _on_face(axis, sign, first), _on_face(axis, sign, second)
 
 
 @_compiled
@@ -1131,7 +1224,7 @@ def _nearest(
     world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen
 ) -> tuple[float, int, int]:
     """Ray length, solid and part of the first hit; solid -1 for none."""
-    solids, starts, _ = seen
+    solids, starts, _, _ = seen
     t, solid, part = np.inf, -1, 0
     for i in range(len(solids)):
         if starts[i] >= t:
@@ -1309,6 +1402,41 @@ def _ground_hit(world: World, start: _Vector, ray: _Vector, begin: float, end: f
 
 
 @_compiled
+def _ground_below(
+    world: World, start: _Vector, ray: _Vector, between: tuple[float, float], guess: float
+) -> float:
+    """Ray length at which a ray meets the ground that it comes ever closer to between two lengths.
+
+    So any meeting is the only one: it is looked for from a guess on, from cell to cell. Negative if
+    it is not found.
+    """
+    relief = world.relief
+    z, scale, t = relief.heights, relief.per_m, guess
+    rows, columns = z.shape[0] - 1, z.shape[1] - 1
+    ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
+    dx, dy = scale * ray[0], scale * ray[1]
+    for _ in range(_GUESSES):
+        x, y = ox + t * dx, oy + t * dy
+        if not (0.0 <= x < columns and 0.0 <= y < rows):
+            break
+        j, i = int(x), int(y)
+        z00, z01 = float(z[_at(i), _at(j)]), float(z[_at(i), _at(j + 1)])
+        z10, z11 = float(z[_at(i + 1), _at(j)]), float(z[_at(i + 1), _at(j + 1)])
+        a, b, c, e = z00, z01 - z00, z10 - z00, z11 - z10 - (z01 - z00)
+        u, v = x - j, y - i
+        above = start[2] + t * ray[2] - (a + b * u + c * v + e * u * v)
+        slope = ray[2] - (b * dx + c * dy + e * (u * dy + v * dx))
+        square = slope * slope + 4.0 * e * dx * dy * above
+        if slope >= 0.0 or square < 0.0:
+            break
+        s = 2.0 * above / (math.sqrt(square) - slope)  # as in `_cell_hit`
+        t, u, v = t + s, u + s * dx, v + s * dy
+        if 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0:
+            return t if between[0] <= t <= between[1] else -1.0
+    return -1.0
+
+
+@_compiled
 def _cell_hit(
     world: World, i: int, j: int, o: _Vector, d: _Vector, begin: float, end: float
 ) -> float:
@@ -1373,27 +1501,28 @@ def _between(grid: Floats32, spot: tuple[int, int, float, float]) -> float:
 
 
 @_compiled
-def _ground_shade(
+def _ground_filter(
     world: World, hit: _Vector, ray: _Vector, sides: tuple[_Vector, _Vector], t: float
-) -> float:
-    """Shade of the ground: its texture laid on from above, stains and baked light."""
+) -> _Filter:
     relief = world.relief
     normal = _ground_normal(world, hit[0], hit[1])
     facing = _facing(normal, ray)
     a, d = _slid(ray, sides[0], normal, t, facing), _slid(ray, sides[1], normal, t, facing)
+    k, scale = relief.density, 0.0
+    if relief.stain > 0.0:
+        scale = relief.stain_scale
+    return _filter_over((a[0], a[1]), (d[0], d[1]), k, -k, scale)
+
+
+@_compiled
+def _ground_shade(world: World, hit: _Vector, filter_: _Filter) -> float:
+    """Shade of the ground: its texture laid on from above, stains and baked light."""
+    relief = world.relief
     k = relief.density
-    value = _filtered(
-        world,
-        relief.texture,
-        k * hit[0],
-        -k * hit[1],
-        (k * a[0], -k * a[1]),
-        (k * d[0], -k * d[1]),
-    )
+    value = _filtered(world, relief.texture, k * hit[0], -k * hit[1], filter_)
     if relief.stain > 0.0:
         k = relief.stain_scale
-        size = k * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
-        value *= 1.0 + 2.0 * relief.stain * (_stain(world, k * hit[0], -k * hit[1], size) - 0.5)
+        value *= 1.0 + 2.0 * relief.stain * (_stain(world, k * hit[0], -k * hit[1], filter_) - 0.5)
     return value * _ground_light(world, hit[0], hit[1])
 
 
@@ -1514,38 +1643,41 @@ def _face_of(axis: int, vector: _Vector) -> int:
 
 @_compiled
 def _texture(
-    world: World, solid: int, axis: int, is_side: bool, at: _Pair, a: _Pair, d: _Pair
+    world: World, solid: int, axis: int, is_side: bool, at: _Pair, filter_: _Filter
 ) -> float:
-    """Texture averaged over a footprint at a point of a face, all in metres right and down."""
+    """Averaged texture at a point of a face, given in metres right and down."""
     right, low = at
     su, sv = world.scales[_at(solid), _at(axis), 0], world.scales[_at(solid), _at(axis), 1]
     texture = world.textures[_at(solid)]
     u = su * right + world.offsets[_at(solid), 0] + 0.5 * world.atlas.levels[texture, 0, 2]
     v = sv * low + world.offsets[_at(solid), 1] + 0.5 * world.atlas.levels[texture, 0, 1]
-    value = _filtered(world, texture, u, v, (su * a[0], sv * a[1]), (su * d[0], sv * d[1]))
+    value = _filtered(world, texture, u, v, filter_)
     if world.stains[_at(solid), 0] > 0.0:
         scale = world.stains[_at(solid), 1]
-        size = scale * max(abs(a[0]) + abs(d[0]), abs(a[1]) + abs(d[1]))
         shift = 57.3 * solid  # so that no two solids have the same stains
         # Mirrored on round things, so that it has no seam either.
         aside = abs(right) if is_side else right
-        stain = _stain(world, scale * aside + shift, scale * low + 0.7 * shift, size)
+        stain = _stain(world, scale * aside + shift, scale * low + 0.7 * shift, filter_)
         value *= 1.0 + 2.0 * world.stains[_at(solid), 0] * (stain - 0.5)
     return value
 
 
 @_compiled
-def _unrolled(world: World, solid: int, hit: _Vector) -> tuple[float, float, float]:
-    """Right and down on a cylinder's side, and whether the texture runs with the angle there.
+def _unrolled(world: World, solid: int, hit: _Vector) -> _Pair:
+    """Right and down on a cylinder's side.
 
     A texture too wide for the cylinder runs half around and back, so that it has no seam.
     """
     shape = world.shapes[_at(solid)]
     angle = np.arctan2(hit[1] * shape[9], hit[0] * shape[8])
     radius = 0.5 * (shape[3] + shape[4])
-    if world.goes_round[_at(solid)] or angle >= 0.0:
-        return radius * angle, -hit[2], 1.0
-    return -radius * angle, -hit[2], -1.0
+    return radius * (angle if _runs_on(world, solid, hit) else -angle), -hit[2]
+
+
+@_compiled
+def _runs_on(world: World, solid: int, hit: _Vector) -> bool:
+    """Whether the texture of a cylinder's side runs with the angle there."""
+    return bool(world.goes_round[_at(solid)] or hit[1] >= 0.0)
 
 
 @_compiled
@@ -1559,11 +1691,9 @@ def _on_face(axis: int, sign: float, local: _Vector) -> _Pair:
 
 
 @_compiled
-def _stain(world: World, u: float, v: float, size: float) -> float:
-    """The stain, 0…1, blurred to a footprint of `size` texels."""
-    level, shrink, share = _level(size * size)
-    if share > 0.5:  # it is soft: the nearer level will do
-        level, shrink = level + 1, 0.5 * shrink
+def _stain(world: World, u: float, v: float, filter_: _Filter) -> float:
+    """The stain, 0…1, at a point given in its texels."""
+    level, shrink = filter_[6], filter_[7]
     return _soft(world, level, shrink * u, shrink * v)
 
 
@@ -1581,8 +1711,16 @@ def _level(square: float) -> _Level:
 
 
 @_compiled
-def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, second: _Pair) -> float:
-    """Samples along the longer side of a footprint given by its two sides in texels, 0…1."""
+def _filter_over(first: _Pair, second: _Pair, su: float, sv: float, stain: float) -> _Filter:
+    """How to average over a footprint with these sides in metres right and down.
+
+    `su` and `sv` are the texels per metre of the texture, `stain` those of the stain.
+    """
+    size = stain * max(abs(first[0]) + abs(second[0]), abs(first[1]) + abs(second[1]))
+    soft, less, part = _level(size * size)
+    if part > 0.5:  # it is soft: the nearer level will do
+        soft, less = soft + 1, 0.5 * less
+    first, second = (su * first[0], sv * first[1]), (su * second[0], sv * second[1])
     long = first[0] * first[0] + first[1] * first[1]
     short = second[0] * second[0] + second[1] * second[1]
     along = first
@@ -1595,10 +1733,17 @@ def _filtered(world: World, texture: int, u: float, v: float, first: _Pair, seco
             count += 1
     step = _INVERSE[count]
     level, shrink, share = _level(max(short, long * step * step))
+    return level, count, share, shrink * _ONE_TEXEL, along[0], along[1], soft, less
+
+
+@_compiled
+def _filtered(world: World, texture: int, u: float, v: float, filter_: _Filter) -> float:
+    """The mean of samples, 0…1, along the longer side of a footprint about a point in texels."""
+    level, count, share, scale, right, low, _, _ = filter_
+    step = _INVERSE[count]
     first_sample = 0.5 * (step - 1.0)
-    scale = shrink * _ONE_TEXEL
-    x, y = int(scale * (u + first_sample * along[0])), int(scale * (v + first_sample * along[1]))
-    dx, dy = int(scale * step * along[0]), int(scale * step * along[1])
+    x, y = int(scale * (u + first_sample * right)), int(scale * (v + first_sample * low))
+    dx, dy = int(scale * step * right), int(scale * step * low)
     total = _along_line(world, texture, level, (x, y), (dx, dy), count)
     if share > 0.0:
         x, y, dx, dy = x >> 1, y >> 1, dx >> 1, dy >> 1

@@ -21,6 +21,7 @@ class Relief(NamedTuple):
         cell: metres between grid points.
         per_m: grid points in a metre.
         peaks: (P,) greatest heights of blocks of 1, 2, 4, … cells squared, level by level.
+        slopes: (P,) upper bounds of the slope, rise over run, in the same blocks.
         starts: (L,) where each level begins.
         widths: (L,) blocks in a row of each level.
         texture: number of its texture.
@@ -36,6 +37,7 @@ class Relief(NamedTuple):
     cell: float
     per_m: float
     peaks: Floats32
+    slopes: Floats32
     starts: Ints
     widths: Ints
     texture: int
@@ -57,10 +59,24 @@ def make_relief(ground: Ground | None) -> Relief:
         none = np.zeros((1, 1), np.float32)
         level = np.zeros(1, np.int64)
         return Relief(
-            none, np.zeros(2), 1.0, 1.0, none[0], level, level + 1, 0, 1.0, 0.0, 0.0, none, 1
+            none,
+            np.zeros(2),
+            1.0,
+            1.0,
+            none[0],
+            none[0],
+            level,
+            level + 1,
+            0,
+            1.0,
+            0.0,
+            0.0,
+            none,
+            1,
         )
     heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
-    levels = _peaks(heights)
+    levels = _greatest(_cell_peaks(heights))
+    slopes = _greatest(_cell_slopes(heights, ground.cell))
     sizes = [level.size for level in levels]
     return Relief(
         heights=heights,
@@ -68,6 +84,7 @@ def make_relief(ground: Ground | None) -> Relief:
         cell=float(ground.cell),
         per_m=1.0 / ground.cell,
         peaks=np.concatenate([level.ravel() for level in levels]),
+        slopes=np.concatenate([level.ravel() for level in slopes]),
         starts=np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64),
         widths=np.array([level.shape[1] for level in levels], dtype=np.int64),
         texture=ground.texture,
@@ -92,10 +109,23 @@ def heights_at(relief: Relief, points: Floats) -> Floats:
     return np.asarray((1.0 - v) * near + v * far)
 
 
-def _peaks(heights: Floats32) -> list[Floats32]:
-    """Greatest height of each cell, then of blocks of cells up to all of them."""
+def _cell_peaks(heights: Floats32) -> Floats32:
+    """Greatest height of each cell."""
     rows = np.maximum(heights[:-1], heights[1:])
-    levels = [np.maximum(rows[:, :-1], rows[:, 1:])]
+    return np.asarray(np.maximum(rows[:, :-1], rows[:, 1:]))
+
+
+def _cell_slopes(heights: Floats32, cell: float) -> Floats32:
+    """Upper bound of the slope in each cell: of a bilinear patch, from its rims."""
+    z = heights.astype(np.float64)
+    across, up = np.abs(np.diff(z, axis=1)), np.abs(np.diff(z, axis=0))
+    steepest = np.hypot(np.maximum(across[:-1], across[1:]), np.maximum(up[:, :-1], up[:, 1:]))
+    return np.asarray(steepest / cell * (1.0 + 1e-6), dtype=np.float32)  # rounding lowers none
+
+
+def _greatest(cells: Floats32) -> list[Floats32]:
+    """The greatest value of each cell, then of blocks of cells up to all of them."""
+    levels = [cells]
     while levels[-1].size > 1:
         last = levels[-1]
         even = np.pad(last, [(0, n % 2) for n in last.shape], mode="edge")
