@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from subprocess import Popen
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import Window, cull, make_window, take_in
 from vo.pipeline.cores import available_cores
+from vo.pipeline.direct_step import direct_step
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
 from vo.pipeline.grow import grow_stereo, look_back, looks_swapped
@@ -50,7 +52,18 @@ from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, Stat
 # it for a while; in mono the landmarks' depth hangs on the poses, and tracking on them before
 # they are smoothed cost a quarter of the accuracy, or the map.
 _ANSWER_AFTER_STEREO, _ANSWER_AFTER_MONO = 2, 0
+# Share of the last frame's landmarks that must agree for a pose to be taken without descriptors.
+_CLEAR = 0.5
+# Features are looked for ahead of time while more frames than this share are keyframes.
+_MANY_KEYFRAMES = 0.5
 _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew
+
+
+class FirstPose(NamedTuple):
+    """A pose to begin with, and how many landmarks must agree with what it leads to."""
+
+    pose: Floats
+    enough: float = 0.0
 
 
 class Odometry:
@@ -94,6 +107,7 @@ class Odometry:
         self._window: Window | None = None  # that the smoother works on
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
         self._frames_since_asked = 0
+        self._keyframe_share = 1.0  # of the newest frames
         self._moved: set[int] = set()  # keyframes that were smoothed in this step
 
     @property
@@ -114,7 +128,12 @@ class Odometry:
         clock = Stopwatch()
         with clock.stage("features"):
             working = coming.result()
+            if self._preparation.begins_features:
+                working.begin_features()
         reason, tracked, keyframe = self._advance(working, clock)
+        self._keyframe_share += 0.25 * ((keyframe is not None) - self._keyframe_share)
+        expected = self._keyframe_share > _MANY_KEYFRAMES or self._state is not State.TRACKING
+        self._preparation.begins_features = expected
         return self._estimate(working, tracked, keyframe, reason, clock)
 
     def _advance(
@@ -151,37 +170,47 @@ class Odometry:
 
     def _track(self, frame: WorkingFrame, clock: Stopwatch) -> Tracked | None:
         """Each first pose is tried until patches confirm one."""
-        poses = self._first_poses(frame)
+        poses, best = self._first_poses(frame), None
         while True:
             with clock.stage("match"):
-                pose = next(poses, None)
-            if pose is None:
-                return None
+                first = next(poses, None)
+            if first is None:
+                return best
             with clock.stage("align"):
-                tracked = refine(self._map, frame, pose, self._rig, self._config)
-            if tracked is not None:
+                tracked = refine(self._map, frame, first.pose, self._rig, self._config)
+            if tracked is None or (best is not None and tracked.inliers < best.inliers):
+                tracked = best
+            if tracked is not None and tracked.inliers >= first.enough:
                 return tracked
+            best = tracked
 
-    def _first_poses(self, frame: WorkingFrame) -> Iterator[Floats]:
-        """Near the prediction; as predicted or near the last; anywhere; mono, by two views."""
+    def _first_poses(self, frame: WorkingFrame) -> Iterator[FirstPose]:
+        """By how the last frame looked; by descriptors, near the prediction and farther away.
+
+        The prediction as it is comes between these; mono's last resort are two views.
+        """
         world, rig, config = self._map, self._rig, self._config
         predicted = self._motion.predict(frame.stamp_ns)
+        if self._last is not None and self._state is State.TRACKING:
+            looked = direct_step(world, self._last, self._motion.last, frame, predicted, rig)
+            if looked is not None:
+                yield FirstPose(looked, enough=_CLEAR * int(self._last.inlier.sum()))
         near = place_near(world, frame, predicted, rig, config)
         if near is not None:
-            yield near
+            yield FirstPose(near)
         if self._state is State.TRACKING:
-            yield predicted
+            yield FirstPose(predicted)
         else:  # it may have stopped as well as gone on
             near = place_near(world, frame, self._motion.last, rig, config, lost=True)
             if near is not None:
-                yield near
+                yield FirstPose(near)
         anywhere = place_anywhere(world, frame, rig, config)
         if anywhere is not None:
-            yield anywhere
+            yield FirstPose(anywhere)
         if not rig.is_stereo and self._last is not None:
             step = essential_step(world, self._last, self._motion.last, frame, rig, config)
             if step is not None:
-                yield step
+                yield FirstPose(step)
 
     # --- extending the map ------------------------------------------------------------------
 
@@ -194,8 +223,7 @@ class Odometry:
             pose = self._cam0(tracked.world_from_cam)
             self.history.add(frame.index, frame.stamp_ns, self._segment, newest.id, pose)
             return None
-        if frame.right is not None:
-            frame.right.begin()
+        frame.begin_features()
         with clock.stage("map"):
             keyframe = add_tracked(self._map, frame, tracked, self._segment, self._config)
         if self._rig.is_stereo:  # the smoother works while the map grows
@@ -334,7 +362,8 @@ class Odometry:
     ) -> None:
         """Keep what the next frame needs of this one, and what the next estimate has to tell."""
         if tracked is not None:
-            self._last = Seen(frame, tracked.ids, tracked.observed.image_xy)
+            image_xy = tracked.observed.image_xy
+            self._last = Seen(frame, tracked.ids, image_xy, tracked.inlier)
         if keyframe is not None:
             self._moved.add(keyframe.id)
 

@@ -16,7 +16,7 @@ from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.later import Later
 from vo.pipeline.observe import measure_disparity
 from vo.pipeline.patch_search import find_patches
-from vo.pipeline.working_frame import WorkingFrame
+from vo.pipeline.working_frame import Features, WorkingFrame
 from vo.types import Bools, Floats, Ints
 
 _CELL_PX = 6.0
@@ -109,11 +109,12 @@ def looks_swapped(frame: WorkingFrame, rig: WorkingRig, config: Config) -> bool:
     if frame.image1 is None or frame.right is None:
         return False
     keypoints, left = frame.right.result(), frame.keypoints
+    features = Features(keypoints, frame.ideal_xy)  # where they lie is of no interest here
     mirrored = replace(
         frame,
         image0=frame.image1,
         image1=frame.image0,
-        keypoints=keypoints,
+        left=Later(lambda: features, None),
         right=Later(lambda: left, None),
     )
     disparity = stereo_disparity(mirrored, np.arange(len(keypoints)), rig, config)

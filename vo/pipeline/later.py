@@ -21,6 +21,7 @@ class Later(Generic[T]):
         self._work = work
         self._executor = executor
         self._future: Future[T] | None = None
+        self.is_used = False  # whether the result was asked for, however early it was begun
 
     def begin(self) -> None:
         """Begin now, if there is a thread for it and that was not done before."""
@@ -29,6 +30,7 @@ class Later(Generic[T]):
 
     def result(self) -> T:
         """Wait for the result, or work it out here; at the second time it is there."""
+        self.is_used = True
         if self._future is None:
             self._future = Future()
             self._future.set_result(self._work())

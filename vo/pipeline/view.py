@@ -15,11 +15,11 @@ from vo.mapping.lookup import rows_of
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.place import Tracked
 from vo.pipeline.working_frame import WorkingFrame
-from vo.types import FeatureState, Floats, Floats32, Ints, Landmarks, Sightings, View
+from vo.types import Bools, FeatureState, Floats, Floats32, Ints, Landmarks, Sightings, View
 
 
 class Seen(NamedTuple):
-    """A tracked frame, the landmarks (n,) in it, and where they were (n, 2) in its image.
+    """A tracked frame, the landmarks (n,) in it, where they were (n, 2), which agree (n,).
 
     The ids of the landmarks grow.
     """
@@ -27,17 +27,19 @@ class Seen(NamedTuple):
     frame: WorkingFrame
     ids: Ints
     image_xy: Floats
+    inlier: Bools
 
 
 def make_view(frame: WorkingFrame, tracked: Tracked | None, rig: WorkingRig) -> View:
-    """Landmarks that were found in a frame, and features beside them."""
+    """Landmarks that were found in a frame; beside them its features, if they were used."""
+    features_xy = frame.used_keypoints_xy
     if tracked is None:
-        xy, codes = frame.keypoints.xy, np.empty(0, np.uint8)
+        xy, codes = features_xy, np.empty(0, np.uint8)
     else:
         codes = np.where(tracked.inlier, FeatureState.TRACKED, FeatureState.REJECTED)
         found_xy = tracked.observed.image_xy
-        free = np.flatnonzero(far_from(frame.keypoints.xy, found_xy))
-        xy = np.concatenate([found_xy.astype(np.float32), frame.keypoints.xy.take(free, axis=0)])
+        free = np.flatnonzero(far_from(features_xy, found_xy))
+        xy = np.concatenate([found_xy.astype(np.float32), features_xy.take(free, axis=0)])
     feature_state = np.full(len(xy), FeatureState.NEW, dtype=np.uint8)
     feature_state[: len(codes)] = codes
     return View(

@@ -1,4 +1,4 @@
-"""A frame made ready: rectified, its features found and undistorted."""
+"""A frame made ready: rectified, and its features found and undistorted once they are needed."""
 
 from __future__ import annotations
 
@@ -6,14 +6,28 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.config import FeaturesConfig
+from vo.features.camera_alignment import smaller_images
 from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig
 from vo.pipeline.later import Later
 from vo.types import Bools, Bytes, Floats, Floats32, Frame, Keypoints
+
+
+class Features(NamedTuple):
+    """Features of a left image, all inside the ideal camera's field of view.
+
+    Attributes:
+        keypoints: N of them.
+        ideal_xy: (N, 2) float64 their ideal pinhole pixels.
+    """
+
+    keypoints: Keypoints
+    ideal_xy: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +39,10 @@ class WorkingFrame:
         stamp_ns: its time.
         image0: (H, W) uint8 working image of the left camera.
         image1: the same of the right camera, or None.
-        keypoints: features of image0, all inside the ideal camera's field of view.
-        ideal_xy: (N, 2) float64 their ideal pinhole pixels.
-        right: features of image1, found when they are asked for: few frames need them.
+        smaller: image0 at 1/2, 1/4 and 1/8 of its size.
+        left: features of image0, found when they are asked for, like those on the right: frames
+            that are no keyframes seldom need them.
+        right: features of image1.
         depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
         path: the file that holds the left image as recorded, or None.
     """
@@ -36,11 +51,32 @@ class WorkingFrame:
     stamp_ns: int
     image0: Bytes
     image1: Bytes | None
-    keypoints: Keypoints
-    ideal_xy: Floats
+    smaller: tuple[Bytes, ...]
+    left: Later[Features]
     right: Later[Keypoints] | None = None
     depth: Floats32 | None = None
     path: Path | None = None
+
+    @property
+    def keypoints(self) -> Keypoints:
+        """The features of image0."""
+        return self.left.result().keypoints
+
+    @property
+    def ideal_xy(self) -> Floats:
+        """Their ideal pinhole pixels (N, 2)."""
+        return self.left.result().ideal_xy
+
+    @property
+    def used_keypoints_xy(self) -> Floats32:
+        """The pixels (N, 2) of the features of image0; none if nobody asked for them."""
+        return self.keypoints.xy if self.left.is_used else np.empty((0, 2), np.float32)
+
+    def begin_features(self) -> None:
+        """Have the features looked for, left and right at once if there are cores for it."""
+        self.left.begin()
+        if self.right is not None:
+            self.right.begin()
 
     @property
     def has_disparity(self) -> bool:
@@ -49,9 +85,15 @@ class WorkingFrame:
 
 
 class Preparation:
-    """Makes frames ready, left and right each in a thread of its own if there are cores for it."""
+    """Makes frames ready, left and right each in a thread of its own if there are cores for it.
+
+    Attributes:
+        begins_features: whether features, too, are looked for ahead of time. Those that nobody
+            asks for then cost time, and nothing else.
+    """
 
     def __init__(self, config: FeaturesConfig, *, threads: int) -> None:
+        self.begins_features = True
         self._detectors = (OrbDetector(config), OrbDetector(config))
         names = ("left", "right") if threads > 1 else ()
         self._pools = [ThreadPoolExecutor(1, thread_name_prefix=name) for name in names]
@@ -84,28 +126,35 @@ class Preparation:
             pool.shutdown(cancel_futures=True)
 
     def _prepare(self, frame: Frame, rig: WorkingRig) -> WorkingFrame:
-        """Rectify a frame and find its features."""
+        """Rectify a frame; have its features looked for."""
         image0 = rig.rectify(frame.image0, 0)
         image1, right = None, None
         if rig.is_stereo and frame.image1 is not None:
             image1 = rig.rectify(frame.image1, 1)
             right = self._right(image1)
-        keypoints = self._detectors[0].detect(image0)
-        ideal = rig.ideal_from_image(keypoints.xy.astype(np.float64))
-        inside = np.asarray(np.isfinite(ideal).all(axis=1))
-        if not inside.all():
-            keypoints, ideal = select(keypoints, inside), ideal[inside]
-        return WorkingFrame(
+        pool = self._pools[0] if self._pools else None
+        working = WorkingFrame(
             frame.index,
             frame.stamp_ns,
             image0,
             image1,
-            keypoints,
-            ideal,
+            smaller_images(image0),
+            Later(lambda: self._left(image0, rig), pool),
             right,
             None if frame.depth is None else rig.rectify_depth(frame.depth),
             frame.path,
         )
+        if self.begins_features:
+            working.begin_features()
+        return working
+
+    def _left(self, image: Bytes, rig: WorkingRig) -> Features:
+        keypoints = self._detectors[0].detect(image)
+        ideal = rig.ideal_from_image(keypoints.xy.astype(np.float64))
+        inside = np.asarray(np.isfinite(ideal).all(axis=1))
+        if not inside.all():
+            keypoints, ideal = select(keypoints, inside), ideal[inside]
+        return Features(keypoints, ideal)
 
     def _right(self, image: Bytes) -> Later[Keypoints]:
         pool = self._pools[1] if self._pools else None
