@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from vo.config import KeyframeConfig
@@ -32,8 +33,16 @@ def median_parallax(points: Floats, first_centre: Floats, second_centre: Floats)
     """Median angle (rad) at which points (N, 3) see the two camera centres; 0 without points."""
     if len(points) == 0:
         return 0.0
-    a, b = points - first_centre, points - second_centre
-    cosine = np.sum(a * b, axis=1) / np.maximum(
-        np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-12
-    )
-    return float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return float(_median_parallax(np.ascontiguousarray(points), first_centre, second_centre))
+
+
+@numba.njit(cache=True, nogil=True)
+def _median_parallax(points, first, second):  # type: ignore[no-untyped-def]
+    angles = np.empty(len(points))
+    for n in range(len(points)):
+        ax, ay, az = points[n, 0] - first[0], points[n, 1] - first[1], points[n, 2] - first[2]
+        bx, by, bz = points[n, 0] - second[0], points[n, 1] - second[1], points[n, 2] - second[2]
+        lengths = np.sqrt(ax * ax + ay * ay + az * az) * np.sqrt(bx * bx + by * by + bz * bz)
+        cosine = (ax * bx + ay * by + az * bz) / max(lengths, 1e-12)
+        angles[n] = np.arccos(min(max(cosine, -1.0), 1.0))
+    return np.median(angles)
