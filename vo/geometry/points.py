@@ -144,17 +144,14 @@ def _refined(  # type: ignore[no-untyped-def]
     huber,
 ):
     """Put every point where its cost is least, in place; gives the sum of the costs."""
+    views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
     total = 0.0
-    normal, right, inverse = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
-    damped, trial = np.zeros((3, 3)), np.zeros(3)
-    trial_normal, trial_right = np.zeros((3, 3)), np.zeros(3)
     for m in range(len(starts) - 1):
         first, last = starts[m], starts[m + 1]
         if last == first:
             continue
-        seen = (poses, keyframe[first:last], xy[first:last], disparity[first:last])
-        scale = (inverse_sigma[first:last], intrinsics, fb, inverse_d, huber)
-        cost = _point_normal(points[m], *seen, *scale, normal, right)
+        at = points[m, 0], points[m, 1], points[m, 2]
+        cost, normal, right = _point_normal(at, first, last, views)
         if not np.isfinite(cost):
             total += _BEHIND
             continue
@@ -163,56 +160,46 @@ def _refined(  # type: ignore[no-untyped-def]
             continue  # a single view does not tell the depth
         damping = _DAMPING
         for _ in range(steps):
-            damped[:] = normal
-            trace = normal[0, 0] + normal[1, 1] + normal[2, 2]
-            for p in range(3):
-                damped[p, p] += damping * trace
-            if not _invert(damped, inverse):
+            solvable, trial = _stepped(at, normal, right, damping)
+            if not solvable:
                 break
-            for p in range(3):
-                trial[p] = points[m, p]
-                for q in range(3):
-                    trial[p] -= inverse[p, q] * right[q]
-            lower = _point_normal(trial, *seen, *scale, trial_normal, trial_right)
+            lower, trial_normal, trial_right = _point_normal(trial, first, last, views)
             if not lower < cost:
                 damping *= _LESS_BOLD
                 continue
             settled = cost - lower < tolerance * cost
-            points[m], normal[:], right[:] = trial, trial_normal, trial_right
-            cost = lower
+            at, normal, right, cost = trial, trial_normal, trial_right, lower
             damping /= _LESS_BOLD
             if settled:
                 break
+        points[m, 0], points[m, 1], points[m, 2] = at
         total += cost
     return total
 
 
 @numba.njit(cache=True, nogil=True)
-def _point_normal(  # type: ignore[no-untyped-def]
-    at,
-    poses,
-    keyframe,
-    xy,
-    disparity,
-    inverse_sigma,
-    intrinsics,
-    fb,
-    inverse_d,
-    huber,
-    normal,
-    right,
-):
-    """Fill a point's normal matrix (3, 3) and gradient; gives its robust cost, inf if behind."""
-    normal[:], right[:] = 0.0, 0.0
+def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
+    """A point's robust cost, inf if behind, its normal matrix (00 11 22 10 20 21) and gradient."""
+    poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     cost = 0.0
-    for a in range(len(keyframe)):
+    n00 = n11 = n22 = n10 = n20 = n21 = 0.0
+    r0 = r1 = r2 = 0.0
+    for a in range(first, last):
         pose = poses[keyframe[a]]
-        x, y, z = _in_camera(pose, at)
+        p00, p01, p02 = pose[0, 0], pose[0, 1], pose[0, 2]
+        p10, p11, p12 = pose[1, 0], pose[1, 1], pose[1, 2]
+        p20, p21, p22 = pose[2, 0], pose[2, 1], pose[2, 2]
+        x = p00 * at[0] + p01 * at[1] + p02 * at[2] + pose[0, 3]
+        y = p10 * at[0] + p11 * at[1] + p12 * at[2] + pose[1, 3]
+        z = p20 * at[0] + p21 * at[1] + p22 * at[2] + pose[2, 3]
         if z < _NEAREST:
-            return np.inf
-        eu, ev, ed, s, t = _errors(
-            x, y, z, xy[a], disparity[a], inverse_sigma[a], intrinsics, fb, inverse_d
-        )
+            return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        # Predicted - measured u, v, disparity in standard deviations.
+        s, t, ed = inverse_sigma[a], 0.0, 0.0
+        eu, ev = s * (fx * x / z + cx - xy[a, 0]), s * (fy * y / z + cy - xy[a, 1])
+        if fb > 0.0 and not np.isnan(disparity[a]):
+            t, ed = inverse_d, inverse_d * (fb / z - disparity[a])
         length = np.sqrt(eu * eu + ev * ev + ed * ed)
         weight = 1.0
         if length <= huber:
@@ -220,55 +207,40 @@ def _point_normal(  # type: ignore[no-untyped-def]
         else:
             cost += huber * (length - 0.5 * huber)
             weight = huber / length
-        du, dv = s * intrinsics[0] / z, s * intrinsics[1] / z
+        du, dv = s * fx / z, s * fy / z
         cu, cv, cd = -du * x / z, -dv * y / z, -t * fb / (z * z)
-        for p in range(3):
-            ju = du * pose[0, p] + cu * pose[2, p]
-            jv = dv * pose[1, p] + cv * pose[2, p]
-            jd = cd * pose[2, p]
-            right[p] += weight * (ju * eu + jv * ev + jd * ed)
-            for q in range(p + 1):
-                ku = du * pose[0, q] + cu * pose[2, q]
-                kv = dv * pose[1, q] + cv * pose[2, q]
-                normal[p, q] += weight * (ju * ku + jv * kv + jd * cd * pose[2, q])
-    normal[0, 1], normal[0, 2], normal[1, 2] = normal[1, 0], normal[2, 0], normal[2, 1]
-    return cost
+        u0, v0, d0 = du * p00 + cu * p20, dv * p10 + cv * p20, cd * p20
+        u1, v1, d1 = du * p01 + cu * p21, dv * p11 + cv * p21, cd * p21
+        u2, v2, d2 = du * p02 + cu * p22, dv * p12 + cv * p22, cd * p22
+        r0 += weight * (u0 * eu + v0 * ev + d0 * ed)
+        r1 += weight * (u1 * eu + v1 * ev + d1 * ed)
+        r2 += weight * (u2 * eu + v2 * ev + d2 * ed)
+        n00 += weight * (u0 * u0 + v0 * v0 + d0 * cd * p20)
+        n11 += weight * (u1 * u1 + v1 * v1 + d1 * cd * p21)
+        n22 += weight * (u2 * u2 + v2 * v2 + d2 * cd * p22)
+        n10 += weight * (u1 * u0 + v1 * v0 + d1 * cd * p20)
+        n20 += weight * (u2 * u0 + v2 * v0 + d2 * cd * p20)
+        n21 += weight * (u2 * u1 + v2 * v1 + d2 * cd * p21)
+    return cost, (n00, n11, n22, n10, n20, n21), (r0, r1, r2)
 
 
 @numba.njit(cache=True, nogil=True)
-def _in_camera(pose, at):  # type: ignore[no-untyped-def]
-    x = pose[0, 0] * at[0] + pose[0, 1] * at[1] + pose[0, 2] * at[2] + pose[0, 3]
-    y = pose[1, 0] * at[0] + pose[1, 1] * at[1] + pose[1, 2] * at[2] + pose[1, 3]
-    z = pose[2, 0] * at[0] + pose[2, 1] * at[1] + pose[2, 2] * at[2] + pose[2, 3]
-    return x, y, z
-
-
-@numba.njit(cache=True, nogil=True)
-def _errors(x, y, z, xy, disparity, s, intrinsics, fb, inverse_d):  # type: ignore[no-untyped-def]
-    """Predicted - measured u, v, disparity in standard deviations, and 1 over the latter."""
-    eu = s * (intrinsics[0] * x / z + intrinsics[2] - xy[0])
-    ev = s * (intrinsics[1] * y / z + intrinsics[3] - xy[1])
-    if fb > 0.0 and not np.isnan(disparity):
-        return eu, ev, inverse_d * (fb / z - disparity), s, inverse_d
-    return eu, ev, 0.0, s, 0.0
-
-
-@numba.njit(cache=True, nogil=True)
-def _invert(m, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a symmetric (3, 3) by cofactors; False if it is singular."""
-    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
-    c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
-    c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    determinant = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
+def _stepped(at, normal, right, damping):  # type: ignore[no-untyped-def]
+    """Whether the damped normal matrix is regular, and where its step, by cofactors, leads."""
+    xx, yy, zz, xy, xz, yz = normal
+    added = damping * (xx + yy + zz)
+    xx, yy, zz = xx + added, yy + added, zz + added
+    c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * c00 + xy * c01 + xz * c02
+    trace = xx + yy + zz
     if not determinant > _SINGULAR * trace * trace * trace:
-        return False
-    inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00, c01, c02
-    inverse[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
-    inverse[1, 2] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
-    inverse[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
-    for p in range(3):
-        for q in range(p, 3):
-            inverse[p, q] /= determinant
-            inverse[q, p] = inverse[p, q]
-    return True
+        return False, at
+    i00, i01, i02 = c00 / determinant, c01 / determinant, c02 / determinant
+    i11 = (xx * zz - xz * xz) / determinant
+    i12 = (xy * xz - xx * yz) / determinant
+    i22 = (xx * yy - xy * xy) / determinant
+    return True, (
+        at[0] - i00 * right[0] - i01 * right[1] - i02 * right[2],
+        at[1] - i01 * right[0] - i11 * right[1] - i12 * right[2],
+        at[2] - i02 * right[0] - i12 * right[1] - i22 * right[2],
+    )
