@@ -25,6 +25,8 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Nothing here uses scipy; numba would load it, where it is installed, to look for a BLAS.
     sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
+    # Others' plugins for pydantic are not wanted: it would look through all packages for them.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     with loading():
         from vo.cli.app import app
 

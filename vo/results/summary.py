@@ -182,7 +182,7 @@ def _untracked(facts: RunFacts, status: Status, account: Account) -> Ints:
 def _segments(placed: PlacedFrames) -> list[Segment]:
     steps = np.linalg.norm(np.diff(placed.trajectory.positions, axis=0), axis=1)
     segments = []
-    for number in np.unique(placed.segment).tolist():
+    for number in sorted(set(placed.segment.tolist())):
         rows = np.flatnonzero(placed.segment == number)
         first, last = int(rows[0]), int(rows[-1])
         segments.append(

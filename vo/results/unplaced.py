@@ -37,13 +37,13 @@ def unplaced_ranges(
         untracked: numbers of frames that were left out on purpose.
     """
     unreadable = {s.index: s.reason for s in skipped}
-    reached = np.unique(np.concatenate([account.frames, list(unreadable), untracked]))
+    left_out = set(untracked.tolist())
+    reached = np.array(sorted({*account.frames, *unreadable, *left_out}), dtype=np.int64)
     missing = np.flatnonzero(~np.isin(reached, placed))
     follows = np.diff(missing, prepend=-2) == 1
-    left_out = set(untracked.tolist())
     ranges: list[FrameRange] = []
     count = {State.STARTING.value: 0, State.LOST.value: 0, "skipped": 0, "untracked": 0}
-    for frame, after in zip(reached[missing].astype(int).tolist(), follows, strict=True):
+    for frame, after in zip(reached[missing].tolist(), follows, strict=True):
         state, reason = _LEFT_OUT if frame in left_out else _why(account, unreadable, frame)
         count[state] += 1
         before = ranges[-1] if after else None

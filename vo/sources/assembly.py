@@ -11,10 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from vo.errors import CalibrationError, SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.sources.depth import UNITS_PER_METRE, DepthImages, depth_of_each
-from vo.sources.images import StoredImage, depth_bits_of
+from vo.sources.images import Pixels, StoredImage, depth_bits_of
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
@@ -59,12 +61,14 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
         SourceError: no image can be read, or `mode` is stereo and there is no right camera.
         CalibrationError: the calibration is missing, wrong, or for images of another size.
     """
-    size = _first_size(gathered.left)
+    first = _first_image(gathered.left)
+    size = _size_of(first)
     calibration = gathered.calibrate(size)
     _check_size(calibration, calibration.rig.cam0, size, gathered.left)
     rig = _choose_rig(gathered, calibration, mode)
     partners = _pair(gathered, rig, mode)
     depth = None if partners else _depth(gathered, calibration, mode)
+    images = [shot.image for shot in gathered.left]
     return ImageSequence(
         name=gathered.name,
         format=gathered.format,
@@ -72,7 +76,7 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
         ground_truth=_truth(gathered, calibration),
         left=gathered.left,
         right=partners,
-        depth_bits=depth_bits_of([shot.image for shot in gathered.left]),
+        depth_bits=8 if first.dtype == np.uint8 else depth_bits_of(images),
         depth=depth,
         close=gathered.close,
         imus=gathered.find_imus(calibration),
@@ -102,17 +106,20 @@ def first_existing(candidates: Sequence[Path]) -> Path | None:
     return next((path for path in candidates if path.is_file()), None)
 
 
-def _first_size(shots: Sequence[Shot]) -> ImageSize:
-    """Width and height of the first image that can be read."""
+def _first_image(shots: Sequence[Shot]) -> Pixels:
+    """The first that can be read."""
     reason = ""
     for shot in shots:
         try:
-            height, width = shot.image.read().shape
+            return shot.image.read()
         except SourceError as error:
             reason = reason or str(error)
-            continue
-        return width, height
     raise SourceError(f"none of {len(shots)} images can be read; the first: {reason}")
+
+
+def _size_of(image: Pixels) -> ImageSize:
+    height, width = image.shape
+    return width, height
 
 
 def _check_size(
@@ -147,7 +154,7 @@ def _choose_rig(gathered: Gathered, calibration: Calibration, mode: Mode) -> Rig
             )
         _log.warning("%s: right images not used, as cam1 is not calibrated", gathered.name)
         return Rig(rig.cam0)
-    _check_size(calibration, rig.cam1, _first_size(gathered.right), gathered.right)
+    _check_size(calibration, rig.cam1, _size_of(_first_image(gathered.right)), gathered.right)
     return rig
 
 

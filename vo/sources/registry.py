@@ -7,14 +7,16 @@ import glob
 import importlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from vo.errors import SourceError
 from vo.sources.assembly import Gathered, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
-from vo.sources.logs.log import Log
 from vo.sources.source import Source
 from vo.types import Mode
+
+if TYPE_CHECKING:
+    from vo.sources.logs.log import Log
 
 Opener = Callable[..., Source]
 """Opens a log: takes path, calibration (Path or None), mode and the chosen topics."""
@@ -134,7 +136,7 @@ def open_container(path: Path, name: str) -> Log:
     Raises:
         SourceError: it is none, or it cannot be read.
     """
-    return cast(Log, _load(FORMATS[name].log)(path))
+    return cast("Log", _load(FORMATS[name].log)(path))
 
 
 def choose_format(path: Path, format: str | None) -> str:
