@@ -216,19 +216,10 @@ class Map:
         for keyframe in self.keyframes:
             keyframe.keep_observations(kept[keyframe.landmark - first])
 
-    def keyframe(self, keyframe_id: int) -> Keyframe:
-        """A kept keyframe by its id."""
-        return self.keyframes[keyframe_id - self.keyframes[0].id]  # kept ids are consecutive
-
     def reference_slots(self) -> Ints:
         """(n,) where in `images` each landmark's reference patch lies."""
-        slots = np.array([k.slot for k in self.keyframes], dtype=np.int64)
+        slots = np.array([k.slot for k in self.keyframes], dtype=np.int64)  # their ids go up by one
         return slots[self.reference - self.keyframes[0].id]
-
-    def reference_poses(self) -> Floats:
-        """(n, 4, 4) world_from_cam of each landmark's reference keyframe."""
-        poses = np.stack([k.world_from_cam for k in self.keyframes])
-        return np.asarray(poses[self.reference - self.keyframes[0].id])
 
     def take_reference(self, keyframe: Keyframe, mask: Bools) -> None:
         """Let landmarks (n,) that a keyframe sees have their reference patch there."""
