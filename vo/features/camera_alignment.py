@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from vo.features import patch_kernels
-from vo.geometry.transforms import make_transform, orthonormalised, so3_exp
+from vo.geometry.pnp import take_step
+from vo.geometry.transforms import orthonormalised
 from vo.types import Bytes, Floats
 
 _LEVELS = 3  # images of 1/2, 1/4 and 1/8 of the size; 16 px too far off are no difficulty then
@@ -53,7 +54,7 @@ def align_camera(
     start: Floats,
     image_from_ideal: Floats,
     intrinsics: tuple[float, float, float, float],
-) -> CameraAlignment | None:
+) -> CameraAlignment:
     """Move a camera until it sees the points' patches as another image shows them.
 
     Args:
@@ -66,13 +67,10 @@ def align_camera(
             be to those of the target image.
         intrinsics: fx, fy, cx, cy of the ideal pinhole.
 
-    Returns:
-        None if the patches do not determine a motion.
-
     Source: Forster et al., SVO, 2014, sec. IV-A (sparse image alignment, inverse compositional,
         coarse to fine), on patches of equal mean and contrast.
     """
-    motion, score = start, np.full(len(points), -1.0)
+    motion, score = np.ascontiguousarray(start), np.full(len(points), -1.0)
     for level in reversed(range(len(reference))):
         scale = 0.5 ** (level + 1)  # pixel p of the full size is at (p + 1/2) s - 1/2
         templates, sums = patch_kernels.cut_all(
@@ -83,15 +81,9 @@ def align_camera(
         for _ in range(_ITERATIONS):
             h, b, per_pixel, score = patch_kernels.step_together(
                 *(templates, sums, target[level], points, pixel_from_ideal, intrinsics),
-                *(np.ascontiguousarray(motion), _HALF_PX, _NOISE),
+                *(motion, _HALF_PX, _NOISE),
             )
-            try:
-                step = np.linalg.solve(h, b)
-            except np.linalg.LinAlgError:
-                return None
-            motion = make_transform(so3_exp(step[:3]), step[3:]) @ motion
-            if step @ h @ step < _SETTLED_PX**2 * per_pixel:
+            motion, length = take_step(h, b, motion)
+            if length < _SETTLED_PX**2 * per_pixel:
                 break
-        if not np.isfinite(motion).all():
-            return None
     return CameraAlignment(orthonormalised(motion), score)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -76,6 +76,21 @@ def refine_pose(
         iterations,
     )
     return PoseFit(orthonormalised(transform), residual < gate, residual, information)
+
+
+@numba.njit(cache=True, nogil=True)
+def take_step(h: Any, b: Any, transform: Any) -> Any:
+    """One Gauss-Newton step of a pose: the pose after it, and the squared length of the step in h.
+
+    Where h determines no step, none is taken.
+
+    Args:
+        h: (6, 6) J^T W J, tangent (rx ry rz tx ty tz) in the camera.
+        b: (6,) -J^T W e.
+        transform: (4, 4) to the camera.
+    """
+    change = _solve(h, b)
+    return _product(_exp(change), transform), np.sum(change * b)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -51,7 +51,7 @@ def direct_step(
         _image_from_ideal(rig.project(transform_points(start, points)), rig),
         (rig.fx, rig.fy, rig.cx, rig.cy),
     )
-    if found is None or float(np.mean(found.score >= _CLEAR_SCORE)) < _CLEAR_SHARE:
+    if float(np.mean(found.score >= _CLEAR_SCORE)) < _CLEAR_SHARE:
         return None
     return np.asarray(world_from_last @ inverse(found.target_from_reference))
 
