@@ -41,7 +41,6 @@ class FrameTable:
     stamp_ns: Ints
     state: NDArray[np.str_]
     keyframe: Ints
-    features: Ints
     matches: Ints
     inliers: Ints
     total_ms: Floats
@@ -176,7 +175,7 @@ def _frames(path: Path) -> FrameTable | None:
     try:
         counts = {
             name: np.array([int(row[name]) for row in rows], dtype=np.int64)
-            for name in ("frame", "stamp_ns", "keyframe", "features", "matches", "inliers")
+            for name in ("frame", "stamp_ns", "keyframe", "matches", "inliers")
         }
         times = {
             name.removesuffix(_STAGE_SUFFIX): np.array([float(row[name]) for row in rows])

@@ -15,32 +15,29 @@ if TYPE_CHECKING:
 
 
 def draw_counts(entry: Entry) -> Figure | None:
-    """Features, matches and inliers of one run's frames, its keyframes as ticks below."""
+    """Matches and inliers of one run's frames, its keyframes as ticks below."""
     frames = entry.run.frames
     if frames is None:
         return None
     seconds = entry.seconds(frames.stamp_ns)
-    figure = new_figure(4.0)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.4))
-    upper.plot(*thin(seconds, frames.features.astype(np.float64)), color=MUTED, label="features")
+    figure = new_figure(3.0)
+    axes = figure.subplots()
     for number, (name, counts) in enumerate(
         (("matches", frames.matches), ("inliers", frames.inliers))
     ):
         style = {"color": colour(1 - number), "ls": dash(1 - number), "label": name}
-        lower.plot(*thin(seconds, counts.astype(np.float64)), **style)
+        axes.plot(*thin(seconds, counts.astype(np.float64)), **style)
     keyframes = seconds[frames.keyframe == 1]
     # One path of many ticks: as markers they would each be an element of the page.
     ticks = np.tile([0.0, 0.05, np.nan], len(keyframes))
-    style = {"color": MUTED, "lw": 0.8, "transform": lower.get_xaxis_transform()}
-    lower.plot(np.repeat(keyframes, 3), ticks, **style)
-    lower.plot([], [], "|", color=MUTED, ms=8, label=f"keyframes ({len(keyframes)})")
-    for axes in (upper, lower):
-        shade(axes, entry.without_pose_s, "no pose" if axes is lower else "_")
-        axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.01)
-    upper.set(title="Features in each image", ylabel="count")
-    lower.set(title="Landmarks of the map found in it", ylabel="count", xlabel="time (s)")
-    handles, labels = lower.get_legend_handles_labels()
+    style = {"color": MUTED, "lw": 0.8, "transform": axes.get_xaxis_transform()}
+    axes.plot(np.repeat(keyframes, 3), ticks, **style)
+    axes.plot([], [], "|", color=MUTED, ms=8, label=f"keyframes ({len(keyframes)})")
+    shade(axes, entry.without_pose_s, "no pose")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.set(title="Landmarks of the map found in each image", ylabel="count", xlabel="time (s)")
+    handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
 
