@@ -44,7 +44,7 @@ _CLOUDS_PER_TURN = 22.5
 _BITS = 16  # of a texel's fraction in texture coordinates, which are whole numbers
 _ONE_TEXEL, _FRACTION = float(1 << _BITS), (1 << _BITS) - 1
 _PER_GREY = 1.0 / (255.0 * _ONE_TEXEL * _ONE_TEXEL)
-_FILTER_PIXELS = 4  # of a row that share how their texture is averaged,
+_SHARED = 4  # pixels of a row that share motion and how their texture is averaged,
 _SAME_LENGTH = 0.01  # while they are as far away as this share of the length
 _EDGE, _UNCERTAIN = 1, 2  # pixels that an edge crosses; whose rays may meet anything
 
@@ -168,7 +168,7 @@ def _shade_tile(
             else:
                 ray, across, down = _ray(rays, row, column, turn)
                 filter_ = _filter(world, start, time, ray, (across, down), t, number)
-                same, first, until = number, t, column + _FILTER_PIXELS
+                same, first, until = number, t, column + _SHARED
                 if not _is_flat(world, number):
                     until = column
             image[row, column] = _shade(world, start, time, ray, t, number, filter_)
@@ -201,9 +201,18 @@ def mark_rows(
         sweep, below = _sweep(shutter, row), _sweep(shutter, row + 1)
         lower = min(row + 1, rows - 1)
         for column in range(columns):
-            here, right = surface[row, column], min(column + 1, columns - 1)
-            if here == surface[row, right] and here == surface[lower, column] and here != ground:
-                continue
+            right = min(column + 1, columns - 1)
+            here = surface[_at(row), _at(column)]
+            if here == surface[_at(row), _at(right)] and here == surface[_at(lower), _at(column)]:
+                if here != ground:
+                    continue
+                near = depth[_at(row), _at(column)]
+                most = max(
+                    abs(near - depth[_at(row), _at(right)]),
+                    abs(near - depth[_at(lower), _at(column)]),
+                )
+                if most <= _LEAST_JUMP * near:
+                    continue
             for side in range(2):
                 i, j = row + side, column + 1 - side
                 if i >= rows or j >= columns:
@@ -320,15 +329,19 @@ def _mean_of_sharp(
 
     At the rim, those count as crossed whose motion goes far beyond the image.
     """
-    more, (sharp, depth, surface) = False, middles
+    more, (sharp, depth, surface), motion = False, middles, (0.0, 0.0)
     for row in range(tile[0], tile[1]):
         d, e, _ = _stored(sweeps[row - tile[0]])
         sweep = d, e
+        same, first, until = _NOTHING, 0.0, 0
         for column in range(tile[2], tile[3]):
-            if surface[row, column] == _NOTHING:
+            number, t = surface[row, column], depth[row, column]
+            if number == _NOTHING:
                 image[row, column] = 0.0
             elif crossed[0, row, column] == 0:
-                motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
+                if number != same or column >= until or abs(t - first) > _SAME_LENGTH * first:
+                    motion = _motion_of(world, shutter, rays, sweep, depth, surface, row, column)
+                    same, first, until = number, t, column + _SHARED
                 within = _within_image(sharp, row, column, motion)
                 if abs(motion[0] - within[0]) + abs(motion[1] - within[1]) > _LOST_MOTION:
                     crossed[0, row, column] = crossed[_needed(counts, motion), row, column] = 1
@@ -475,7 +488,10 @@ def _mean_radiance(
         sides = (_turned_flat(turn, first), _turned_flat(turn, second))
         t = 1.0 / inverse
         if numbers[group] == _ground_number(world):  # it bends too much for a mean length
-            t = min(_ground_hit(world, start, to, 0.9 * t, 1.1 * t), 1.1 * t)
+            exact = _ground_below(world, start, to, (0.9 * t, 1.1 * t), t)
+            if exact < 0.0:
+                exact = _ground_hit(world, start, to, 0.9 * t, 1.1 * t)
+            t = min(exact, 1.1 * t)
         filter_ = _filter(world, start, time, to, sides, t, numbers[group])
         shade = _shade(world, start, time, to, t, numbers[group], filter_)
         total += size * shade

@@ -37,6 +37,23 @@ def test_depth_is_that_of_the_first_hill_on_each_ray(pool: ThreadPoolExecutor) -
             assert (between[:, 2] - heights_at(world.relief, between)).min() > -1e-4
 
 
+def test_no_slope_of_the_ground_is_steeper_than_its_bound() -> None:
+    relief = bright_world([], HILLS).relief
+    cells = np.array(relief.heights.shape) - 1
+    rng = np.random.default_rng(5)
+    cell = rng.integers(0, cells[::-1], (4000, 2))
+    at = relief.corner + relief.cell * (cell + rng.uniform(0.01, 0.99, (4000, 2)))
+    turn, step = rng.uniform(0.0, 2.0 * np.pi, 4000), 1e-4
+    ahead = at + step * np.column_stack([np.cos(turn), np.sin(turn)])
+    slopes = np.abs(heights_at(relief, ahead) - heights_at(relief, at)) / step
+    bounds = relief.slopes[: cells.prod()].reshape(cells)[cell[:, 1], cell[:, 0]]
+    assert (slopes - bounds).max() < 1e-6
+    assert (slopes > 0.9 * bounds)[
+        bounds > 0.1
+    ].mean() > 0.05  # or rays would rarely be sure to come closer
+    assert relief.slopes[-1] == relief.slopes.max()
+
+
 def test_no_ray_slips_through_between_cells(pool: ThreadPoolExecutor) -> None:
     world = bright_world([], HILLS)
     pose = np.eye(4)
