@@ -26,9 +26,9 @@ TITLES = {
 CHANGES: dict[str, dict[str, Any]] = {
     "default": {},
     "fast": {
-        "features.count": 600,
-        "tracking.max_landmarks": 400,
-        "mapping.new_per_keyframe": 250,
+        "features.count": 800,
+        "tracking.max_landmarks": 500,
+        "mapping.new_per_keyframe": 350,
         "mapping.look_back": 3,
         "smoothing.window": 5,
         "smoothing.fixed": 3,
