@@ -101,3 +101,39 @@ def test_patches_larger_than_supported_are_an_error() -> None:
     images, xy, slot = _scenes(1), np.array([[60.0, 60.0]]), np.zeros(1, np.int64)
     with pytest.raises(ValueError, match="half_px is 11"):
         align_between(images, slot, xy, None, images, slot, xy, half_px=11)
+
+
+@pytest.mark.parametrize("noise", [2.0, 8.0])
+def test_errors_go_with_sigma(noise: float) -> None:
+    rng, at = np.random.default_rng(3), pixels(HEIGHT, WIDTH)
+    scene = Waves(seed=5, shortest_px=12.0)
+    images = [as_image(scene.at(at) + noise * rng.standard_normal(at.shape[:2])) for _ in (0, 1)]
+    xy = rng.uniform((20, 20), (WIDTH - 20, HEIGHT - 20), (400, 2))
+    only = np.zeros(len(xy), dtype=np.int64)
+    found = align_between(
+        *(images[0][None], only, xy, None, images[1][None], only, xy + 0.3), half_px=6
+    )
+    error = (found.xy - xy)[found.converged]
+    assert len(error) > 350
+    sigma = found.sigma_px[found.converged]
+    order = np.argsort(sigma)
+    for part in (order[:100], order[-100:]):  # interpolation adds about as much again
+        assert 1.0 < np.sqrt(np.mean(error[part] ** 2) / np.mean(sigma[part] ** 2)) < 2.5
+    assert np.mean(error[order[-100:]] ** 2) > 1.3 * np.mean(error[order[:100]] ** 2)
+
+
+def test_too_few_steps_are_near_enough_only_where_the_last_was_short() -> None:
+    images, xy = _scenes(2)[:1], _positions(300)
+    only = np.zeros(len(xy), dtype=np.int64)
+    few, many = (
+        align_between(
+            *(images, only, xy, None, images, only, xy + (0.7, -0.4)),
+            half_px=6,
+            iterations=iterations,
+        )
+        for iterations in (3, 12)
+    )
+    assert (few.nearly | ~few.converged).all()
+    assert few.converged.mean() < few.nearly.mean() < many.nearly.mean() + 1e-9
+    off = np.linalg.norm(few.xy - xy, axis=1)
+    assert off[few.nearly].max() < 0.05

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from vo.config import Config
+from vo.geometry.neighbours import far_from
 from vo.geometry.rectification import WorkingRig, working_rig
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.grow import far_from, grow_stereo, look_back, stereo_disparity
+from vo.pipeline.grow import grow_stereo, look_back, stereo_disparity
 from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.start import add_keyframe
 from vo.pipeline.working_frame import Preparation, WorkingFrame

@@ -23,11 +23,17 @@ class Alignment(NamedTuple):
         xy: (N, 2) float64 pixels in the target image.
         score: (N,) zero-mean normalised cross-correlation there, -1 where it failed.
         converged: (N,) whether the search settled inside the image.
+        nearly: (N,) whether it did, or would have in a few more steps: a poor measurement.
+        sigma_px: (N,) standard deviation of xy, mean of both axes, if what is left between the
+            patches were noise of single pixels: J^T J of the patch inverted, times its variance.
+            Of noisy patches errors are about twice as large, good and bad ones alike.
     """
 
     xy: Floats
     score: Floats
     converged: Bools
+    nearly: Bools
+    sigma_px: Floats
 
 
 def align_patches(
@@ -98,7 +104,7 @@ def align_between(
     if half_px > _MAX_HALF:
         raise ValueError(f"half_px is {half_px}, at most {_MAX_HALF}")
     stretch = np.empty((0, 2, 2)) if reference_from_target is None else reference_from_target
-    xy, score, converged = patch_kernels.align(
+    xy, score, converged, nearly, sigma_px = patch_kernels.align(
         np.ascontiguousarray(references),
         np.ascontiguousarray(reference, dtype=np.int64),
         np.ascontiguousarray(reference_xy, dtype=np.float64),
@@ -109,4 +115,4 @@ def align_between(
         half_px,
         iterations,
     )
-    return Alignment(xy, score, converged)
+    return Alignment(xy, score, converged, nearly, sigma_px)

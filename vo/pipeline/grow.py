@@ -17,24 +17,7 @@ from vo.pipeline.later import Later
 from vo.pipeline.observe import measure_disparity
 from vo.pipeline.patch_search import find_patches
 from vo.pipeline.working_frame import Features, WorkingFrame
-from vo.types import Bools, Floats, Ints
-
-_CELL_PX = 6.0
-
-
-def far_from(xy: Floats, taken_xy: Floats) -> Bools:
-    """Mask (N,) of pixels that have no taken one in their cell or the cells beside it."""
-    if len(taken_xy) == 0:
-        return np.ones(len(xy), dtype=bool)
-    offset = 2
-    cells = np.floor(xy / _CELL_PX).astype(np.int64) + offset
-    taken = np.floor(taken_xy / _CELL_PX).astype(np.int64) + offset
-    size = np.maximum(cells.max(axis=0, initial=0), taken.max(axis=0)) + offset + 1
-    grid = np.zeros(size, dtype=bool)
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            grid[taken[:, 0] + dx, taken[:, 1] + dy] = True
-    return ~grid[cells[:, 0], cells[:, 1]]
+from vo.types import Floats, Ints
 
 
 def grow_stereo(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from vo.config import Config
+from vo.geometry.neighbours import far_from
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.grow import far_from
 from vo.pipeline.observe import predicted_octave
 from vo.pipeline.place import Tracked
 from vo.pipeline.working_frame import WorkingFrame
@@ -53,7 +53,7 @@ def add_tracked(
 ) -> Keyframe:
     """Store a tracked frame with the landmarks that it sees."""
     observed = tracked.observed
-    free = far_from(frame.keypoints.xy.astype(np.float64), observed.image_xy)
+    free = far_from(frame.keypoints.xy, observed.image_xy)
     keyframe = add_keyframe(world, frame, tracked.world_from_cam, segment, free)
     kept = tracked.inlier & (world.rows(tracked.ids) >= 0)
     ids = tracked.ids[kept]

@@ -21,6 +21,12 @@ from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bools, Bytes, Floats, Ints
 
 _BORDER_PX = 8.0
+# What pixel noise makes of a patch's position, as alignment estimates it: the median in streets,
+# halls and corridors; the share of the variance that it has no part in; and where it ends.
+_USUAL_SIGMA_PX, _SAME_VARIANCE, _MOST_SIGMA = 0.06, 0.4, 4.0
+# With fewer sure landmarks, in units of the least that a pose needs, poor ones are taken too: in
+# front of a nearly blank wall there are no others.
+_ENOUGH = 5
 _SCALE_RANGE = 2.0  # landmarks nearer or farther than this against their patch are not tried
 
 
@@ -208,17 +214,26 @@ def align_landmarks(
     )
     shift = np.linalg.norm(found.xy - visible.image_xy, axis=1)
     ideal = rig.ideal_from_image(found.xy)
-    kept = found.converged & (found.score >= config.min_patch_score)
+    kept = found.nearly & (found.score >= config.min_patch_score)
     kept &= (shift <= config.max_shift_px) & np.isfinite(ideal).all(axis=1)
+    sure = kept & found.converged
+    if np.count_nonzero(sure) >= _ENOUGH * config.min_inliers:
+        kept = sure
     return Observed(
         rows=rows[kept],
         image_xy=found.xy[kept],
         xy=ideal[kept],
         disparity=np.full(int(kept.sum()), np.nan),
-        sigma_px=np.full(int(kept.sum()), config.sigma_px),
+        sigma_px=config.sigma_px * _uncertainty(found.sigma_px[kept]),
         score=found.score[kept],
         scale=visible.scale[kept],
     )
+
+
+def _uncertainty(sigma_px: Floats) -> Floats:
+    """Standard deviations (n,) of aligned positions, in units of a usual patch's."""
+    share = np.minimum(sigma_px / _USUAL_SIGMA_PX, _MOST_SIGMA)
+    return np.asarray(np.sqrt(_SAME_VARIANCE + (1.0 - _SAME_VARIANCE) * share**2))
 
 
 def with_disparity(

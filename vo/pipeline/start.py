@@ -9,10 +9,10 @@ import numpy as np
 from vo.config import Config
 from vo.features.alignment import align_patches
 from vo.features.matching import agree_in_rotation, match_everywhere, match_windows
+from vo.geometry.neighbours import far_from
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Keyframe, Map
-from vo.pipeline.grow import far_from
 from vo.pipeline.keyframe import add_keyframe
 from vo.pipeline.working_frame import WorkingFrame
 from vo.tracking.two_view import TwoView, start_two_view
@@ -123,7 +123,7 @@ def map_from_pair(
     first = add_keyframe(world, pair.reference, anchor, segment, _others(pair.reference, query))
     first.covariance = np.zeros((6, 6))  # what comes later is measured against it
     taken = pair.image_xy[good]
-    free = far_from(pair.current.keypoints.xy.astype(np.float64), taken)
+    free = far_from(pair.current.keypoints.xy, taken)
     second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free)
     keypoints = pair.reference.keypoints
     reference_xy = keypoints.xy[query].astype(np.float64)
