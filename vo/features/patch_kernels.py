@@ -21,7 +21,8 @@ _UNDEFINED = ir.Constant(_NUMBERS, ir.Undefined)
 # hall 15 would have been found after all, and a sixth of all steps is saved.
 _HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 # Squared last step in pixels that ends a search, and that is near enough when there are no more
-# steps. What settles slowly is measured badly: taking it raised mono's ATE by 8 % on kitti07.
+# steps. Taking what settles slowly raised mono's ATE on kitti07 by 8 % and lowered it on others
+# (docs/accuracy.md).
 _SETTLED, _NEARLY = 4e-6, 1e-4
 
 # All compiled code that calls each other stays in this file: numba's cache does not notice when
