@@ -46,7 +46,12 @@ _ONE_TEXEL, _FRACTION = float(1 << _BITS), (1 << _BITS) - 1
 _PER_GREY = 1.0 / (255.0 * _ONE_TEXEL * _ONE_TEXEL)
 _SHARED = 4  # pixels of a row that share motion and how their texture is averaged,
 _SAME_LENGTH = 0.01  # while they are as far away as this share of the length
+_LANES = 8  # rays that are asked at once for what they meet
 _EDGE, _UNCERTAIN = 1, 2  # pixels that an edge crosses; whose rays may meet anything
+
+_RAY, _START, _TIME = 0, 3 * _LANES, 6 * _LANES  # where each begins among eight rays,
+_LENGTH, _NUMBER = 7 * _LANES, 8 * _LANES  # and what they meet
+_ROOM = 9 * _LANES
 
 _at = np.uint64  # an index that is not negative: Python's negative ones cost a few steps each
 
@@ -57,6 +62,8 @@ _Turn = tuple[_Vector, _Vector, _Vector]  # rows of a rotation
 _Sweep = tuple[_Turn, _Vector]
 _Tile = tuple[int, int, int, int]  # rows from, to, columns from, to
 _Level = tuple[int, float, float]  # mip-map level, its scale, share of the next level
+_Shape = tuple[float, float, float, float, float, float, float, float, float, float, float]
+_Cut = tuple[float, float, float]  # ray lengths at entrance and exit, face of the entrance
 _Beam = tuple[_Vector, _Vector, _Vector, _Vector]  # least and greatest origins, then rays
 _List = tuple[Ints, Floats]  # solids, and ray lengths below which each is not met
 # Solids, ray lengths below which each and the ground are not met, and `_plunge`.
@@ -98,7 +105,7 @@ def cast_rows(
     surface: NDArray[np.int32],
 ) -> None:
     """One ray for each pixel of rows band[0]…band[1], in the middle of its exposure."""
-    far, near = _empty_list(world), _empty_list(world)
+    far, near, eight = _empty_list(world), _empty_list(world), np.empty(_ROOM)
     poses = np.empty((band[1] - band[0], 13))
     for row in range(band[0], band[1]):
         _store(_pose(shutter, rays.shape[0], row, 0.0), poses[row - band[0]])
@@ -114,7 +121,9 @@ def cast_rows(
                         world, shutter, rays, part, 0.0, far, count, earth, near
                     )
                     seen = (near[0][:fewer], near[1][:fewer], below, plunge)
-                    _meet_tile(world, middles[upper - top :], rays, part, seen, depth, surface)
+                    _meet_tile(
+                        world, middles[upper - top :], rays, part, seen, eight, depth, surface
+                    )
             # Apart from what is met: in one loop, both would take a sixth longer.
             _shade_tile(world, middles, rays, tile, image, depth, surface)
 
@@ -126,20 +135,26 @@ def _meet_tile(
     rays: Floats,
     tile: _Tile,
     seen: _Seen,
+    eight: Floats,
     depth: Floats32,
     surface: NDArray[np.int32],
 ) -> None:
-    guess = seen[2]
+    """Fill in what the pixels of a tile see, which is at most eight wide."""
+    guess, ground = seen[2], _ground_number(world)
     for row in range(tile[0], tile[1]):
         turn, start, time = _stored(poses[row - tile[0]])
-        for column in range(tile[2], tile[3]):
+        for lane in range(_LANES):
+            column = min(tile[2] + lane, tile[3] - 1)
             x, y = rays[row, column, 0], rays[row, column, 1]
-            if np.isnan(x):
+            _set_ray(eight, lane, start, time, _turned(turn, (x, y, 1.0)))
+        _meet_solids(world, eight, seen)
+        for column in range(tile[2], tile[3]):
+            if np.isnan(rays[row, column, 0]):
                 depth[row, column], surface[row, column] = np.inf, _NOTHING
                 continue
-            t, number = _meet(world, start, time, _turned(turn, (x, y, 1.0)), seen, guess)
+            t, number = _met(world, eight, column - tile[2], seen, guess)
             depth[row, column], surface[row, column] = t, number
-            if number == _ground_number(world):
+            if number == ground:
                 guess = t
 
 
@@ -249,7 +264,7 @@ def smooth_rows(
     `counts` rays with offsets `grains` in area and time.
     """
     groups, numbers = np.empty((_GROUPS, 5)), np.empty(_GROUPS, np.int64)
-    around = np.empty(9, np.int64), np.zeros(9)
+    around, eight = (np.empty(9, np.int64), np.zeros(9)), np.empty(_ROOM)
     far, near = _empty_list(world), _empty_list(world)
     poses, sweeps = np.empty((band[1] - band[0], counts[0], 13)), np.empty((band[1] - band[0], 13))
     for row in range(band[0], band[1]):
@@ -295,7 +310,7 @@ def smooth_rows(
                             (asked, seen),
                             (counts, grains),
                             (poses[upper - band[0] :], sweeps[upper - band[0] :]),
-                            (groups, numbers),
+                            (groups, numbers, eight),
                             around,
                             (sharp, depth, surface),
                             crossed,
@@ -362,7 +377,7 @@ def _mean_of_rays(
     pass_: tuple[int, _Seen],
     sampling: tuple[Ints, Floats],
     motion: tuple[Floats, Floats],
-    scratch: tuple[Floats, Ints],
+    scratch: tuple[Floats, Ints, Floats],
     around: _List,
     middles: tuple[Floats32, Floats32, NDArray[np.int32]],
     crossed: NDArray[np.uint8],
@@ -420,7 +435,7 @@ def _mean_radiance(
     pixel: tuple[int, int],
     before: tuple[_Seen, bool],
     sampling: tuple[int, Floats, Floats],
-    scratch: tuple[Floats, Ints],
+    scratch: tuple[Floats, Ints, Floats],
     sweep: _Sweep,
     middles: tuple[Floats32, Floats32, NDArray[np.int32]],
 ) -> float:
@@ -432,7 +447,7 @@ def _mean_radiance(
     and whether that may be nothing; if it may not but is, the result is negative. `sampling` has
     the number of the count of rays, their offsets and, of the least count, their poses.
     """
-    (row, column), (groups, numbers), (seen, is_open) = pixel, scratch, before
+    (row, column), (groups, numbers, eight), (seen, is_open) = pixel, scratch, before
     level, grains, poses = sampling
     rows, many = rays.shape[0], len(grains)
     sharp, _, surface = middles
@@ -448,12 +463,18 @@ def _mean_radiance(
                 return float(sharp[row, column])
             many = k
             break
-        if level == 0:
-            turn, start, time = _stored(poses[k])
-        else:
-            turn, start, time = _pose(shutter, rows, row, grains[k, 2])
-        to = _turned(turn, _within(ray, across, down, grains[k, 0], grains[k, 1]))
-        t, number = _meet(world, start, time, to, seen, seen[2])
+        lane = k % _LANES
+        if lane == 0:
+            for other in range(_LANES):
+                m = min(k + other, len(grains) - 1)
+                if level == 0:
+                    turn, start, time = _stored(poses[m])
+                else:
+                    turn, start, time = _pose(shutter, rows, row, grains[m, 2])
+                to = _turned(turn, _within(ray, across, down, grains[m, 0], grains[m, 1]))
+                _set_ray(eight, other, start, time, to)
+            _meet_solids(world, eight, seen)
+        t, number = _met(world, eight, lane, seen, seen[2])
         if number == _SKY and not is_open:
             return -1.0
         inverse, group = 1.0 / t, 0
@@ -1084,15 +1105,108 @@ def _most_within(world: World, values: Floats32, area: tuple[float, float, float
 
 
 @_compiled
-def _meet(
-    world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen, guess: float
-) -> tuple[float, int]:
-    """Ray length and number of the surface that a ray meets, among the solids seen.
+def _set_ray(eight: Floats, lane: int, start: _Vector, time: float, ray: _Vector) -> None:
+    """Set one of eight rays."""
+    for k in range(3):
+        eight[_at(_RAY + k * _LANES + lane)] = ray[k]
+        eight[_at(_START + k * _LANES + lane)] = start[k]
+    eight[_at(_TIME + lane)] = time
 
-    `guess` is where it may meet the ground.
+
+@_compiled
+def _meet_solids(world: World, eight: Floats, seen: _Seen) -> None:
+    """Find ray lengths and numbers of the surfaces that eight rays meet, among the solids seen.
+
+    Loops over the rays have no branches and no array but `eight`, so that compilers make a few
+    vector instructions of them.
     """
-    t, solid, part = _nearest(world, start, time, ray, seen)
+    solids, starts, _, _ = seen
+    for lane in range(_LANES):
+        eight[_LENGTH + lane], eight[_NUMBER + lane] = np.inf, float(_SKY)
+    for i in range(len(solids)):
+        done = 0
+        for lane in range(_LANES):
+            done += eight[_LENGTH + lane] <= starts[i]
+        if done == _LANES:
+            break
+        kind = world.kinds[_at(solids[i])]
+        if kind == _BOX:
+            _meet_box(world, eight, solids[i])
+        elif kind == _ELLIPSOID:
+            _meet_ellipsoid(world, eight, solids[i])
+        else:
+            _meet_cylinder(world, eight, solids[i])
+
+
+@_compiled
+def _meet_box(world: World, eight: Floats, solid: int) -> None:
+    shape, speed = _shape(world, solid), _speed(world, solid)
+    for lane in range(_LANES):
+        o, d = _lane(eight, lane, shape, speed)
+        near, far, face = _cut_box(o, d, shape)
+        _keep(eight, lane, near, far, 6.0 * solid + face)
+
+
+@_compiled
+def _meet_ellipsoid(world: World, eight: Floats, solid: int) -> None:
+    shape, speed = _shape(world, solid), _speed(world, solid)
+    for lane in range(_LANES):
+        o, d = _lane(eight, lane, shape, speed)
+        near, far = _round_span(o, d, shape[8], shape[9], shape[10])
+        _keep(eight, lane, near, far, 6.0 * solid)
+
+
+@_compiled
+def _meet_cylinder(world: World, eight: Floats, solid: int) -> None:
+    shape, speed = _shape(world, solid), _speed(world, solid)
+    for lane in range(_LANES):
+        o, d = _lane(eight, lane, shape, speed)
+        near, far, face = _cut_cylinder(o, d, shape)
+        _keep(eight, lane, near, far, 6.0 * solid + face)
+
+
+@_compiled
+def _lane(eight: Floats, lane: int, shape: _Shape, speed: _Vector) -> tuple[_Vector, _Vector]:
+    """Origin and direction of one of eight rays in the frame of a solid."""
+    late = -eight[_TIME + lane]
+    x = eight[_START + lane] + late * speed[0] - shape[0]
+    y = eight[_START + _LANES + lane] + late * speed[1] - shape[1]
+    z = eight[_START + 2 * _LANES + lane] + late * speed[2] - shape[2]
+    u, v = eight[_RAY + lane], eight[_RAY + _LANES + lane]
+    cosine, sine = shape[6], shape[7]
+    return (
+        (cosine * x + sine * y, cosine * y - sine * x, z),
+        (cosine * u + sine * v, cosine * v - sine * u, eight[_RAY + 2 * _LANES + lane]),
+    )
+
+
+@_compiled
+def _keep(eight: Floats, lane: int, near: float, far: float, number: float) -> None:
+    """Take a surface that a ray enters at `near` if it is the nearest so far."""
+    length, before = eight[_LENGTH + lane], eight[_NUMBER + lane]
+    nearest = (near > 0.0) & (near <= far) & (near < length)
+    eight[_LENGTH + lane] = near if nearest else length
+    eight[_NUMBER + lane] = number if nearest else before
+
+
+@_compiled
+def _met(world: World, eight: Floats, lane: int, seen: _Seen, guess: float) -> tuple[float, int]:
+    """Ray length and number of the surface that one of eight rays meets, the ground included.
+
+    `_meet_solids` comes before; `guess` is where the ray may meet the ground.
+    """
+    t = eight[_at(_LENGTH + lane)]
     if seen[2] < t:
+        ray = (
+            eight[_at(_RAY + lane)],
+            eight[_at(_RAY + _LANES + lane)],
+            eight[_at(_RAY + 2 * _LANES + lane)],
+        )
+        start = (
+            eight[_at(_START + lane)],
+            eight[_at(_START + _LANES + lane)],
+            eight[_at(_START + 2 * _LANES + lane)],
+        )
         below = -1.0
         if seen[3] > 0.0:
             below = _ground_below(world, start, ray, (seen[2], seen[3]), guess)
@@ -1100,12 +1214,7 @@ def _meet(
             below = _ground_hit(world, start, ray, seen[2], t)
         if below < t:
             return below, _ground_number(world)
-    if solid < 0:
-        return np.inf, _SKY
-    if part >= _ROUND:
-        return t, 6 * solid
-    # A ray enters through the face that looks towards it.
-    return t, 6 * solid + 2 * part + (0 if _local(world, solid, ray)[part] > 0.0 else 1)
+    return t, int(eight[_at(_NUMBER + lane)])
 
 
 @_compiled
@@ -1236,19 +1345,19 @@ def _part(world: World, solid: int, face: int) -> int:
 
 
 @_compiled
-def _nearest(
-    world: World, start: _Vector, time: float, ray: _Vector, seen: _Seen
-) -> tuple[float, int, int]:
-    """Ray length, solid and part of the first hit; solid -1 for none."""
-    solids, starts, _, _ = seen
-    t, solid, part = np.inf, -1, 0
-    for i in range(len(solids)):
-        if starts[i] >= t:
-            break
-        closer, there = _enter(world, solids[i], _beside(world, solids[i], start, time), ray)
-        if closer < t:
-            t, solid, part = closer, solids[i], there
-    return t, solid, part
+def _shape(world: World, solid: int) -> _Shape:
+    """A solid's numbers as scalars, which stay in registers while arrays are written."""
+    s = world.shapes[_at(solid)]
+    return s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9], s[10]
+
+
+@_compiled
+def _speed(world: World, solid: int) -> _Vector:
+    mover = solid - len(world.bounds)
+    if mover < 0:
+        return _ZERO
+    speed = world.movers.velocities[mover]
+    return speed[0], speed[1], speed[2]
 
 
 @_compiled
@@ -1262,32 +1371,52 @@ def _beside(world: World, solid: int, start: _Vector, time: float) -> _Vector:
 
 
 @_compiled
-def _enter(world: World, solid: int, start: _Vector, ray: _Vector) -> tuple[float, int]:
-    """Where a ray enters a solid, and through which part of it; infinite for a miss."""
-    near, far, part = _span(world, solid, start, ray)
-    return (near, part) if 0.0 < near <= far else (np.inf, 0)
+def _span(world: World, solid: int, start: _Vector, ray: _Vector) -> _Pair:
+    """Ray lengths at which a ray enters and leaves a solid; empty for a miss."""
+    o, d = _local_point(world, solid, start), _local(world, solid, ray)
+    kind, shape = world.kinds[_at(solid)], _shape(world, solid)
+    if kind == _BOX:
+        near, far, _ = _cut_box(o, d, shape)
+    elif kind == _ELLIPSOID:
+        near, far = _round_span(o, d, shape[8], shape[9], shape[10])
+    else:
+        near, far, _ = _cut_cylinder(o, d, shape)
+    return near, far
 
 
 @_compiled
-def _span(world: World, solid: int, start: _Vector, ray: _Vector) -> tuple[float, float, int]:
-    """Ray lengths at which a ray enters and leaves a solid, and through which part it enters."""
-    o, d = _local_point(world, solid, start), _local(world, solid, ray)
-    kind, shape = world.kinds[_at(solid)], world.shapes[_at(solid)]
-    near, far, part = -np.inf, np.inf, 0
-    if kind != _ELLIPSOID:
-        for k in range(0 if kind == _BOX else 2, 3):
-            inverse = 1.0 / (d[k] if d[k] != 0.0 else 1e-300)
-            middle, reach = -o[k] * inverse, shape[3 + k] * abs(inverse)
-            if middle - reach > near:
-                near, part = middle - reach, k
-            far = min(far, middle + reach)
-    if kind != _BOX:
-        height = shape[10] if kind == _ELLIPSOID else 0.0
-        first, last = _round_span(o, d, shape[8], shape[9], height)
-        if first > near:
-            near, part = first, _ROUND if kind == _ELLIPSOID else _SIDE
-        far = min(far, last)
-    return near, far, part
+def _cut_box(o: _Vector, d: _Vector, shape: _Shape) -> _Cut:
+    """Where a ray is within a box."""
+    cut = _cut_between((-np.inf, np.inf, 0.0), o[0], d[0], shape[3], 0.0)
+    cut = _cut_between(cut, o[1], d[1], shape[4], 2.0)
+    return _cut_between(cut, o[2], d[2], shape[5], 4.0)
+
+
+@_compiled
+def _cut_cylinder(o: _Vector, d: _Vector, shape: _Shape) -> _Cut:
+    """Where a ray is within an upright cylinder; the face of its side is 0."""
+    near, far, face = _cut_between((-np.inf, np.inf, 0.0), o[2], d[2], shape[5], 4.0)
+    first, last = _round_span(o, d, shape[8], shape[9], 0.0)
+    aside = first > near
+    return (first if aside else near), min(far, last), (0.0 if aside else face)
+
+
+@_compiled
+def _cut_between(cut: _Cut, o: float, d: float, reach: float, face: float) -> _Cut:
+    """What of a ray is also between two parallel faces, of which `face` is the first.
+
+    A ray enters through the face that looks towards it.
+    """
+    near, far, before = cut
+    inverse = 1.0 / (d if d != 0.0 else 1e-300)
+    middle, half = -o * inverse, reach * abs(inverse)
+    later = middle - half > near
+    entered = face if d > 0.0 else face + 1.0
+    return (
+        (middle - half if later else near),
+        min(far, middle + half),
+        (entered if later else before),
+    )
 
 
 @_compiled
@@ -1295,17 +1424,20 @@ def _round_span(o: _Vector, d: _Vector, x: float, y: float, z: float) -> _Pair:
     """Where a ray is within the ellipsoid of half axes 1/x, 1/y, 1/z; empty for a miss."""
     ox, oy, oz, dx, dy, dz = o[0] * x, o[1] * y, o[2] * z, d[0] * x, d[1] * y, d[2] * z
     a = dx * dx + dy * dy + dz * dz
-    if a == 0.0:  # along a cylinder
-        return (-np.inf, np.inf) if ox * ox + oy * oy <= 1.0 else (np.inf, -np.inf)
     inverse = 1.0 / a
     middle = -(ox * dx + oy * dy + oz * dz) * inverse
     # From the point of the ray closest to the middle: exact also for small things far away.
     px, py, pz = ox + middle * dx, oy + middle * dy, oz + middle * dz
     rest = 1.0 - (px * px + py * py + pz * pz)
-    if rest < 0.0:
-        return np.inf, -np.inf
-    reach = math.sqrt(rest * inverse)
-    return middle - reach, middle + reach
+    reach = math.sqrt(max(rest, 0.0) * inverse)
+    near = middle - reach if rest >= 0.0 else np.inf
+    far = middle + reach if rest >= 0.0 else -np.inf
+    # Along a cylinder, it is within or without all the way.
+    inside = ox * ox + oy * oy <= 1.0
+    if a == 0.0:
+        near = -np.inf if inside else np.inf
+        far = np.inf if inside else -np.inf
+    return near, far
 
 
 @_compiled
@@ -1760,7 +1892,9 @@ def _filtered(world: World, texture: int, u: float, v: float, filter_: _Filter) 
     first_sample = 0.5 * (step - 1.0)
     x, y = int(scale * (u + first_sample * right)), int(scale * (v + first_sample * low))
     dx, dy = int(scale * step * right), int(scale * step * low)
-    total = _along_line(world, texture, level, (x, y), (dx, dy), count)
+    total = 0.0
+    if share < 1.0:
+        total = _along_line(world, texture, level, (x, y), (dx, dy), count)
     if share > 0.0:
         x, y, dx, dy = x >> 1, y >> 1, dx >> 1, dy >> 1
         softer = _along_line(world, texture, level + 1, (x, y), (dx, dy), count)
@@ -2146,7 +2280,7 @@ def _blocker(world: World, start: _Vector, ray: _Vector, guess: int) -> int:
 @_compiled
 def _blocks(world: World, solid: int, start: _Vector, ray: _Vector) -> bool:
     """Whether a solid is between start and start + ray, or start is inside it."""
-    near, far, _ = _span(world, solid, start, ray)
+    near, far = _span(world, solid, start, ray)
     return max(near, 0.0) < min(far, 1.0)
 
 
