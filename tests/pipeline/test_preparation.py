@@ -82,8 +82,9 @@ def test_what_comes_later_is_worked_out_once_wherever_it_was_begun() -> None:
         assert len(threads) == 1 and threads[0].startswith("beside")
         asked = Later(work, pool)
         assert (asked.result(), asked.result()) == (7, 7)
-        assert threads[1:] == [threading.current_thread().name]
+        assert len(threads) == 2 and threads[1] == threads[0]  # one detector, one thread
     nowhere = Later(work, None)
     nowhere.begin()
     assert len(threads) == 2
     assert nowhere.result() == 7
+    assert threads[2:] == [threading.current_thread().name]

@@ -29,9 +29,14 @@ class Later(Generic[T]):
             self._future = self._executor.submit(self._work)
 
     def result(self) -> T:
-        """Wait for the result, or work it out here; at the second time it is there."""
+        """Wait for the result; at the second time it is there.
+
+        It comes from the executor, if there is one, where it cannot get in the way of others.
+        """
         self.is_used = True
+        self.begin()
         if self._future is None:
+            result = self._work()
             self._future = Future()
-            self._future.set_result(self._work())
+            self._future.set_result(result)
         return self._future.result()

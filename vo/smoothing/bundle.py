@@ -10,15 +10,17 @@ factors); Golub and Pereyra, "The Differentiation of Pseudo-Inverses", 1973 (var
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
 
-from vo.config import SmoothingConfig
 from vo.geometry.points import PointViews, best_points, point_views
 from vo.geometry.transforms import inverse
 from vo.types import Bools, Floats, WindowProblem
+
+if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.smoothing.process`
+    from vo.config import SmoothingConfig
 
 _UNSEEN = 1e-12  # information on a point in every direction, against all it has
 _NEAREST = 1e-6  # depth from which on a point is in front

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
 
-from vo.config import SmoothingConfig
 from vo.smoothing.residuals import residuals
 from vo.types import Bools, Floats, Ints, WindowProblem
+
+if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.smoothing.process`
+    from vo.config import SmoothingConfig
 
 
 class Linearised(NamedTuple):

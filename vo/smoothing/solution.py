@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vo.config import SmoothingConfig
 from vo.smoothing.anchors import anchors
 from vo.smoothing.bundle import Bundle
 from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.information import pose_information
 from vo.smoothing.linearisation import linearise
 from vo.types import Bools, Floats, WindowProblem
+
+if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.smoothing.process`
+    from vo.config import SmoothingConfig
 
 
 class WindowSolution(NamedTuple):

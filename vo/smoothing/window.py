@@ -11,16 +11,18 @@ take GTSAM some ten times as long to the same optimum (docs/accuracy.md). Keys a
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import gtsam
 import numpy as np
 
-from vo.config import SmoothingConfig
 from vo.smoothing.anchors import Anchors, anchors
 from vo.smoothing.bundle import Bundle, NormalEquations
 from vo.smoothing.residuals import residuals
 from vo.types import Bools, Floats, WindowProblem
+
+if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.smoothing.process`
+    from vo.config import SmoothingConfig
 
 _UNDETERMINED = 1e-13  # eigenvalue, against the greatest, below which a direction is left alone
 

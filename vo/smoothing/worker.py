@@ -5,11 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import traceback
-from typing import IO
+from types import SimpleNamespace
+from typing import IO, Any
 
 import numpy as np
 
-from vo.config import SmoothingConfig
 from vo.smoothing.messages import receive, send
 from vo.smoothing.solution import WindowSolution, smooth
 from vo.types import WindowProblem
@@ -48,7 +48,14 @@ def warm_up() -> None:
         disparity=50.0 / in_cam[:, 2],
         sigma_px=np.ones(6),
     )
-    smooth(problem, SmoothingConfig())
+    options: Any = SimpleNamespace(
+        iterations=8,
+        relative_error_tolerance=1e-3,
+        huber=1.0,
+        sigma_disparity_px=0.4,
+        covariance_scale=1.0,
+    )
+    smooth(problem, options)
 
 
 def serve(questions: IO[bytes], answers: IO[bytes]) -> None:
