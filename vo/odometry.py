@@ -24,10 +24,11 @@ from vo.pipeline.cores import available_cores
 from vo.pipeline.direct_step import direct_step
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.essential_step import essential_step
+from vo.pipeline.forecast import KeyframeForecast
 from vo.pipeline.grow import grow_stereo, look_back, looks_swapped
 from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.history import History
-from vo.pipeline.keyframe import add_keyframe, add_tracked, wants_keyframe
+from vo.pipeline.keyframe import add_keyframe, add_tracked, change_since
 from vo.pipeline.later import Later
 from vo.pipeline.light import fault_of
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
@@ -44,6 +45,7 @@ from vo.pipeline.view import (
 from vo.pipeline.working_frame import Preparation, WorkingFrame
 from vo.smoothing.smoother import make_smoother
 from vo.smoothing.solution import WindowSolution
+from vo.tracking.keyframes import needs_keyframe
 from vo.tracking.motion import ConstantVelocity
 from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, State
 
@@ -54,8 +56,6 @@ from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, Stat
 _ANSWER_AFTER_STEREO, _ANSWER_AFTER_MONO = 2, 0
 # Share of the last frame's landmarks that must agree for a pose to be taken without descriptors.
 _CLEAR = 0.5
-# Features are looked for ahead of time while more frames than this share are keyframes.
-_MANY_KEYFRAMES = 0.5
 _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew
 
 
@@ -107,7 +107,8 @@ class Odometry:
         self._window: Window | None = None  # that the smoother works on
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
         self._frames_since_asked = 0
-        self._keyframe_share = 1.0  # of the newest frames
+        self._forecast = KeyframeForecast(config.keyframes)
+        self._features_soon = True  # whether the next frame's features are likely to be needed
         self._moved: set[int] = set()  # keyframes that were smoothed in this step
 
     @property
@@ -128,12 +129,11 @@ class Odometry:
         clock = Stopwatch()
         with clock.stage("features"):
             working = coming.result()
-            if self._preparation.begins_features:
+            if self._features_soon or self._state is not State.TRACKING:
                 working.begin_features()
         reason, tracked, keyframe = self._advance(working, clock)
-        self._keyframe_share += 0.25 * ((keyframe is not None) - self._keyframe_share)
-        expected = self._keyframe_share > _MANY_KEYFRAMES or self._state is not State.TRACKING
-        self._preparation.begins_features = expected
+        is_tracking = self._state is State.TRACKING
+        self._preparation.begins_features = self._forecast.expects_all or not is_tracking
         return self._estimate(working, tracked, keyframe, reason, clock)
 
     def _advance(
@@ -218,7 +218,10 @@ class Odometry:
         """Take in a tracked frame; make it a keyframe if the map needs one."""
         self._state, self._lost = State.TRACKING, []
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
-        if not wants_keyframe(self._map, frame, tracked, self._config):
+        change = change_since(self._map, frame, tracked, self._config)
+        is_keyframe = needs_keyframe(change, self._config.keyframes)
+        self._features_soon = self._forecast.expects(change, is_keyframe=is_keyframe)
+        if not is_keyframe:
             newest = self._map.keyframes[-1]
             pose = self._cam0(tracked.world_from_cam)
             self.history.add(frame.index, frame.stamp_ns, self._segment, newest.id, pose)

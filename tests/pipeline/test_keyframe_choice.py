@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from vo.config import load_config
-from vo.pipeline.keyframe import wants_keyframe
+from vo.pipeline.keyframe import change_since
+from vo.tracking.keyframes import needs_keyframe
 
 CONFIG = load_config("fast")
 MOST = CONFIG.tracking.max_landmarks
@@ -26,7 +27,7 @@ def _wants(seen_by_last: int, tracked: int) -> bool:
         world_from_cam=np.eye(4), observed=observed, inlier=np.ones(tracked, dtype=bool)
     )
     frame: Any = SimpleNamespace(stamp_ns=1_050_000_000)
-    return wants_keyframe(world, frame, placed, CONFIG)
+    return needs_keyframe(change_since(world, frame, placed, CONFIG), CONFIG.keyframes)
 
 
 @pytest.mark.parametrize("seen_by_last", [MOST, 2 * MOST, 4 * MOST])

@@ -7,7 +7,7 @@ import pytest
 
 from vo.config import KeyframeConfig
 from vo.geometry.transforms import inverse, se3_exp, transform_points
-from vo.tracking.keyframes import median_parallax, needs_keyframe
+from vo.tracking.keyframes import Change, median_parallax, needs_keyframe
 from vo.tracking.motion import ConstantVelocity
 from vo.tracking.scale import scale_from_points
 from vo.types import Floats
@@ -142,14 +142,14 @@ def test_keyframes_come_with_lost_landmarks_parallax_or_time_in_motion(
     tracked: int, parallax_deg: float, elapsed_s: float, needed: bool
 ) -> None:
     parallax = np.deg2rad(parallax_deg)
-    assert needs_keyframe(tracked, 1000, parallax, elapsed_s, CONFIG) == needed
+    assert needs_keyframe(Change(tracked, 1000, parallax, elapsed_s), CONFIG) == needed
 
 
 @pytest.mark.parametrize(("parallax_deg", "needed"), [(0.0, False), (0.2, False), (0.5, True)])
 def test_few_landmarks_ask_for_a_keyframe_once_the_camera_has_moved(
     parallax_deg: float, needed: bool
 ) -> None:
-    assert needs_keyframe(150, 160, np.deg2rad(parallax_deg), 0.1, CONFIG) == needed
+    assert needs_keyframe(Change(150, 160, np.deg2rad(parallax_deg), 0.1), CONFIG) == needed
 
 
 def test_parallax_is_the_median_angle_at_the_points() -> None:

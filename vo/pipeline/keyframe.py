@@ -10,7 +10,7 @@ from vo.mapping.map import Keyframe, Map
 from vo.pipeline.observe import predicted_octave
 from vo.pipeline.place import Tracked
 from vo.pipeline.working_frame import WorkingFrame
-from vo.tracking.keyframes import median_parallax, needs_keyframe
+from vo.tracking.keyframes import Change, median_parallax
 from vo.types import Bools, Floats, Ints
 
 _TRACKABLE = 0.9  # share of the landmarks tried in a frame that is found in easy ones
@@ -18,8 +18,8 @@ _PATCH_SCALE = 1.3  # patches of landmarks that have changed size by more are ta
 _PATCH_SCORE = 0.9  # and those that correlate less
 
 
-def wants_keyframe(world: Map, frame: WorkingFrame, tracked: Tracked, config: Config) -> bool:
-    """Whether a tracked frame sees too little of the map, or sees it from a new side."""
+def change_since(world: Map, frame: WorkingFrame, tracked: Tracked, config: Config) -> Change:
+    """How much less of the map a tracked frame sees than the last keyframe, and how differently."""
     last = world.keyframes[-1]
     rows = tracked.observed.rows[tracked.inlier]
     parallax = median_parallax(
@@ -29,7 +29,7 @@ def wants_keyframe(world: Map, frame: WorkingFrame, tracked: Tracked, config: Co
     # Never more than can be expected to be tracked: else every frame of a rich scene is one.
     most = _TRACKABLE * config.tracking.max_landmarks / config.keyframes.min_tracked_share
     before = min(len(last.landmark), int(most))
-    return needs_keyframe(len(rows), before, parallax, elapsed_s, config.keyframes)
+    return Change(len(rows), before, parallax, elapsed_s)
 
 
 def add_keyframe(

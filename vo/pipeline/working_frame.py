@@ -88,7 +88,7 @@ class Preparation:
     """Makes frames ready, left and right each in a thread of its own if there are cores for it.
 
     Attributes:
-        begins_features: whether features, too, are looked for ahead of time. Those that nobody
+        begins_features: whether features, too, are looked for a frame ahead. Those that nobody
             asks for then cost time, and nothing else.
     """
 

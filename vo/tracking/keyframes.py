@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -9,18 +11,25 @@ from vo.config import KeyframeConfig
 from vo.types import Floats
 
 
-def needs_keyframe(
-    tracked: int, last_tracked: int, parallax_rad: float, elapsed_s: float, config: KeyframeConfig
-) -> bool:
-    """Whether the map should be extended here.
+class Change(NamedTuple):
+    """What is different from the last keyframe.
 
-    Args:
+    Attributes:
         tracked: landmarks tracked now.
         last_tracked: landmarks of the last keyframe.
         parallax_rad: median angle between the rays to landmarks, now and at the last keyframe.
         elapsed_s: since the last keyframe.
-        config: the limits.
     """
+
+    tracked: int
+    last_tracked: int
+    parallax_rad: float
+    elapsed_s: float
+
+
+def needs_keyframe(change: Change, config: KeyframeConfig) -> bool:
+    """Whether the map should be extended here."""
+    tracked, last_tracked, parallax_rad, elapsed_s = change
     if tracked < config.min_tracked_share * last_tracked:
         return True
     if parallax_rad > np.deg2rad(config.min_parallax_deg):
