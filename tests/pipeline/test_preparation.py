@@ -88,3 +88,10 @@ def test_what_comes_later_is_worked_out_once_wherever_it_was_begun() -> None:
     assert len(threads) == 2
     assert nowhere.result() == 7
     assert threads[2:] == [threading.current_thread().name]
+
+
+def test_work_that_failed_fails_again_when_asked_again() -> None:
+    later = Later(lambda: 1 // 0, None)
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            later.result()

@@ -176,3 +176,8 @@ def test_no_process_outlives_a_script_that_does_not_close(end: str, tmp_path: Pa
     )
     assert _has_ended(int(done.stdout.split()[0]))
     assert done.stderr.count("Traceback") == (end == "raise KeyboardInterrupt")
+
+
+def test_its_program_does_without_the_settings() -> None:
+    program = "import sys, vo.smoothing.worker; sys.exit('pydantic' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
