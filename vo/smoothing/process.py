@@ -96,7 +96,7 @@ class _Child:
     def _exchange(self, problem: WindowProblem, config: SmoothingConfig) -> WindowSolution | str:
         process = self._process
         assert process.stdin is not None and process.stdout is not None
-        # Bare numbers: with the settings' classes, the process would take a quarter longer to start.
+        # Bare numbers: the settings' classes would make its start a quarter longer.
         send(process.stdin, (problem, SimpleNamespace(**config.model_dump())))
         answer: WindowSolution | str = receive(process.stdout)
         self._has_answered = True
