@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from feature_scenes import shapes
@@ -91,3 +92,25 @@ def test_a_blank_image_has_no_corners(grey: int) -> None:
     xy, scores = FastGrid(20, 7, BORDER).detect(np.full((200, 300), grey, np.uint8), 500)
     assert xy.shape == (0, 2)
     assert scores.shape == (0,)
+
+
+@pytest.mark.parametrize("threshold", [1, 7, 20, 120])
+@pytest.mark.parametrize("width", [480, 487])
+def test_corners_and_scores_are_those_of_opencv(threshold: int, width: int) -> None:
+    rng = np.random.default_rng(3)
+    image = shapes(300, width, density=1 / 150)
+    image = np.asarray(np.clip(image + rng.normal(0, 3, image.shape), 0, 255), dtype=np.uint8)
+    image[120:140] = 0  # as bright and as dark as can be
+    image[121:140:7, ::9] = 255
+    reach = BORDER - 3  # so that it looks where we do, and no farther
+    inner = image[reach:-reach, reach:-reach]
+    keypoints = cv2.FastFeatureDetector.create(threshold, True).detect(inner)
+    expected = [(k.pt[0] + reach, k.pt[1] + reach, k.response) for k in keypoints]
+    xy, scores = FastGrid(threshold, 255, BORDER).detect(image, 10**6)  # none of poor cells
+    assert len(expected) > 100
+    np.testing.assert_array_equal(np.column_stack([xy, scores]), expected)
+
+
+def test_a_border_narrower_than_the_ring_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least 3"):
+        FastGrid(20, 7, 2)

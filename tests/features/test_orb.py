@@ -47,6 +47,20 @@ def test_the_same_image_gives_the_same_features() -> None:
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
 
 
+def test_descriptors_are_those_of_opencv() -> None:
+    found = _detect(shapes(300, 480))
+    first = found.octave == 0
+    keypoints = [
+        cv2.KeyPoint(float(x), float(y), 31.0, float(angle))
+        for (x, y), angle in zip(found.xy[first], np.rad2deg(found.angle[first]), strict=True)
+    ]
+    opencv = cv2.ORB.create(nlevels=1, edgeThreshold=16, patchSize=31)
+    kept, expected = opencv.compute(shapes(300, 480), keypoints)
+    assert len(kept) == len(keypoints) > 200
+    bits = np.unpackbits(expected ^ found.descriptor[first])
+    assert bits.mean() < 1e-5  # a pixel's place may be rounded the other way
+
+
 def test_a_scene_turned_by_30_degrees_is_recognised() -> None:
     image = shapes(400, 400)
     turn = cv2.getRotationMatrix2D((199.5, 199.5), -30.0, 1.0)  # clockwise, as image angles grow

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-import cv2
+from collections.abc import Callable
+from typing import Any
+
 import numba
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from vo.types import Bytes, Floats32
 
-_RING = 3  # radius of the ring of pixels that FAST compares
+_RING = 3  # radius of the ring of pixels that a corner is compared with
+_ON_RING = 16  # pixels on it
 _PER_CELL = 3.0  # corners that a cell should hold
+
+# All compiled code stays in this file: numba's cache does not notice when a function in another
+# file has changed.
 
 
 class FastGrid:
     """Finds FAST corners in an image, at most `count`, spread over a grid of square cells.
 
-    Where a cell has no corner at the normal threshold, it is searched again at the lower one, so
+    A corner has nine pixels in a row, of the ring around it, that all differ from it in the same
+    direction by more than the threshold, and by more than at any of its eight neighbours. Where a
+    cell has no corner at the normal threshold, it is searched again at the lower one, so
     that shade and haze keep their corners. The best of every cell are taken first, then the
     second best of every cell, and so on.
 
@@ -24,47 +34,138 @@ class FastGrid:
     """
 
     def __init__(self, threshold: int, low_threshold: int, border: int) -> None:
-        self._normal = cv2.FastFeatureDetector.create(threshold, True)
-        self._low = cv2.FastFeatureDetector.create(low_threshold, True)
+        if border < _RING:
+            raise ValueError(f"border is {border}, at least {_RING}")
+        self._thresholds = threshold, low_threshold
         self._border = border
 
     def detect(self, image: Bytes, count: int) -> tuple[NDArray[np.int32], Floats32]:
-        """Pixels x, y (N, 2) and scores (N,) of corners of an (H, W) uint8 image."""
+        """Pixels x, y (N, 2) and scores (N,) of corners of an (H, W) uint8 image.
+
+        The score is the highest threshold at which it would still be a corner.
+        """
         height, width = image.shape
         b = self._border
         if count == 0 or min(height, width) <= 2 * b:
             return np.empty((0, 2), np.int32), np.empty(0, np.float32)
         size = int(max(np.sqrt(width * height * _PER_CELL / count), 12.0))
-        shape = ((height - 2 * b - 1) // size + 1, (width - 2 * b - 1) // size + 1)
-        found = [_corners(self._normal, image, b, b, width - b, height - b)]
-        cells = _cell_of(found[0][0], b, size, shape[1])
-        for cell in np.flatnonzero(np.bincount(cells, minlength=shape[0] * shape[1]) == 0):
-            x, y = b + (cell % shape[1]) * size, b + (cell // shape[1]) * size
-            right, bottom = min(x + size, width - b), min(y + size, height - b)
-            found.append(_corners(self._low, image, int(x), int(y), int(right), int(bottom)))
-        xy = np.concatenate([f[0] for f in found])
-        scores = np.concatenate([f[1] for f in found])
-        cells = _cell_of(xy, b, size, shape[1])
-        rows = _best_of_cells(scores.astype(np.int64), cells, shape[0] * shape[1], count)
-        return np.ascontiguousarray(xy[rows]), scores[rows]
+        edge = b - _RING
+        inner = np.ascontiguousarray(image[edge : height - edge, edge : width - edge])
+        xy, scores = _best_corners(_contrasts(inner), *self._thresholds, size, count)
+        return xy + np.int32(b), scores
 
 
-def _corners(
-    detector: cv2.FastFeatureDetector, image: Bytes, left: int, top: int, right: int, bottom: int
-) -> tuple[NDArray[np.int32], Floats32]:
-    """Corners with left <= x < right and top <= y < bottom."""
-    part = image[top - _RING : bottom + _RING, left - _RING : right + _RING]
-    keypoints = detector.detect(part)
-    if not keypoints:
-        return np.empty((0, 2), np.int32), np.empty(0, np.float32)
-    xy = np.asarray(cv2.KeyPoint.convert(keypoints)) + (left - _RING, top - _RING)
-    scores = np.fromiter((k.response for k in keypoints), np.float32, len(keypoints))
-    return xy.astype(np.int32), scores
+@intrinsic
+def _contrast(typing_context: Any, centre: Any, ring: Any) -> Any:
+    """The grey levels by which some nine pixels in a row, on a ring of 16, all exceed the centre.
+
+    Or by which they all fall short of it, whichever is more; 0 if nine in a row do neither. Eight
+    bits wide from end to end and without a branch, so that a loop over pixels becomes vector
+    instructions.
+    """
+    Join = Callable[[Any, Any], Any]
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        middle, packed = arguments
+        v = [builder.extract_value(packed, k) for k in range(_ON_RING)]
+
+        def least(a: Any, b: Any) -> Any:
+            return builder.select(builder.icmp_unsigned("<", a, b), a, b)
+
+        def greatest(a: Any, b: Any) -> Any:
+            return builder.select(builder.icmp_unsigned(">", a, b), a, b)
+
+        def excess(a: Any, b: Any) -> Any:
+            return builder.sub(greatest(a, b), b)
+
+        def best_arc(of_arc: Join, of_arcs: Join) -> Any:
+            """`of_arcs` of what `of_arc` makes of each nine pixels in a row."""
+
+            def doubled(arcs: dict[int, Any], length: int) -> dict[int, Any]:
+                return {k: of_arc(arcs[k], arcs[(k + length) % _ON_RING]) for k in arcs}
+
+            odd = {k: of_arc(v[k], v[(k + 1) % _ON_RING]) for k in range(1, _ON_RING, 2)}
+            eight = doubled(doubled(odd, 2), 4)
+            best = None
+            for k, arc in eight.items():  # with the pixel before it or the one after it: nine
+                nine = of_arc(arc, of_arcs(v[k - 1], v[(k + 8) % _ON_RING]))
+                best = nine if best is None else of_arcs(best, nine)
+            return best
+
+        brighter = excess(best_arc(least, greatest), middle)
+        darker = excess(middle, best_arc(greatest, least))
+        return greatest(brighter, darker)
+
+    return types.uint8(centre, ring), generate
 
 
-def _cell_of(xy: NDArray[np.int32], border: int, size: int, columns: int) -> NDArray[np.int64]:
-    cell = (xy[:, 1] - border) // size * columns + (xy[:, 0] - border) // size
-    return cell.astype(np.int64)
+@numba.njit(cache=True, nogil=True)
+def _contrasts(image):  # type: ignore[no-untyped-def]
+    """Contrast of the pixels of an image that have a whole ring around them."""
+    height, width = image.shape[0] - 2 * _RING, image.shape[1] - 2 * _RING
+    contrast = np.empty((height, width), dtype=np.uint8)
+    for y in range(height):
+        r0, r1, r2, r3 = image[y], image[y + 1], image[y + 2], image[y + 3]
+        r4, r5, r6 = image[y + 4], image[y + 5], image[y + 6]
+        for x in range(width):
+            top = r0[x + 2], r0[x + 3], r0[x + 4], r1[x + 5]
+            right = r2[x + 6], r3[x + 6], r4[x + 6], r5[x + 5]
+            bottom = r6[x + 4], r6[x + 3], r6[x + 2], r5[x + 1]
+            left = r4[x], r3[x], r2[x], r1[x + 1]
+            contrast[y, x] = _contrast(r3[x + 3], top + right + bottom + left)  # type: ignore[call-arg]
+    return contrast
+
+
+@numba.njit(cache=True, nogil=True)
+def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
+    """Pixels and scores of `count` corners at most, those at the normal threshold first."""
+    height, width = contrast.shape
+    columns = (width - 1) // size + 1
+    cells = (height - 1) // size * columns + columns
+    found = np.empty(height * width, dtype=np.int64)  # y * width + x; there cannot be more
+    n = _add_corners(contrast, 0, 0, height, width, threshold, found, 0)
+    is_poor = np.ones(cells, dtype=np.bool_)
+    for i in range(n):
+        is_poor[found[i] // width // size * columns + found[i] % width // size] = False
+    for cell in np.flatnonzero(is_poor):
+        top, left = cell // columns * size, cell % columns * size
+        bottom, right = min(top + size, height), min(left + size, width)
+        n = _add_corners(contrast, top, left, bottom, right, low_threshold, found, n)
+    scores, cell_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        y, x = found[i] // width, found[i] % width
+        scores[i] = contrast[y, x] - 1
+        cell_of[i] = y // size * columns + x // size
+    rows = _best_of_cells(scores, cell_of, cells, count)
+    xy = np.empty((len(rows), 2), dtype=np.int32)
+    for i, row in enumerate(rows):
+        xy[i, 0], xy[i, 1] = found[row] % width, found[row] // width
+    return xy, scores[rows].astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_corners(contrast, top, left, bottom, right, threshold, found, n):  # type: ignore[no-untyped-def]
+    """Append y * width + x of the corners in a part of the image; gives how many there are now."""
+    height, width = bottom - top, right - left
+    part = np.zeros((height + 2, width + 2), dtype=np.uint8)  # nothing beyond it counts
+    part[1:-1, 1:-1] = contrast[top:bottom, left:right]
+    is_corner = np.zeros((width + 7) // 8 * 8, dtype=np.uint8)
+    eights = is_corner.view(np.uint64)
+    least, one, none = np.uint8(threshold), np.uint8(1), np.uint8(0)
+    for y in range(height):
+        above, row, below = part[y], part[y + 1], part[y + 2]
+        for x in range(width):
+            around = max(max(above[x], above[x + 1]), max(above[x + 2], row[x]))
+            around = max(around, max(row[x + 2], max(below[x], max(below[x + 1], below[x + 2]))))
+            is_corner[x] = one if row[x + 1] > max(around, least) else none
+        for eight in range(len(eights)):
+            if eights[eight] == 0:  # as almost everywhere
+                continue
+            for x in range(8 * eight, 8 * eight + 8):
+                if is_corner[x]:
+                    found[n] = (top + y) * contrast.shape[1] + left + x
+                    n += 1
+    return n
 
 
 @numba.njit(cache=True, nogil=True)

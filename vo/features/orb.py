@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vo.config import FeaturesConfig
 from vo.features.fast import FastGrid
 from vo.types import Bytes, Floats32, Keypoints
 
-_PATCH = 31  # side of the described patch, at its pyramid level
+_RADIUS = 15  # of the described patch, in pixels of its pyramid level
 _BORDER = 19  # room for the rotated patch and its blur
+_SIDE = 2 * _RADIUS + 2  # of the square around a corner that is summed up; even, for vector units
+_BLUR_PX = 7  # side of the filter before pixels are compared, and its standard deviation
+_BLUR_SIGMA_PX = 2.0
+# x, y of the two pixels that each of the 256 bits compares, learned by the authors of ORB (sec.
+# 4.3), in the order of OpenCV: descriptors are the same there.
+_PAIRS = np.array((Path(__file__).parent / "orb_pattern.txt").read_text("ascii").split())
 
 
 class OrbDetector:
@@ -24,10 +31,9 @@ class OrbDetector:
     def __init__(self, config: FeaturesConfig) -> None:
         self._config = config
         self._fast = FastGrid(config.threshold, config.low_threshold, _BORDER)
-        self._describer = cv2.ORB.create(
-            nfeatures=config.count, nlevels=1, edgeThreshold=_BORDER - 3, patchSize=_PATCH
-        )
-        self._disc = _disc_half_widths(_PATCH // 2)
+        self._blur = cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX)
+        self._moments = _moment_weights()
+        self._pattern = np.float32(_PAIRS).reshape(-1, 2).T.copy()
 
     def detect(self, image: Bytes) -> Keypoints:
         """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order."""
@@ -61,8 +67,9 @@ class OrbDetector:
         self, image: Bytes, octave: int, quota: int, full_shape: tuple[int, ...]
     ) -> Keypoints:
         xy, scores = self._fast.detect(image, quota)
-        angle = _orientation(image, xy, self._disc)
-        descriptor = self._describe(image, xy, angle)
+        angle = _orientation(image, xy, *self._moments)
+        blurred = cv2.sepFilter2D(image, -1, self._blur, self._blur)
+        descriptor = _describe(blurred, xy, angle, self._pattern)
         # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
         # are whole, so s differs a little from a power of the factor, and between u and v.
         scale = np.array(full_shape[::-1]) / image.shape[::-1]
@@ -70,42 +77,52 @@ class OrbDetector:
         octaves = np.full(len(xy), octave, dtype=np.int32)
         return Keypoints(full, octaves, angle, scores, descriptor)
 
-    def _describe(self, image: Bytes, xy: NDArray[np.int32], angle: Floats32) -> Bytes:
-        if len(xy) == 0:
-            return np.empty((0, 32), np.uint8)
-        degrees = np.rad2deg(angle)
-        keypoints = [
-            cv2.KeyPoint(float(x), float(y), _PATCH, float(a))
-            for (x, y), a in zip(xy.tolist(), degrees.tolist(), strict=True)
-        ]
-        kept, descriptor = self._describer.compute(image, keypoints)
-        if len(kept) != len(xy):
-            raise AssertionError(f"ORB described {len(kept)} of {len(xy)} keypoints")
-        return np.asarray(descriptor, dtype=np.uint8)
 
-
-def _disc_half_widths(radius: int) -> NDArray[np.int64]:
-    rows = np.arange(radius + 1)
-    return np.floor(np.sqrt(radius**2 - rows**2) + 0.5).astype(np.int64)
+def _moment_weights() -> tuple[Floats32, Floats32]:
+    """What the pixels of a square around a corner count for the first moments of a disc in it."""
+    y, x = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _SIDE - _RADIUS].astype(np.float32)
+    half_width = np.floor(np.sqrt(_RADIUS**2 - y**2) + 0.5)
+    inside = np.abs(x) <= half_width
+    return x * inside, y * inside
 
 
 @numba.njit(cache=True, nogil=True)
-def _orientation(image, xy, disc):  # type: ignore[no-untyped-def]
+def _orientation(image, xy, x_weights, y_weights):  # type: ignore[no-untyped-def]
     """Angle from a corner to the centroid of grey in a disc around it (Rublee 2011, sec. 3.2)."""
-    radius = len(disc) - 1
     angle = np.empty(len(xy), dtype=np.float32)
+    # By column; of whole numbers below 2^24, so exact.
+    x_moments, y_moments = np.empty((2, _SIDE), dtype=np.float32)
     for i in range(len(xy)):
-        x0, y0 = xy[i, 0], xy[i, 1]
-        m10 = np.int64(0)
-        m01 = np.int64(0)
-        for dy in range(-radius, radius + 1):
-            half = disc[abs(dy)]
-            row = image[y0 + dy]
-            total = np.int64(0)
-            for dx in range(-half, half + 1):
-                grey = np.int64(row[x0 + dx])
-                m10 += dx * grey
-                total += grey
-            m01 += dy * total
-        angle[i] = np.arctan2(m01, m10)
+        left, top = xy[i, 0] - _RADIUS, xy[i, 1] - _RADIUS
+        x_moments[:] = 0.0
+        y_moments[:] = 0.0
+        for dy in range(len(x_weights)):
+            row = image[top + dy, left : left + _SIDE]
+            for dx in range(_SIDE):
+                grey = np.float32(row[dx])
+                x_moments[dx] += grey * x_weights[dy, dx]
+                y_moments[dx] += grey * y_weights[dy, dx]
+        angle[i] = np.arctan2(np.float64(y_moments.sum()), np.float64(x_moments.sum()))
     return angle
+
+
+@numba.njit(cache=True, nogil=True)
+def _describe(blurred, xy, angle, pattern):  # type: ignore[no-untyped-def]
+    """Rotated BRIEF (Rublee 2011, sec. 4): (N, 32) bytes of bits, each a pixel below another."""
+    pixels, stride = blurred.ravel(), blurred.shape[1]
+    descriptor = np.empty((len(xy), 32), dtype=np.uint8)
+    place = np.empty(pattern.shape[1], dtype=np.int32)
+    for i in range(len(xy)):
+        c, s = np.cos(angle[i]), np.sin(angle[i])
+        start = xy[i, 1] * stride + xy[i, 0]
+        for k in range(len(place)):
+            x, y = pattern[0, k], pattern[1, k]
+            column, row = np.int32(np.rint(x * c - y * s)), np.int32(np.rint(x * s + y * c))
+            place[k] = start + row * stride + column
+        for byte in range(32):
+            bits = 0
+            for bit in range(8):
+                pair = 16 * byte + 2 * bit
+                bits |= (pixels[place[pair]] < pixels[place[pair + 1]]) << bit
+            descriptor[i, byte] = bits
+    return descriptor
