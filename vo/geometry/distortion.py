@@ -73,77 +73,35 @@ def angle_reach(coefficients: tuple[float, ...]) -> float:
 @lru_cache(maxsize=16)
 def radial_reach(coefficients: tuple[float, ...]) -> float:
     """The largest radius of points at which a `radtan` lens holds; infinity if at all."""
+    from vo.geometry import radtan_kernels  # numba takes long to import
+
     radii = np.linspace(0.0, _WIDEST_RADIUS, 20001)
-    radial, slope = _radial(coefficients, radii**2)
+    radial, slope = radtan_kernels.radial(_eight(coefficients), radii**2)
     # A rational model past its pole changes sign or jumps down.
     folds = np.flatnonzero(~(radial + 2.0 * radii**2 * slope > 0) | ~(radial > 0))
     return float(radii[folds[0] - 1]) if len(folds) else np.inf
 
 
-def _radial(coefficients: tuple[float, ...], r2: Floats) -> tuple[Floats, Floats]:
-    """The radial factor and its derivative by r^2."""
-    k1, k2, _, _, k3, k4, k5, k6 = (*coefficients, *[0.0] * 8)[:8]
-    above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    above_slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-    below_slope = k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        radial = above / below
-        return radial, (above_slope - radial * below_slope) / below
-
-
 def _radtan(coefficients: tuple[float, ...], rays: Floats) -> Floats:
-    moved, _ = _radtan_slope(coefficients, rays)
-    moved[np.hypot(rays[:, 0], rays[:, 1]) > radial_reach(coefficients)] = np.nan
-    return moved
+    """Source: Brown, Decentering Distortion of Lenses, 1966; the rational form is OpenCV's."""
+    from vo.geometry import radtan_kernels
 
-
-def _radtan_slope(coefficients: tuple[float, ...], rays: Floats) -> tuple[Floats, Floats]:
-    """Moved points (N, 2) and the derivative as (N, 3): xx, xy (= yx), yy.
-
-    Source: Brown, Decentering Distortion of Lenses, 1966; the rational form is OpenCV's.
-    """
-    x, y = rays[:, 0], rays[:, 1]
-    p1, p2 = (*coefficients, *[0.0] * 4)[2:4]
-    r2 = x * x + y * y
-    radial, slope = _radial(coefficients, r2)
-    moved_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    moved_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    dxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    dxy = 2.0 * (x * y * slope + p1 * x + p2 * y)
-    dyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    return np.stack([moved_x, moved_y], axis=1), np.stack([dxx, dxy, dyy], axis=1)
+    reach = radial_reach(coefficients)
+    moved = radtan_kernels.distort(_eight(coefficients), np.ascontiguousarray(rays), reach)
+    return np.asarray(moved)
 
 
 def _radtan_inverse(coefficients: tuple[float, ...], moved: Floats) -> Floats:
-    """By Newton's method."""
-    limit = radial_reach(coefficients)
-    rays = _clipped(moved, limit)
-    for _ in range(_MAX_ITERATIONS):
-        found, slope = _radtan_slope(coefficients, rays)
-        step = _solved(slope, moved - found)
-        rays = _clipped(rays + step, limit)
-        if not np.any(np.abs(step) > _CONVERGED * (1.0 + np.abs(rays))):
-            break
-    found, _ = _radtan_slope(coefficients, rays)
-    rays[~(np.abs(found - moved).max(axis=1) <= _ACCEPTED)] = np.nan
-    return rays
+    from vo.geometry import radtan_kernels
+
+    reach, k = radial_reach(coefficients), _eight(coefficients)
+    rays = radtan_kernels.undistort(k, np.ascontiguousarray(moved), reach, _ACCEPTED)
+    return np.asarray(rays)
 
 
-def _solved(matrix: Floats, right: Floats) -> Floats:
-    """Solve N symmetric 2x2 systems given as (N, 3) for right sides (N, 2)."""
-    xx, xy, yy = matrix.T
-    determinant = xx * yy - xy * xy
-    determinant = np.where(np.abs(determinant) < 1e-12, 1e-12, determinant)
-    x = (yy * right[:, 0] - xy * right[:, 1]) / determinant
-    y = (xx * right[:, 1] - xy * right[:, 0]) / determinant
-    return np.stack([x, y], axis=1)
-
-
-def _clipped(rays: Floats, limit: float) -> Floats:
-    """Points (N, 2) pulled back to a radius, so that no step lands behind the fold."""
-    radius = np.hypot(rays[:, 0], rays[:, 1])
-    return np.asarray(rays * np.minimum(1.0, limit / np.maximum(radius, 1e-300))[:, None])
+def _eight(coefficients: tuple[float, ...]) -> Floats:
+    """k1, k2, p1, p2, k3, k4, k5, k6; those that are not given are 0."""
+    return np.array((*coefficients, *[0.0] * 8)[:8])
 
 
 def _angle_polynomial(coefficients: tuple[float, ...], angle: Floats) -> tuple[Floats, Floats]:
