@@ -1,0 +1,387 @@
+"""Compiled normal equations of poses by blocks of 6 x 6, the points eliminated.
+
+Rows of a block, and of what it is made from, are padded to the 8 numbers of a vector register.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.extending import intrinsic
+
+_LANES = 8
+_INDEX, _NUMBER = ir.IntType(64), ir.DoubleType()
+_NUMBERS = ir.VectorType(_NUMBER, _LANES)
+_UNSEEN = 1e-12  # information on a point in every direction, against all it has
+_NEAREST = 1e-6  # depth from which on a point is in front
+_SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below which it is dropped
+
+# All compiled code that calls each other stays in this file: numba's cache does not notice when
+# a function in another file has changed.
+
+
+def _product(rows: int, join: str | None) -> Any:
+    """Compiled: the first `rows` of `to` become left^T right, of left (3, any) and right (3, 8).
+
+    With `join` ("fadd", "fsub") that is added to them or taken off. Written out because loops of
+    six are not turned into vector instructions by themselves.
+    """
+
+    @intrinsic
+    def product(typing_context: Any, to: Any, left: Any, right: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            to, left, right = (
+                context.make_array(kind)(context, builder, array)
+                for kind, array in zip(signature.args, arguments, strict=True)
+            )
+            factors = [
+                builder.load(_place(builder, right, k, 0, _NUMBERS), align=8) for k in range(3)
+            ]
+            for row in range(rows):
+                total = None
+                for k in range(3):
+                    number = builder.load(_place(builder, left, k, row, _NUMBER))
+                    term = builder.fmul(_everywhere(builder, number), factors[k])
+                    total = term if total is None else builder.fadd(total, term)
+                place = _place(builder, to, row, 0, _NUMBERS)
+                if join is not None:
+                    total = getattr(builder, join)(builder.load(place, align=8), total)
+                builder.store(total, place, align=8)
+            return context.get_dummy_value()
+
+        return types.void(to, left, right), generate
+
+    return product
+
+
+def _place(builder: Any, array: Any, row: int, column: int, kind: Any) -> Any:
+    """Where entries of a matrix begin whose columns lie side by side."""
+    stride = builder.extract_value(array.strides, 0)
+    shift = builder.add(builder.mul(_INDEX(row), stride), _INDEX(8 * column))
+    data = builder.bitcast(array.data, ir.IntType(8).as_pointer())
+    return builder.bitcast(builder.gep(data, [shift]), kind.as_pointer())
+
+
+def _everywhere(builder: Any, number: Any) -> Any:
+    undefined = ir.Constant(_NUMBERS, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [0] * _LANES)
+    return builder.shuffle_vector(first, undefined, zeros)
+
+
+_set_product = _product(3, None)
+_add_product = _product(6, "fadd")
+_subtract_product = _product(6, "fsub")
+
+
+@numba.njit(cache=True, nogil=True)
+def reduced(  # type: ignore[no-untyped-def]
+    points,
+    poses,
+    slot,
+    starts,
+    keyframe,
+    xy,
+    disparity,
+    inverse_sigma,
+    intrinsics,
+    fb,
+    inverse_d,
+    huber,
+):
+    """Normal equations of the poses that may move and of the offset, the points eliminated."""
+    free = slot.max() + 1
+    # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
+    blocks, gradient = np.zeros((free, free, 6, _LANES)), np.zeros((free + 1, 6))
+    border = np.zeros((free + 1, 6))
+    most = 0
+    for m in range(len(starts) - 1):
+        most = max(most, starts[m + 1] - starts[m])
+    by_pose, by_point, error = np.zeros((3, _LANES)), np.zeros((3, 3)), np.zeros(3)
+    coupling, lifted = np.zeros((most, 3, _LANES)), np.zeros((3, _LANES))
+    at = np.zeros(most, dtype=np.int64)
+    normal, inverse, right, offset = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    for m in range(len(starts) - 1):
+        first, last = starts[m], starts[m + 1]
+        if last == first:
+            continue
+        count = 0
+        normal[:], right[:], offset[:] = 0.0, 0.0, 0.0
+        for a in range(first, last):
+            by_offset = _jacobians(
+                points[m],
+                poses[keyframe[a]],
+                xy[a],
+                disparity[a],
+                inverse_sigma[a],
+                intrinsics,
+                fb,
+                inverse_d,
+                huber,
+                by_pose,
+                by_point,
+                error,
+            )
+            for p in range(3):
+                u, v, d = by_point[0, p], by_point[1, p], by_point[2, p]
+                right[p] += u * error[0] + v * error[1] + d * error[2]
+                offset[p] += d * by_offset
+                for q in range(3):
+                    normal[p, q] += u * by_point[0, q] + v * by_point[1, q] + d * by_point[2, q]
+            border[free, 0] += by_offset * by_offset
+            gradient[free, 0] += by_offset * error[2]
+            k = slot[keyframe[a]]
+            if k < 0:
+                continue
+            at[count] = k
+            _add_product(blocks[k, k], by_pose, by_pose)
+            _set_product(coupling[count], by_point, by_pose)
+            for c in range(6):
+                u, v, d = by_pose[0, c], by_pose[1, c], by_pose[2, c]
+                gradient[k, c] += u * error[0] + v * error[1] + d * error[2]
+                border[k, c] += d * by_offset
+            count += 1
+        _invert(normal, inverse)
+        _subtract_point(
+            at[:count], coupling, lifted, inverse, right, offset, blocks, gradient, border
+        )
+    return _assembled(blocks, gradient, border)
+
+
+@numba.njit(cache=True, nogil=True)
+def _jacobians(  # type: ignore[no-untyped-def]
+    at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, error
+):
+    """Fill an observation's derivatives and errors, weighted; gives that by the offset."""
+    x = pose[0, 0] * at[0] + pose[0, 1] * at[1] + pose[0, 2] * at[2] + pose[0, 3]
+    y = pose[1, 0] * at[0] + pose[1, 1] * at[1] + pose[1, 2] * at[2] + pose[1, 3]
+    z = pose[2, 0] * at[0] + pose[2, 1] * at[1] + pose[2, 2] * at[2] + pose[2, 3]
+    if z < _NEAREST:
+        by_pose[:], by_point[:], error[:] = 0.0, 0.0, 0.0
+        return 0.0
+    eu = s * (intrinsics[0] * x / z + intrinsics[2] - xy[0])
+    ev = s * (intrinsics[1] * y / z + intrinsics[3] - xy[1])
+    measured = fb > 0.0 and not np.isnan(disparity)
+    ed = inverse_d * (fb / z - disparity) if measured else 0.0
+    t = inverse_d if measured else 0.0
+    length = np.sqrt(eu * eu + ev * ev + ed * ed)
+    weight = 1.0 if length <= huber else np.sqrt(huber / length)
+    error[0], error[1], error[2] = weight * eu, weight * ev, weight * ed
+    du, dv = weight * s * intrinsics[0] / z, weight * s * intrinsics[1] / z
+    cu, cv, cd = -du * x / z, -dv * y / z, -weight * t * fb / (z * z)
+    for p in range(3):
+        by_point[0, p] = du * pose[0, p] + cu * pose[2, p]
+        by_point[1, p] = dv * pose[1, p] + cv * pose[2, p]
+        by_point[2, p] = cd * pose[2, p]
+    # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
+    by_pose[0, 0], by_pose[0, 1], by_pose[0, 2] = -cu * y, cu * x - du * z, du * y
+    by_pose[1, 0], by_pose[1, 1], by_pose[1, 2] = dv * z - cv * y, cv * x, -dv * x
+    by_pose[2, 0], by_pose[2, 1] = -cd * y, cd * x
+    by_pose[0, 3], by_pose[0, 5] = -du, -cu
+    by_pose[1, 4], by_pose[1, 5] = -dv, -cv
+    by_pose[2, 5] = -cd
+    by_pose[0, 4], by_pose[1, 3] = 0.0, 0.0
+    by_pose[2, 2], by_pose[2, 3], by_pose[2, 4] = 0.0, 0.0, 0.0
+    return weight * t
+
+
+@numba.njit(cache=True, nogil=True)
+def _subtract_point(  # type: ignore[no-untyped-def]
+    at, coupling, lifted, inverse, right, offset, blocks, gradient, border
+):
+    """What poses and offset lose because the point may move too; `at` grows."""
+    free = len(blocks)
+    for p in range(3):
+        shared = inverse[p, 0] * offset[0] + inverse[p, 1] * offset[1] + inverse[p, 2] * offset[2]
+        border[free, 0] -= offset[p] * shared
+        gradient[free, 0] -= right[p] * shared
+    for a in range(len(at)):
+        _set_product(lifted, inverse, coupling[a])  # the inverse is symmetric
+        to, edge = gradient[at[a]], border[at[a]]
+        for c in range(6):
+            u, v, w = lifted[0, c], lifted[1, c], lifted[2, c]
+            to[c] -= u * right[0] + v * right[1] + w * right[2]
+            edge[c] -= u * offset[0] + v * offset[1] + w * offset[2]
+        for b in range(a, len(at)):
+            _subtract_product(blocks[at[a], at[b]], lifted, coupling[b])
+
+
+@numba.njit(cache=True, nogil=True)
+def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
+    """Hessian (6 F + 1, 6 F + 1) and gradient (6 F + 1,), the offset last."""
+    free = len(blocks)
+    size = 6 * free + 1
+    hessian, whole = np.zeros((size, size)), np.zeros(size)
+    for r in range(size - 1):
+        a, c = divmod(r, 6)
+        whole[r] = gradient[a, c]
+        hessian[r, size - 1] = hessian[size - 1, r] = border[a, c]
+        for column in range(r, size - 1):
+            b, e = divmod(column, 6)
+            hessian[r, column] = hessian[column, r] = blocks[a, b, c, e]
+    hessian[size - 1, size - 1], whole[size - 1] = border[free, 0], gradient[free, 0]
+    return hessian, whole
+
+
+@numba.njit(cache=True, nogil=True)
+def _invert(m, inverse):  # type: ignore[no-untyped-def]
+    """Inverse of a point's (3, 3) normal matrix.
+
+    What no view tells of a point (its depth, without parallax) ties no poses together either: a
+    trace of information in every direction makes the matrix regular and changes nothing else.
+    """
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    if trace == 0.0:
+        inverse[:] = 0.0
+        return
+    for p in range(3):
+        m[p, p] += _UNSEEN * trace
+    _divide(inverse, _cofactors(m, inverse))
+
+
+@numba.njit(cache=True, nogil=True)
+def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
+    """Inverse of a symmetric (3, 3); False if it is singular."""
+    determinant, trace = _cofactors(m, inverse), m[0, 0] + m[1, 1] + m[2, 2]
+    if not determinant > _SINGULAR * trace * trace * trace:
+        return False
+    _divide(inverse, determinant)
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
+    """Fill those on and above the diagonal of a symmetric (3, 3); gives the determinant."""
+    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+    c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+    c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    cofactors[0, 0], cofactors[0, 1], cofactors[0, 2] = c00, c01, c02
+    cofactors[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
+    cofactors[1, 2] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
+    cofactors[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
+    return m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
+
+
+@numba.njit(cache=True, nogil=True)
+def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
+    """Make an inverse of cofactors on and above the diagonal."""
+    for p in range(3):
+        for q in range(p, 3):
+            inverse[p, q] /= determinant
+            inverse[q, p] = inverse[p, q]
+
+
+@numba.njit(cache=True, nogil=True)
+def eliminated(  # type: ignore[no-untyped-def]
+    poses, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
+):
+    """See `information.pose_information`: (6 K, 6 K) of K poses, of observations side by side."""
+    # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
+    blocks = np.zeros((poses, poses, 6, _LANES))
+    most = 0
+    for m in range(len(starts) - 1):
+        most = max(most, starts[m + 1] - starts[m])
+    weight, weight_d = np.zeros((most, most)), np.zeros((most, most))
+    lifted, pose = np.zeros((most, 3, 3)), np.zeros((most, 3, _LANES))
+    coupling, solved = np.zeros((most, 3, _LANES)), np.zeros((most, 3, _LANES))
+    normal, inverse = np.zeros((3, 3)), np.zeros((3, 3))
+    for m in range(len(starts) - 1):
+        first, last = starts[m], starts[m + 1]
+        if last - first < 2:
+            continue
+        at, point = keyframe[first:last], by_point[first:last]
+        pose[: last - first, :, :6] = by_pose[first:last]
+        _position_weights(at, white, creep, weight)
+        _disparity_weights(point, disparity, bias, weight_d)
+        _add_point_normal(point, weight, weight_d, lifted, normal)
+        if _invert_or_drop(normal, inverse):
+            _couple(pose[: len(at)], lifted, inverse, coupling, solved)
+            _add_point(at, pose, weight, weight_d, coupling, solved, blocks)
+    information = np.zeros((6 * poses, 6 * poses))
+    for r in range(6 * poses):
+        for c in range(r, 6 * poses):
+            information[r, c] = information[c, r] = blocks[r // 6, c // 6, r % 6, c % 6]
+    return information
+
+
+@numba.njit(cache=True, nogil=True)
+def _position_weights(at, white, creep, weight):  # type: ignore[no-untyped-def]
+    """Inverse of white I + creep (keyframes since the first, of the earlier one), in place."""
+    n = len(at)
+    for a in range(n):
+        for b in range(n):
+            weight[a, b] = creep * (min(at[a], at[b]) - at[0])
+        weight[a, a] += white
+    for k in range(n):  # Gauss-Jordan: positive definite, no pivots needed
+        pivot = 1.0 / weight[k, k]
+        weight[k, k] = 1.0
+        for c in range(n):
+            weight[k, c] *= pivot
+        for r in range(n):
+            if r != k:
+                factor = weight[r, k]
+                weight[r, k] = 0.0
+                for c in range(n):
+                    weight[r, c] -= factor * weight[k, c]
+
+
+@numba.njit(cache=True, nogil=True)
+def _disparity_weights(point, disparity, bias, weight):  # type: ignore[no-untyped-def]
+    """Inverse of disparity I + bias 1 1^T over those that were measured (Sherman-Morrison)."""
+    n, measured = len(point), 0
+    for a in range(n):
+        measured += _is_measured(point, a)
+    shared = bias / (disparity * (disparity + measured * bias))
+    for a in range(n):
+        for b in range(n):
+            both = _is_measured(point, a) and _is_measured(point, b)
+            own = 1.0 / disparity if a == b else 0.0
+            weight[a, b] = own - shared if both else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_measured(point, a):  # type: ignore[no-untyped-def]
+    return point[a, 2, 0] != 0.0 or point[a, 2, 1] != 0.0 or point[a, 2, 2] != 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_point_normal(point, weight, weight_d, lifted, normal):  # type: ignore[no-untyped-def]
+    """Fill `lifted`, the weights times the derivatives by the point, and their square."""
+    n = len(point)
+    normal[:] = 0.0
+    for a in range(n):
+        for r in range(3):
+            for p in range(3):
+                total = 0.0
+                for b in range(n):
+                    total += (weight_d[a, b] if r == 2 else weight[a, b]) * point[b, r, p]
+                lifted[a, r, p] = total
+            for p in range(3):
+                for q in range(3):
+                    normal[p, q] += point[a, r, p] * lifted[a, r, q]
+
+
+@numba.njit(cache=True, nogil=True)
+def _couple(pose, lifted, inverse, coupling, solved):  # type: ignore[no-untyped-def]
+    """Fill how each observation ties a point to its pose, and that times the point's covariance."""
+    for a in range(len(pose)):
+        _set_product(coupling[a], lifted[a], pose[a])
+        _set_product(solved[a], inverse, coupling[a])
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_point(at, pose, weight, weight_d, coupling, solved, blocks):  # type: ignore[no-untyped-def]
+    """What the observations of one point say of their poses, the point eliminated."""
+    weighted = np.empty((3, _LANES))
+    for a in range(len(at)):
+        for b in range(a, len(at)):
+            for k in range(3):
+                w = weight_d[a, b] if k == 2 else weight[a, b]
+                for c in range(_LANES):
+                    weighted[k, c] = w * pose[a, k, c]
+            _add_product(blocks[at[a], at[b]], weighted, pose[b])
+            _subtract_product(blocks[at[a], at[b]], solved[a], coupling[b])
