@@ -123,37 +123,49 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
     columns = (width - 1) // size + 1
     cells = (height - 1) // size * columns + columns
     found = np.empty(height * width, dtype=np.int64)  # y * width + x; there cannot be more
-    n = _add_corners(contrast, 0, 0, height, width, threshold, found, 0)
+    part = np.array([0, 0, height, width])
+    n = _add_corners(contrast, part, threshold, found, np.int64(0))
     is_poor = np.ones(cells, dtype=np.bool_)
     for i in range(n):
         is_poor[found[i] // width // size * columns + found[i] % width // size] = False
-    for cell in np.flatnonzero(is_poor):
-        top, left = cell // columns * size, cell % columns * size
-        bottom, right = min(top + size, height), min(left + size, width)
-        n = _add_corners(contrast, top, left, bottom, right, low_threshold, found, n)
+    for cell in range(cells):
+        if is_poor[cell]:
+            top, left = cell // columns * size, cell % columns * size
+            part[0], part[1] = top, left
+            part[2], part[3] = min(top + size, height), min(left + size, width)
+            n = _add_corners(contrast, part, low_threshold, found, n)
     scores, cell_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
         y, x = found[i] // width, found[i] % width
         scores[i] = contrast[y, x] - 1
         cell_of[i] = y // size * columns + x // size
-    rows = _best_of_cells(scores, cell_of, cells, count)
-    xy = np.empty((len(rows), 2), dtype=np.int32)
-    for i, row in enumerate(rows):
-        xy[i, 0], xy[i, 1] = found[row] % width, found[row] // width
-    return xy, scores[rows].astype(np.float32)
+    is_kept = _best_of_cells(scores, cell_of, cells, count)
+    xy, kept_scores = (
+        np.empty((min(n, count), 2), dtype=np.int32),
+        np.empty(min(n, count), np.float32),
+    )
+    k = 0
+    for i in range(n):
+        if is_kept[i]:
+            xy[k, 0], xy[k, 1], kept_scores[k] = found[i] % width, found[i] // width, scores[i]
+            k += 1
+    return xy, kept_scores
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_corners(contrast, top, left, bottom, right, threshold, found, n):  # type: ignore[no-untyped-def]
+def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untyped-def]
     """Append y * width + x of the corners in a part of the image; gives how many there are now."""
+    top, left, bottom, right = part
     height, width = bottom - top, right - left
-    part = np.zeros((height + 2, width + 2), dtype=np.uint8)  # nothing beyond it counts
-    part[1:-1, 1:-1] = contrast[top:bottom, left:right]
+    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)  # nothing beyond the part counts
+    for y in range(height):
+        for x in range(width):
+            framed[y + 1, x + 1] = contrast[top + y, left + x]
     is_corner = np.zeros((width + 7) // 8 * 8, dtype=np.uint8)
     eights = is_corner.view(np.uint64)
     least, one, none = np.uint8(threshold), np.uint8(1), np.uint8(0)
     for y in range(height):
-        above, row, below = part[y], part[y + 1], part[y + 2]
+        above, row, below = framed[y], framed[y + 1], framed[y + 2]
         for x in range(width):
             around = max(max(above[x], above[x + 1]), max(above[x + 2], row[x]))
             around = max(around, max(row[x + 2], max(below[x], max(below[x + 1], below[x + 2]))))
@@ -170,30 +182,32 @@ def _add_corners(contrast, top, left, bottom, right, threshold, found, n):  # ty
 
 @numba.njit(cache=True, nogil=True)
 def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-def]
-    """Rows of the best of every cell, then of the second best, …, `count` at most, in order.
+    """Which are kept (N,): the best of every cell, then the second best, …, `count` at most.
 
-    Rank in the cell decides, then score; equal corners keep their order.
+    Rank in the cell decides, then score; of equal corners the first is kept.
     """
     n = len(scores)
+    is_kept = np.ones(n, dtype=np.bool_)
     if n <= count:
-        return np.arange(n)
-    strongest_first = _sorted_stably(255 - scores, 256, np.arange(n))
-    seen = np.zeros(cells, dtype=np.int64)
-    rank = np.empty(n, dtype=np.int64)
+        return is_kept
+    strongest_first = _sorted_stably(255 - scores, np.arange(n))
+    seen, rank = np.zeros(cells, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in strongest_first:
         rank[i] = seen[cell_of[i]]
         seen[cell_of[i]] += 1
-    order = _sorted_stably(rank, seen.max(), strongest_first)
-    return np.sort(order[:count])
+    for i in _sorted_stably(rank, strongest_first)[count:]:
+        is_kept[i] = False
+    return is_kept
 
 
 @numba.njit(cache=True, nogil=True)
-def _sorted_stably(keys, limit, rows):  # type: ignore[no-untyped-def]
-    """Rows in order of their keys, which are below `limit`."""
-    starts = np.zeros(limit + 1, dtype=np.int64)
+def _sorted_stably(keys, rows):  # type: ignore[no-untyped-def]
+    """Rows in order of their keys, small numbers."""
+    starts = np.zeros(keys.max() + 2, dtype=np.int64)
     for i in rows:
         starts[keys[i] + 1] += 1
-    starts = np.cumsum(starts)
+    for key in range(len(starts) - 1):
+        starts[key + 1] += starts[key]
     result = np.empty(len(rows), dtype=np.int64)
     for i in rows:
         result[starts[keys[i]]] = i

@@ -294,7 +294,10 @@ def eliminated(  # type: ignore[no-untyped-def]
         if last - first < 2:
             continue
         at, point = keyframe[first:last], by_point[first:last]
-        pose[: last - first, :, :6] = by_pose[first:last]
+        for a in range(last - first):
+            for r in range(3):
+                for c in range(6):
+                    pose[a, r, c] = by_pose[first + a, r, c]
         _position_weights(at, white, creep, weight)
         _disparity_weights(point, disparity, bias, weight_d)
         _add_point_normal(point, weight, weight_d, lifted, normal)
