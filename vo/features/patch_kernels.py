@@ -324,7 +324,8 @@ def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
                 for k in range(7):
                     sums[n, k] = found[k]
                 for m in range(3):
-                    templates[n, m] = work[1 + m, :size]
+                    for k in range(size):
+                        templates[n, m, k] = work[1 + m, k]
     return templates, sums
 
 
@@ -361,7 +362,8 @@ def step_together(  # type: ignore[no-untyped-def]
         if at + side * width + stride >= len(flat):
             continue
         for m in range(3):
-            work[1 + m, : side * stride] = templates[n, m]
+            for k in range(side * stride):
+                work[1 + m, k] = templates[n, m, k]
         mean, hxx, hxy, hyy, variance, bx, by = sums[n]
         ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
         _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)

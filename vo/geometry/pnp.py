@@ -90,7 +90,7 @@ def take_step(h: Any, b: Any, transform: Any) -> Any:
         transform: (4, 4) to the camera.
     """
     change = _solve(h, b)
-    return _product(_exp(change), transform), np.sum(change * b)
+    return _product(_exp(change), transform), _inner(change, b)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -113,7 +113,7 @@ def _gauss_newton(  # type: ignore[no-untyped-def]
         for m in range(6):
             h[m, m] += 1e-9 + 1e-9 * h[m, m]
         change = _solve(h, b)
-        settled = np.sum(change * b) < _SETTLED
+        settled = _inner(change, b) < _SETTLED
         if settled and limit == gate:
             return transform, residual, information
         if settled or step == iterations // 2:
@@ -136,7 +136,8 @@ def _weigh(  # type: ignore[no-untyped-def]
         k = 3 * i
         if z < 1e-6:
             residual[i] = np.inf
-            rows[:, k : k + 3] = 0.0
+            for m in range(7):
+                rows[m, k], rows[m, k + 1], rows[m, k + 2] = 0.0, 0.0, 0.0
             continue
         iz = 1.0 / z
         x *= iz
@@ -181,6 +182,14 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _inner(a, b):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
 def _exp(xi):  # type: ignore[no-untyped-def]
     """First the rotation (Rodrigues), then the translation as it is: enough for small steps."""
     angle = np.sqrt(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
@@ -191,7 +200,10 @@ def _exp(xi):  # type: ignore[no-untyped-def]
     if angle > 1e-12:
         a = np.sin(angle) / angle
         c = (1.0 - np.cos(angle)) / (angle * angle)
-        result[:3, :3] += a * k + c * _product(k, k)
+        kk = _product(k, k)
+        for i in range(3):
+            for j in range(3):
+                result[i, j] += a * k[i, j] + c * kk[i, j]
     result[0, 3], result[1, 3], result[2, 3] = xi[3], xi[4], xi[5]
     return result
 

@@ -29,7 +29,7 @@ def distort(k, rays, reach):  # type: ignore[no-untyped-def]
     """Where the lens moves points (N, 2); NaN beyond its reach."""
     moved = np.empty_like(rays)
     for n in range(len(rays)):
-        x, y = rays[n]
+        x, y = rays[n, 0], rays[n, 1]
         moved_x, moved_y, _, _, _ = _moved(k, x, y)
         inside = not np.hypot(x, y) > reach
         moved[n, 0], moved[n, 1] = (moved_x, moved_y) if inside else (np.nan, np.nan)
@@ -41,14 +41,14 @@ def undistort(k, moved, reach, accepted):  # type: ignore[no-untyped-def]
     """The inverse by Newton's method; NaN where it leaves more than `accepted`."""
     rays = np.empty_like(moved)
     for n in range(len(moved)):
-        rays[n] = _clipped(moved[n, 0], moved[n, 1], reach)
+        rays[n, 0], rays[n, 1] = _clipped(moved[n, 0], moved[n, 1], reach)
     is_settled = False
     for _ in range(_MAX_ITERATIONS):
         if is_settled:
             break
         is_settled = True
         for n in range(len(moved)):
-            x, y = rays[n]
+            x, y = rays[n, 0], rays[n, 1]
             found_x, found_y, xx, xy, yy = _moved(k, x, y)
             determinant = xx * yy - xy * xy
             if abs(determinant) < 1e-12:
@@ -66,7 +66,7 @@ def undistort(k, moved, reach, accepted):  # type: ignore[no-untyped-def]
         found_x, found_y, _, _, _ = _moved(k, rays[n, 0], rays[n, 1])
         left_over = max(abs(found_x - moved[n, 0]), abs(found_y - moved[n, 1]))
         if not left_over <= accepted:
-            rays[n] = np.nan
+            rays[n, 0], rays[n, 1] = np.nan, np.nan
     return rays
 
 
