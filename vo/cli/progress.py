@@ -19,7 +19,7 @@ from vo.types import Estimate, State
 _LINE_EVERY_S = 5.0
 _WORTH_TELLING_PX = 0.05
 _STYLES = {State.STARTING: "yellow", State.TRACKING: "green", State.LOST: "bold red"}
-_WAITING = "getting ready (the very first run compiles, which takes some seconds)"
+_WAITING = "getting ready (the very first run compiles, which takes half a minute)"
 
 
 def make_progress(console: Console | None = None, *, quiet: bool = False) -> Progress:
