@@ -19,7 +19,7 @@ _BLUR_PX = 7  # side of the filter before pixels are compared, and its standard 
 _BLUR_SIGMA_PX = 2.0
 # x, y of the two pixels that each of the 256 bits compares, learned by the authors of ORB (sec.
 # 4.3), in the order of OpenCV: descriptors are the same there.
-_PAIRS = np.array((Path(__file__).parent / "orb_pattern.txt").read_text("ascii").split())
+_PAIRS = (Path(__file__).parent / "orb_pattern.txt").read_text("ascii").split()
 
 
 class OrbDetector:
@@ -33,7 +33,7 @@ class OrbDetector:
         self._fast = FastGrid(config.threshold, config.low_threshold, _BORDER)
         self._blur = cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX)
         self._moments = _moment_weights()
-        self._pattern = np.float32(_PAIRS).reshape(-1, 2).T.copy()
+        self._pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
 
     def detect(self, image: Bytes) -> Keypoints:
         """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order."""
