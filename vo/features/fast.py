@@ -140,10 +140,8 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
         scores[i] = contrast[y, x] - 1
         cell_of[i] = y // size * columns + x // size
     is_kept = _best_of_cells(scores, cell_of, cells, count)
-    xy, kept_scores = (
-        np.empty((min(n, count), 2), dtype=np.int32),
-        np.empty(min(n, count), np.float32),
-    )
+    kept = min(n, count)
+    xy, kept_scores = np.empty((kept, 2), dtype=np.int32), np.empty(kept, dtype=np.float32)
     k = 0
     for i in range(n):
         if is_kept[i]:

@@ -95,8 +95,9 @@ def _radtan_inverse(coefficients: tuple[float, ...], moved: Floats) -> Floats:
     from vo.geometry import radtan_kernels
 
     reach, k = radial_reach(coefficients), _eight(coefficients)
-    rays = radtan_kernels.undistort(k, np.ascontiguousarray(moved), reach, _ACCEPTED)
-    return np.asarray(rays)
+    moved = np.ascontiguousarray(moved)
+    limits = _MAX_ITERATIONS, _CONVERGED, _ACCEPTED
+    return np.asarray(radtan_kernels.undistort(k, moved, reach, *limits))
 
 
 def _eight(coefficients: tuple[float, ...]) -> Floats:

@@ -8,9 +8,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-_MAX_ITERATIONS = 25
-_CONVERGED = 1e-14
-
 # All compiled code that calls each other stays in this file: numba's cache does not notice when
 # a function in another file has changed. Division by zero gives infinity, as in numpy.
 
@@ -37,13 +34,16 @@ def distort(k, rays, reach):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def undistort(k, moved, reach, accepted):  # type: ignore[no-untyped-def]
-    """The inverse by Newton's method; NaN where it leaves more than `accepted`."""
+def undistort(k, moved, reach, iterations, converged, accepted):  # type: ignore[no-untyped-def]
+    """The inverse by Newton's method; NaN where it leaves more than `accepted`.
+
+    All points take as many steps as the slowest of them.
+    """
     rays = np.empty_like(moved)
     for n in range(len(moved)):
         rays[n, 0], rays[n, 1] = _clipped(moved[n, 0], moved[n, 1], reach)
     is_settled = False
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(iterations):
         if is_settled:
             break
         is_settled = True
@@ -57,9 +57,7 @@ def undistort(k, moved, reach, accepted):  # type: ignore[no-untyped-def]
             step_x = (yy * left_x - xy * left_y) / determinant
             step_y = (xx * left_y - xy * left_x) / determinant
             x, y = _clipped(x + step_x, y + step_y, reach)
-            if abs(step_x) > _CONVERGED * (1.0 + abs(x)) or abs(step_y) > _CONVERGED * (
-                1.0 + abs(y)
-            ):
+            if abs(step_x) > converged * (1.0 + abs(x)) or abs(step_y) > converged * (1.0 + abs(y)):
                 is_settled = False
             rays[n, 0], rays[n, 1] = x, y
     for n in range(len(moved)):
