@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 BASE = {"vo.errors", "vo.types", "vo.config", "vo.settings"}
-GROUND = BASE | {"vo.geometry", "vo.formats"}
+GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
 THINKING = {f"vo.{name}" for name in ("features", "tracking", "mapping", "smoothing")}
 ROOMS = THINKING | {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results")}
 
@@ -25,8 +25,9 @@ ALLOWED = {
     "vo.settings": BASE,
     "vo.progress": BASE,
     "vo.interrupts": BASE,
-    "vo.geometry": BASE,
-    "vo.formats": BASE | {"vo.geometry"},
+    "vo.compiling": set(),
+    "vo.geometry": BASE | {"vo.compiling"},
+    "vo.formats": BASE | {"vo.compiling", "vo.geometry"},
     **{room: GROUND for room in ROOMS},
     "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources"},

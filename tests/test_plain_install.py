@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-COMPILED = {"njit", "_compiled", "_entry"}
+COMPILED = {"compiled", "_compiled", "_entry"}
 NEEDS_SCIPY = ("np.linalg.", "np.dot", "np.vdot", "np.roots")
 
 
@@ -39,6 +39,6 @@ def test_compiled_functions_do_without_scipy() -> None:
 
 
 @pytest.mark.parametrize("expression", ["a @ b", "np.linalg.solve(a, b)", "np.dot(a, b)"])
-@pytest.mark.parametrize("decorator", ["numba.njit(cache=True)", "_compiled"])
+@pytest.mark.parametrize("decorator", ["compiled(inline='always')", "_compiled"])
 def test_a_use_of_scipy_is_found(expression: str, decorator: str) -> None:
     assert uses_of_scipy(f"@{decorator}\ndef f(a, b):\n    return {expression}") == [expression]

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import numba
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from vo.compiling.function import WrittenOut, compiled
 from vo.types import Bytes, Floats32
 
 _RING = 3  # radius of the ring of pixels that a corner is compared with
 _ON_RING = 16  # pixels on it
 _PER_CELL = 3.0  # corners that a cell should hold
 
-# All compiled code stays in this file: numba's cache does not notice when a function in another
-# file has changed.
+
+_contrast = WrittenOut("vo.features.instructions", "contrast")
 
 
 class FastGrid:
@@ -55,51 +50,7 @@ class FastGrid:
         return xy + np.int32(b), scores
 
 
-@intrinsic
-def _contrast(typing_context: Any, centre: Any, ring: Any) -> Any:
-    """The grey levels by which some nine pixels in a row, on a ring of 16, all exceed the centre.
-
-    Or by which they all fall short of it, whichever is more; 0 if nine in a row do neither. Eight
-    bits wide from end to end and without a branch, so that a loop over pixels becomes vector
-    instructions.
-    """
-    Join = Callable[[Any, Any], Any]
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        middle, packed = arguments
-        v = [builder.extract_value(packed, k) for k in range(_ON_RING)]
-
-        def least(a: Any, b: Any) -> Any:
-            return builder.select(builder.icmp_unsigned("<", a, b), a, b)
-
-        def greatest(a: Any, b: Any) -> Any:
-            return builder.select(builder.icmp_unsigned(">", a, b), a, b)
-
-        def excess(a: Any, b: Any) -> Any:
-            return builder.sub(greatest(a, b), b)
-
-        def best_arc(of_arc: Join, of_arcs: Join) -> Any:
-            """`of_arcs` of what `of_arc` makes of each nine pixels in a row."""
-
-            def doubled(arcs: dict[int, Any], length: int) -> dict[int, Any]:
-                return {k: of_arc(arcs[k], arcs[(k + length) % _ON_RING]) for k in arcs}
-
-            odd = {k: of_arc(v[k], v[(k + 1) % _ON_RING]) for k in range(1, _ON_RING, 2)}
-            eight = doubled(doubled(odd, 2), 4)
-            best = None
-            for k, arc in eight.items():  # with the pixel before it or the one after it: nine
-                nine = of_arc(arc, of_arcs(v[k - 1], v[(k + 8) % _ON_RING]))
-                best = nine if best is None else of_arcs(best, nine)
-            return best
-
-        brighter = excess(best_arc(least, greatest), middle)
-        darker = excess(middle, best_arc(greatest, least))
-        return greatest(brighter, darker)
-
-    return types.uint8(centre, ring), generate
-
-
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _contrasts(image):  # type: ignore[no-untyped-def]
     """Contrast of the pixels of an image that have a whole ring around them."""
     height, width = image.shape[0] - 2 * _RING, image.shape[1] - 2 * _RING
@@ -112,11 +63,11 @@ def _contrasts(image):  # type: ignore[no-untyped-def]
             right = r2[x + 6], r3[x + 6], r4[x + 6], r5[x + 5]
             bottom = r6[x + 4], r6[x + 3], r6[x + 2], r5[x + 1]
             left = r4[x], r3[x], r2[x], r1[x + 1]
-            contrast[y, x] = _contrast(r3[x + 3], top + right + bottom + left)  # type: ignore[call-arg]
+            contrast[y, x] = _contrast(r3[x + 3], top + right + bottom + left)
     return contrast
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
     """Pixels and scores of `count` corners at most, those at the normal threshold first."""
     height, width = contrast.shape
@@ -150,7 +101,7 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
     return xy, kept_scores
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untyped-def]
     """Append y * width + x of the corners in a part of the image; gives how many there are now."""
     top, left, bottom, right = part
@@ -178,7 +129,7 @@ def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untype
     return n
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-def]
     """Which are kept (N,): the best of every cell, then the second best, …, `count` at most.
 
@@ -198,7 +149,7 @@ def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-de
     return is_kept
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _sorted_stably(keys, rows):  # type: ignore[no-untyped-def]
     """Rows in order of their keys, small numbers."""
     starts = np.zeros(keys.max() + 2, dtype=np.int64)

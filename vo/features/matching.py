@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from vo.compiling.function import WrittenOut, compiled
 from vo.types import Bools, Bytes, Floats, Floats32, Ints
 
 _CELL_PX = 32.0
@@ -22,26 +20,17 @@ _ANGLE_BINS = 30
 _ANGLE_BINS_KEPT = 3
 NO_MATCH = -1
 
-# All compiled code that calls each other stays in this file: numba's cache does not notice when
-# a function in another file has changed.
+_population_count = WrittenOut("vo.features.instructions", "population_count")
 
 
-@intrinsic
-def _population_count(typing_context: Any, word: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.ctpop(arguments[0])
-
-    return types.uint64(types.uint64), generate
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def hamming(a: Any, b: Any) -> Any:
     """Number of bits in which two rows of four uint64 words differ."""
     return (
-        _population_count(a[0] ^ b[0])  # type: ignore[call-arg]
-        + _population_count(a[1] ^ b[1])  # type: ignore[call-arg]
-        + _population_count(a[2] ^ b[2])  # type: ignore[call-arg]
-        + _population_count(a[3] ^ b[3])  # type: ignore[call-arg]
+        _population_count(a[0] ^ b[0])
+        + _population_count(a[1] ^ b[1])
+        + _population_count(a[2] ^ b[2])
+        + _population_count(a[3] ^ b[3])
     )
 
 
@@ -164,7 +153,7 @@ def _one_to_one(matched: Ints, distance: NDArray[np.int64]) -> Ints:
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _grid(xy, cell):  # type: ignore[no-untyped-def]
     """Rows sorted by grid cell, and where each cell begins."""
     left, top = xy[:, 0].min(), xy[:, 1].min()
@@ -185,7 +174,7 @@ def _grid(xy, cell):  # type: ignore[no-untyped-def]
     return order, starts, columns, rows, (left, top)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _best_in_windows(  # type: ignore[no-untyped-def]
     query_xy,
     query_octave,
@@ -236,7 +225,7 @@ def _best_in_windows(  # type: ignore[no-untyped-def]
     return matched, distance
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _best_of_all(query_words, train_words, max_distance, ratio):  # type: ignore[no-untyped-def]
     n, m = len(query_words), len(train_words)
     matched = np.full(n, -1, dtype=np.int64)
@@ -265,7 +254,7 @@ def _best_of_all(query_words, train_words, max_distance, ratio):  # type: ignore
     return matched, distance
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _best_near_segments(  # type: ignore[no-untyped-def]
     query_octave,
     query_words,
@@ -320,14 +309,14 @@ def _best_near_segments(  # type: ignore[no-untyped-def]
     return matched, distance
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _cells(a, b, margin, origin, count):  # type: ignore[no-untyped-def]
     """First and last cell, of those there are, that hold what lies between a and b or near."""
     low, high = (min(a, b) - margin - origin) / _CELL_PX, (max(a, b) + margin - origin) / _CELL_PX
     return int(min(max(low, 0.0), count)), int(max(min(high, count - 1.0), -1.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _part(slope, length, margin, top, bottom):  # type: ignore[no-untyped-def]
     """From where to where along a segment its neighbourhood may lie in a band of rows."""
     near, far = -margin, length + margin

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.config import FeaturesConfig
 from vo.features.fast import FastGrid
 from vo.types import Bytes, Floats32, Keypoints
@@ -86,7 +86,7 @@ def _moment_weights() -> tuple[Floats32, Floats32]:
     return x * inside, y * inside
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _orientation(image, xy, x_weights, y_weights):  # type: ignore[no-untyped-def]
     """Angle from a corner to the centroid of grey in a disc around it (Rublee 2011, sec. 3.2)."""
     angle = np.empty(len(xy), dtype=np.float32)
@@ -106,7 +106,7 @@ def _orientation(image, xy, x_weights, y_weights):  # type: ignore[no-untyped-de
     return angle
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _describe(blurred, xy, angle, pattern):  # type: ignore[no-untyped-def]
     """Rotated BRIEF (Rublee 2011, sec. 4): (N, 32) bytes of bits, each a pixel below another."""
     pixels, stride = blurred.ravel(), blurred.shape[1]

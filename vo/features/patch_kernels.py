@@ -6,17 +6,11 @@ that no sum sees it.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numba
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
-from numba.extending import intrinsic
+
+from vo.compiling.function import WrittenOut, compiled
 
 _LANES = 16
-_INTEGER, _NUMBERS = ir.IntType(32), ir.VectorType(ir.FloatType(), _LANES)
-_UNDEFINED = ir.Constant(_NUMBERS, ir.Undefined)
 # A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
 # hall 15 would have been found after all, and a sixth of all steps is saved.
 _HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
@@ -25,65 +19,11 @@ _HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 # (docs/accuracy.md).
 _SETTLED, _NEARLY = 4e-6, 1e-4
 
-# All compiled code that calls each other stays in this file: numba's cache does not notice when
-# a function in another file has changed.
+_blend_16 = WrittenOut("vo.features.instructions", "blend_16")
+_prefetch = WrittenOut("vo.features.instructions", "prefetch")
 
 
-@intrinsic
-def _blend_16(
-    typing_context: Any, image: Any, at: Any, share: Any, shift: Any, rows: Any, to: Any
-) -> Any:
-    """Pixels `at` to `at + 15` of a flat image, blended with their right neighbours, less `shift`.
-
-    Written out because loops over bytes are not turned into vector instructions by themselves.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pixels = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        target = context.make_array(signature.args[4])(context, builder, arguments[4]).data
-        left = _load(builder, builder.gep(pixels, [arguments[1]]))
-        one = ir.Constant(ir.IntType(64), 1)
-        right = _load(builder, builder.gep(pixels, [builder.add(arguments[1], one)]))
-        share = _everywhere(builder, arguments[2])
-        step = builder.fmul(share, builder.fsub(right, left), flags=("contract",))
-        left = builder.fsub(left, _everywhere(builder, arguments[3]))
-        place = builder.bitcast(builder.gep(target, [arguments[5]]), _NUMBERS.as_pointer())
-        builder.store(builder.fadd(left, step, flags=("contract",)), place).align = 4
-        return context.get_dummy_value()
-
-    signature = types.void(image, types.int64, types.float32, types.float32, rows, types.int64)
-    return signature, generate
-
-
-@intrinsic
-def _prefetch(typing_context: Any, image: Any, at: Any) -> Any:
-    """Begin to fetch the bytes around `at` of a flat image from memory."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pixels = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        place = builder.gep(pixels, [arguments[1]])
-        kind = ir.FunctionType(ir.VoidType(), [place.type, _INTEGER, _INTEGER, _INTEGER])
-        prefetch = builder.module.declare_intrinsic("llvm.prefetch", (place.type,), kind)
-        builder.call(prefetch, [place, _INTEGER(0), _INTEGER(3), _INTEGER(1)])  # read, keep, data
-        return context.get_dummy_value()
-
-    return types.void(image, types.int64), generate
-
-
-def _load(builder: Any, pixels: Any) -> Any:
-    grey = ir.VectorType(ir.IntType(8), _LANES)
-    loaded = builder.load(builder.bitcast(pixels, grey.as_pointer()))
-    loaded.align = 1
-    return builder.uitofp(loaded, _NUMBERS)
-
-
-def _everywhere(builder: Any, value: Any) -> Any:
-    first = builder.insert_element(_UNDEFINED, value, ir.Constant(_INTEGER, 0))
-    zeros = ir.Constant(ir.VectorType(_INTEGER, _LANES), [0] * _LANES)
-    return builder.shuffle_vector(first, _UNDEFINED, zeros)
-
-
-@numba.njit(cache=True, nogil=True)
+@compiled
 def align(  # type: ignore[no-untyped-def]
     references, reference, reference_xy, inverses, targets, target, start_xy, half, iterations
 ):
@@ -125,17 +65,17 @@ def align(  # type: ignore[no-untyped-def]
     return xy, score, converged, nearly, sigma
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _prefetch_patch(image, x, y, reach):  # type: ignore[no-untyped-def]
     """Ask for the rows of the next patch: a third of the time went into waiting for them."""
     height, width = image.shape
     flat = image.reshape(-1)
     left = max(min(int(x), width - 1) - reach, 0)
     for row in range(max(int(y) - reach, 0), min(int(y) + reach, height - 1) + 1):
-        _prefetch(flat, row * width + left)  # type: ignore[call-arg]
+        _prefetch(flat, row * width + left)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _workspace(half, stride):  # type: ignore[no-untyped-def]
     """Padded patches (8, size): wide, template, gx, gy, rows, weight, across, down."""
     size = (2 * half + 5) * stride
@@ -150,7 +90,7 @@ def _workspace(half, stride):  # type: ignore[no-untyped-def]
     return work
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     """The patch, one pixel wider on each side; False if that is outside of the image."""
     height, width = image.shape
@@ -167,7 +107,7 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _cut_stretched(image, x, y, inverse, half, stride, work):  # type: ignore[no-untyped-def]
     """The same for the patch as it looks after the stretch."""
     height, width = image.shape
@@ -182,23 +122,23 @@ def _cut_stretched(image, x, y, inverse, half, stride, work):  # type: ignore[no
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
     rows = work[4]
     for i in range(count):
         for j in range(0, stride, _LANES):
             first, to = at + i * width + j, i * stride + j
-            _blend_16(flat, first, ax, shift, rows, to)  # type: ignore[call-arg]
+            _blend_16(flat, first, ax, shift, rows, to)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
     wide, rows = work[0], work[4]
     for k in range(np.uintp(size)):
         wide[k] = rows[k] + ay * (rows[k + np.uintp(stride)] - rows[k])
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _stretch(flat, width, x, y, inverse, size, work):  # type: ignore[no-untyped-def]
     """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors."""
     wide, share_x, share_y, across, down = work[0], work[2], work[3], work[6], work[7]
@@ -222,7 +162,7 @@ def _stretch(flat, width, x, y, inverse, size, work):  # type: ignore[no-untyped
         wide[k] = top + share_y[k] * (low - top)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _template(side, stride, work):  # type: ignore[no-untyped-def]
     """Template and gradients of the wide patch, their means taken off; their sums of products."""
     wide, template, gx, gy, weight = work[0], work[1], work[2], work[3], work[5]
@@ -255,7 +195,7 @@ def _template(side, stride, work):  # type: ignore[no-untyped-def]
     return mean_t, hxx, hxy, hyy, variance, bx, by
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps from (x, y): where they end, correlation there, squared last step."""
     height, width = image.shape
@@ -292,7 +232,7 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
     return x, y, score, length
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _compare(size, stride, ay, work):  # type: ignore[no-untyped-def]
     """Sum and squares of the patch in the target, and its products with template and gradients."""
     template, gx, gy, rows, weight = work[1], work[2], work[3], work[4], work[5]
@@ -309,7 +249,7 @@ def _compare(size, stride, ay, work):  # type: ignore[no-untyped-def]
     return total, squares, cross, cx, cy
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
     """Templates with their gradients (N, 3, size), and sums (N, 7), all 0 where there is none."""
     side = 2 * half + 1
@@ -329,7 +269,7 @@ def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
     return templates, sums
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def step_together(  # type: ignore[no-untyped-def]
     templates, sums, image, points, pixel_from_ideal, camera, t, half, noise
 ):

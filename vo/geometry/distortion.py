@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from vo.geometry import spheres
+from vo.geometry import radtan_kernels, spheres
 from vo.types import Camera, Floats
 
 _MAX_ITERATIONS = 25
@@ -73,8 +73,6 @@ def angle_reach(coefficients: tuple[float, ...]) -> float:
 @lru_cache(maxsize=16)
 def radial_reach(coefficients: tuple[float, ...]) -> float:
     """The largest radius of points at which a `radtan` lens holds; infinity if at all."""
-    from vo.geometry import radtan_kernels  # numba takes long to import
-
     radii = np.linspace(0.0, _WIDEST_RADIUS, 20001)
     radial, slope = radtan_kernels.radial(_eight(coefficients), radii**2)
     # A rational model past its pole changes sign or jumps down.
@@ -84,16 +82,12 @@ def radial_reach(coefficients: tuple[float, ...]) -> float:
 
 def _radtan(coefficients: tuple[float, ...], rays: Floats) -> Floats:
     """Source: Brown, Decentering Distortion of Lenses, 1966; the rational form is OpenCV's."""
-    from vo.geometry import radtan_kernels
-
     reach = radial_reach(coefficients)
     moved = radtan_kernels.distort(_eight(coefficients), np.ascontiguousarray(rays), reach)
     return np.asarray(moved)
 
 
 def _radtan_inverse(coefficients: tuple[float, ...], moved: Floats) -> Floats:
-    from vo.geometry import radtan_kernels
-
     reach, k = radial_reach(coefficients), _eight(coefficients)
     moved = np.ascontiguousarray(moved)
     limits = _MAX_ITERATIONS, _CONVERGED, _ACCEPTED

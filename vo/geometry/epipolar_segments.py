@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Bools, Floats
 
 _LEAST_DEPTH = 1e-4  # in the second view, of the farthest depth in the first
@@ -34,7 +34,7 @@ def epipolar_segments(
     return start, end, possible
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _segments(xy, motion, nearest, farthest, intrinsics):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = intrinsics
     ends = np.full((2, len(xy), 2), np.nan)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Bools, Floats, Floats32
 
 NEIGHBOURS = 3
@@ -33,7 +33,7 @@ def far_from(xy: Floats | Floats32, taken_xy: Floats) -> Bools:
     return np.asarray(_far_from(pixels, np.ascontiguousarray(taken_xy)))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _far_from(xy, taken_xy):  # type: ignore[no-untyped-def]
     columns, rows = 0, 0
     for m in range(len(taken_xy)):
@@ -50,14 +50,14 @@ def _far_from(xy, taken_xy):  # type: ignore[no-untyped-def]
     return far
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _cell(pixel):  # type: ignore[no-untyped-def]
     """Column and row, both 1 at least: pixels outside of the image belong to its edge."""
     column, row = int(np.floor(pixel[0] / _CELL_PX)), int(np.floor(pixel[1] / _CELL_PX))
     return max(column, -1) + 2, max(row, -1) + 2
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _median_of_nearest(xy, known_xy, known):  # type: ignore[no-untyped-def]
     result = np.empty(len(xy))
     for n in range(len(xy)):

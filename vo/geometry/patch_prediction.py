@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Floats, Ints
 
 _NEAREST = 1e-3  # depth in distances of the reference camera below which nothing is predicted
@@ -60,7 +60,7 @@ def predict_patches(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _predict(points, reference, point, camera, poses, intrinsics):  # type: ignore[no-untyped-def]
     count = len(point)
     fx, fy, cx, cy = intrinsics
@@ -89,7 +89,7 @@ def _predict(points, reference, point, camera, poses, intrinsics):  # type: igno
     return xy, scale, back
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
     """A point of the world in a camera's frame."""
     x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
@@ -100,13 +100,13 @@ def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _distance(pose, at):  # type: ignore[no-untyped-def]
     x, y, z = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
     return np.sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _moved(at, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
     """Pixel, less the principal point, of a point moved along an axis of another camera."""
     x, y, z = _seen_from(

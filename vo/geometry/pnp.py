@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bools, Floats
 
@@ -78,7 +78,7 @@ def refine_pose(
     return PoseFit(orthonormalised(transform), residual < gate, residual, information)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def take_step(h: Any, b: Any, transform: Any) -> Any:
     """One Gauss-Newton step of a pose: the pose after it, and the squared length of the step in h.
 
@@ -93,7 +93,7 @@ def take_step(h: Any, b: Any, transform: Any) -> Any:
     return _product(_exp(change), transform), _inner(change, b)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _gauss_newton(  # type: ignore[no-untyped-def]
     start, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, gate, iterations
 ):
@@ -122,7 +122,7 @@ def _gauss_newton(  # type: ignore[no-untyped-def]
     return transform, residual, h
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _weigh(  # type: ignore[no-untyped-def]
     t, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, limit, rows, residual
 ):
@@ -162,7 +162,7 @@ def _weigh(  # type: ignore[no-untyped-def]
         rows[6, k], rows[6, k + 1], rows[6, k + 2] = ex * weight, ey * weight, ed * weight
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _normal_equations(rows):  # type: ignore[no-untyped-def]
     """J^T J and -J^T e of all rows."""
     h, b = np.empty((6, 6)), np.empty(6)
@@ -173,7 +173,7 @@ def _normal_equations(rows):  # type: ignore[no-untyped-def]
     return h, b
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _dot(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(len(a)):
@@ -181,7 +181,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _inner(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(len(a)):
@@ -189,7 +189,7 @@ def _inner(a, b):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _exp(xi):  # type: ignore[no-untyped-def]
     """First the rotation (Rodrigues), then the translation as it is: enough for small steps."""
     angle = np.sqrt(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
@@ -209,7 +209,7 @@ def _exp(xi):  # type: ignore[no-untyped-def]
 
 
 # numba's own `@` and `np.linalg` need scipy, which is not installed with this package.
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _product(a, b):  # type: ignore[no-untyped-def]
     result = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
@@ -219,7 +219,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _solve(h, b):  # type: ignore[no-untyped-def]
     """X of h x = b for a symmetric positive definite h (Cholesky); zeros where it is not."""
     n = len(b)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Floats, Ints
 
 
@@ -50,7 +50,7 @@ def position_sigma(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _position_sigma(  # type: ignore[no-untyped-def]
     points, centres, point, camera, disparity, sigma_px, sigma_d, focal, fb
 ):

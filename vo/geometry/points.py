@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Bools, Floats, Ints
 
 _SINGULAR = 1e-13  # determinant of a point's normal matrix against its trace cubed
@@ -109,7 +109,7 @@ def best_points(
     return moved, float(_refined(moved, poses, steps, tolerance, *views))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
     """First observation (M + 1,) of each point that is ok, and rows of theirs in that order."""
     starts = np.zeros(len(point_ok) + 1, dtype=np.int64)
@@ -127,7 +127,7 @@ def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
     return starts, order
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _refined(  # type: ignore[no-untyped-def]
     points,
     poses,
@@ -177,7 +177,7 @@ def _refined(  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     """A point's robust cost, inf if behind, its normal matrix (00 11 22 10 20 21) and gradient."""
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
@@ -224,7 +224,7 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     return cost, (n00, n11, n22, n10, n20, n21), (r0, r1, r2)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _stepped(at, normal, right, damping):  # type: ignore[no-untyped-def]
     """Whether the damped normal matrix is regular, and where its step, by cofactors, leads."""
     xx, yy, zz, xy, xz, yz = normal

@@ -5,14 +5,12 @@ In numpy they took a quarter of the time of tracking such a camera.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-# All compiled code that calls each other stays in this file: numba's cache does not notice when
-# a function in another file has changed. Division by zero gives infinity, as in numpy.
+from vo.compiling.function import compiled
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def radial(k, r2):  # type: ignore[no-untyped-def]
     """The radial factors (N,) and their derivatives by r^2 (N,)."""
     factor, slope = np.empty(len(r2)), np.empty(len(r2))
@@ -21,7 +19,7 @@ def radial(k, r2):  # type: ignore[no-untyped-def]
     return factor, slope
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def distort(k, rays, reach):  # type: ignore[no-untyped-def]
     """Where the lens moves points (N, 2); NaN beyond its reach."""
     moved = np.empty_like(rays)
@@ -33,7 +31,7 @@ def distort(k, rays, reach):  # type: ignore[no-untyped-def]
     return moved
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def undistort(k, moved, reach, iterations, converged, accepted):  # type: ignore[no-untyped-def]
     """The inverse by Newton's method; NaN where it leaves more than `accepted`.
 
@@ -68,7 +66,7 @@ def undistort(k, moved, reach, iterations, converged, accepted):  # type: ignore
     return rays
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _moved(k, x, y):  # type: ignore[no-untyped-def]
     """A moved point and the derivative: xx, xy (= yx), yy."""
     p1, p2 = k[2], k[3]
@@ -82,7 +80,7 @@ def _moved(k, x, y):  # type: ignore[no-untyped-def]
     return moved_x, moved_y, dxx, dxy, dyy
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _radial(k, r2):  # type: ignore[no-untyped-def]
     above = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     below = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
@@ -92,7 +90,7 @@ def _radial(k, r2):  # type: ignore[no-untyped-def]
     return factor, (above_slope - factor * below_slope) / below
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _clipped(x, y, reach):  # type: ignore[no-untyped-def]
     """A point pulled back to a radius, so that no step lands behind the fold."""
     share = reach / max(np.hypot(x, y), 1e-300)

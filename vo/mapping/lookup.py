@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Ints
 
 
@@ -16,7 +16,7 @@ def rows_of(ids: Ints, known: Ints) -> Ints:
     return np.asarray(_rows_of(np.ascontiguousarray(ids), known))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _rows_of(ids, known):  # type: ignore[no-untyped-def]
     rows = np.full(len(ids), -1)
     if len(known) == 0:

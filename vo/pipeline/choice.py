@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Bools, Ints, WindowProblem
 
 
@@ -32,7 +32,7 @@ def _best_ranks(keyframe: Ints, point: Ints, seen: Ints, keyframes: int) -> Ints
     return np.asarray(_ranked(keyframe, point, seen, keyframes))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _ranked(keyframe, point, seen, keyframes):  # type: ignore[no-untyped-def]
     best = np.full(len(seen), np.iinfo(np.int64).max)
     rank = np.zeros((keyframes, seen.max() + 1), dtype=np.int64)

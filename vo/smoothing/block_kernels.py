@@ -5,80 +5,21 @@ Rows of a block, and of what it is made from, are padded to the 8 numbers of a v
 
 from __future__ import annotations
 
-from typing import Any
-
-import numba
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
-from numba.extending import intrinsic
+
+from vo.compiling.function import WrittenOut, compiled
 
 _LANES = 8
-_INDEX, _NUMBER = ir.IntType(64), ir.DoubleType()
-_NUMBERS = ir.VectorType(_NUMBER, _LANES)
 _UNSEEN = 1e-12  # information on a point in every direction, against all it has
 _NEAREST = 1e-6  # depth from which on a point is in front
 _SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below which it is dropped
 
-# All compiled code that calls each other stays in this file: numba's cache does not notice when
-# a function in another file has changed.
+_set_product = WrittenOut("vo.smoothing.instructions", "set_product")
+_add_product = WrittenOut("vo.smoothing.instructions", "add_product")
+_subtract_product = WrittenOut("vo.smoothing.instructions", "subtract_product")
 
 
-def _product(rows: int, join: str | None) -> Any:
-    """Compiled: the first `rows` of `to` become left^T right, of left (3, any) and right (3, 8).
-
-    With `join` ("fadd", "fsub") that is added to them or taken off. Written out because loops of
-    six are not turned into vector instructions by themselves.
-    """
-
-    @intrinsic
-    def product(typing_context: Any, to: Any, left: Any, right: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            to, left, right = (
-                context.make_array(kind)(context, builder, array)
-                for kind, array in zip(signature.args, arguments, strict=True)
-            )
-            factors = [
-                builder.load(_place(builder, right, k, 0, _NUMBERS), align=8) for k in range(3)
-            ]
-            for row in range(rows):
-                total = None
-                for k in range(3):
-                    number = builder.load(_place(builder, left, k, row, _NUMBER))
-                    term = builder.fmul(_everywhere(builder, number), factors[k])
-                    total = term if total is None else builder.fadd(total, term)
-                place = _place(builder, to, row, 0, _NUMBERS)
-                if join is not None:
-                    total = getattr(builder, join)(builder.load(place, align=8), total)
-                builder.store(total, place, align=8)
-            return context.get_dummy_value()
-
-        return types.void(to, left, right), generate
-
-    return product
-
-
-def _place(builder: Any, array: Any, row: int, column: int, kind: Any) -> Any:
-    """Where entries of a matrix begin whose columns lie side by side."""
-    stride = builder.extract_value(array.strides, 0)
-    shift = builder.add(builder.mul(_INDEX(row), stride), _INDEX(8 * column))
-    data = builder.bitcast(array.data, ir.IntType(8).as_pointer())
-    return builder.bitcast(builder.gep(data, [shift]), kind.as_pointer())
-
-
-def _everywhere(builder: Any, number: Any) -> Any:
-    undefined = ir.Constant(_NUMBERS, ir.Undefined)
-    first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [0] * _LANES)
-    return builder.shuffle_vector(first, undefined, zeros)
-
-
-_set_product = _product(3, None)
-_add_product = _product(6, "fadd")
-_subtract_product = _product(6, "fsub")
-
-
-@numba.njit(cache=True, nogil=True)
+@compiled
 def reduced(  # type: ignore[no-untyped-def]
     points,
     poses,
@@ -152,7 +93,7 @@ def reduced(  # type: ignore[no-untyped-def]
     return _assembled(blocks, gradient, border)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _jacobians(  # type: ignore[no-untyped-def]
     at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, error
 ):
@@ -189,7 +130,7 @@ def _jacobians(  # type: ignore[no-untyped-def]
     return weight * t
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _subtract_point(  # type: ignore[no-untyped-def]
     at, coupling, lifted, inverse, right, offset, blocks, gradient, border
 ):
@@ -210,7 +151,7 @@ def _subtract_point(  # type: ignore[no-untyped-def]
             _subtract_product(blocks[at[a], at[b]], lifted, coupling[b])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
     """Hessian (6 F + 1, 6 F + 1) and gradient (6 F + 1,), the offset last."""
     free = len(blocks)
@@ -227,7 +168,7 @@ def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
     return hessian, whole
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _invert(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a point's (3, 3) normal matrix.
 
@@ -243,7 +184,7 @@ def _invert(m, inverse):  # type: ignore[no-untyped-def]
     _divide(inverse, _cofactors(m, inverse))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a symmetric (3, 3); False if it is singular."""
     determinant, trace = _cofactors(m, inverse), m[0, 0] + m[1, 1] + m[2, 2]
@@ -253,7 +194,7 @@ def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
     """Fill those on and above the diagonal of a symmetric (3, 3); gives the determinant."""
     c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
@@ -266,7 +207,7 @@ def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
     return m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
     """Make an inverse of cofactors on and above the diagonal."""
     for p in range(3):
@@ -275,7 +216,7 @@ def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
             inverse[q, p] = inverse[p, q]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def eliminated(  # type: ignore[no-untyped-def]
     poses, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
 ):
@@ -311,7 +252,7 @@ def eliminated(  # type: ignore[no-untyped-def]
     return information
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _position_weights(at, white, creep, weight):  # type: ignore[no-untyped-def]
     """Inverse of white I + creep (keyframes since the first, of the earlier one), in place."""
     n = len(at)
@@ -332,7 +273,7 @@ def _position_weights(at, white, creep, weight):  # type: ignore[no-untyped-def]
                     weight[r, c] -= factor * weight[k, c]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _disparity_weights(point, disparity, bias, weight):  # type: ignore[no-untyped-def]
     """Inverse of disparity I + bias 1 1^T over those that were measured (Sherman-Morrison)."""
     n, measured = len(point), 0
@@ -346,12 +287,12 @@ def _disparity_weights(point, disparity, bias, weight):  # type: ignore[no-untyp
             weight[a, b] = own - shared if both else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _is_measured(point, a):  # type: ignore[no-untyped-def]
     return point[a, 2, 0] != 0.0 or point[a, 2, 1] != 0.0 or point[a, 2, 2] != 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _add_point_normal(point, weight, weight_d, lifted, normal):  # type: ignore[no-untyped-def]
     """Fill `lifted`, the weights times the derivatives by the point, and their square."""
     n = len(point)
@@ -368,7 +309,7 @@ def _add_point_normal(point, weight, weight_d, lifted, normal):  # type: ignore[
                     normal[p, q] += point[a, r, p] * lifted[a, r, q]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _couple(pose, lifted, inverse, coupling, solved):  # type: ignore[no-untyped-def]
     """Fill how each observation ties a point to its pose, and that times the point's covariance."""
     for a in range(len(pose)):
@@ -376,7 +317,7 @@ def _couple(pose, lifted, inverse, coupling, solved):  # type: ignore[no-untyped
         _set_product(solved[a], inverse, coupling[a])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _add_point(at, pose, weight, weight_d, coupling, solved, blocks):  # type: ignore[no-untyped-def]
     """What the observations of one point say of their poses, the point eliminated."""
     weighted = np.empty((3, _LANES))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.smoothing.residuals import residuals
 from vo.types import Bools, Floats, Ints, WindowProblem
 
@@ -75,7 +75,7 @@ def linearise(
     return Linearised(poses, starts, keyframe, by_pose, by_point, by_offset, error)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _linearised(  # type: ignore[no-untyped-def]
     poses, points, order, keyframe, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
 ):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Floats, WindowProblem
 
 
@@ -30,7 +30,7 @@ def residuals(
     return residual, depth
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _residuals(  # type: ignore[no-untyped-def]
     poses, points, keyframe, point, xy, disparity, sigma, sigma_d, intrinsics, fb
 ):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.config import KeyframeConfig
 from vo.types import Floats
 
@@ -45,7 +45,7 @@ def median_parallax(points: Floats, first_centre: Floats, second_centre: Floats)
     return float(_median_parallax(np.ascontiguousarray(points), first_centre, second_centre))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _median_parallax(points, first, second):  # type: ignore[no-untyped-def]
     angles = np.empty(len(points))
     for n in range(len(points)):

@@ -1,0 +1,38 @@
+"""What numba tells arguments apart by: of arrays their numbers, dimensions and layout."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+_NUMBERS = {bool: "?", int: "i8", float: "f8"}
+
+
+def kind_of(value: Any) -> Any:
+    """What is the same for arguments that the same machine code takes; made to be quick."""
+    if type(value) is np.ndarray:
+        return value.dtype, value.ndim, value.flags.num
+    if isinstance(value, tuple):
+        return type(value), *map(kind_of, value)
+    return type(value)
+
+
+def describe(value: Any) -> str | None:
+    """The kind in words, the same wherever the machine code is; None for what has no words here."""
+    if type(value) is np.ndarray:
+        return _describe_array(value)
+    if type(value) is tuple:
+        parts = [describe(part) for part in value]
+        return None if None in parts else f"({' '.join(str(part) for part in parts)})"
+    if isinstance(value, np.generic):
+        return value.dtype.str[1:]
+    return _NUMBERS.get(type(value))
+
+
+def _describe_array(array: np.ndarray[Any, Any]) -> str | None:
+    flags = array.flags
+    if not array.dtype.isnative or array.dtype.kind not in "biuf" or not flags.aligned:
+        return None
+    layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
+    return f"{array.dtype.str[1:]}[{array.ndim}{layout}{'' if flags.writeable else 'r'}]"

@@ -1,0 +1,173 @@
+"""Machine code out of numba, and back into functions without it.
+
+This is what numba does with its own cache, less all that it needs to compile: an object file is
+linked by llvmlite, and its entry for Python becomes a function. It relies on parts of numba that
+are no interface, so that it is done only for versions of numba that this was tried with, on the
+system it was tried on; with others numba keeps and loads what it compiles.
+"""
+
+from __future__ import annotations
+
+import builtins
+import ctypes
+import importlib
+import importlib.util
+import pickle
+import platform
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+_TRIED_VERSIONS = ("0.68.",)
+_TRIED_SYSTEM = ("CPython", "Linux", "x86_64")
+# Of Intel's mathematics library, which numba calls where it finds it, and which is not loaded here.
+_FOREIGN = b"__svml_"
+
+_unpickled: dict[int, Any] = {}  # by the address of its bytes
+
+
+class MachineCode(NamedTuple):
+    """An object file, the names of its entry and environment, and what stands in the latter."""
+
+    object_file: bytes
+    entry: str
+    environment: str
+    constants: list[Any]
+
+
+@lru_cache(maxsize=1)
+def is_understood() -> bool:
+    """Whether machine code of the installed numba can be taken out and loaded here."""
+    system = (platform.python_implementation(), platform.system(), platform.machine())
+    return system == _TRIED_SYSTEM and _numba_version().startswith(_TRIED_VERSIONS)
+
+
+@lru_cache(maxsize=1)
+def maker() -> str:
+    """What machine code depends on besides its source: compiler, Python and processor."""
+    import llvmlite
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features().flatten()
+    versions = (_numba_version(), llvmlite.__version__, sys.implementation.cache_tag)
+    return " ".join((*versions, binding.get_host_cpu_name(), features))
+
+
+def of(dispatcher: Any, arguments: tuple[Any, ...]) -> MachineCode | None:
+    """Compile a `numba.njit` function for such arguments; None if the result cannot be kept."""
+    import numba
+
+    signature = tuple(map(numba.typeof, arguments))
+    dispatcher.compile(signature)
+    compiled = dispatcher.overloads[signature]
+    object_file = compiled.library.serialize_using_object_code()[2][0]
+    if _FOREIGN in object_file or compiled.referenced_envs:
+        return None
+    return MachineCode(
+        object_file,
+        compiled.fndesc.llvm_cpython_wrapper_name,
+        compiled.target_context.get_env_name(compiled.fndesc),
+        list(compiled.environment.consts),
+    )
+
+
+def callable_of(code: MachineCode, function: FunctionType) -> Callable[..., Any]:
+    """Link machine code; gives what can be called in place of the function it was made from.
+
+    Arguments must be of the kinds it was made for, which it hardly checks.
+    """
+    from llvmlite import binding
+
+    functions, engine = _extension("_dynfunc"), _engine()
+    engine.add_object_file(binding.ObjectFileRef.from_data(code.object_file))
+    engine.finalize_object()
+    environment = functions.Environment({})
+    environment.consts.extend(code.constants)
+    place = ctypes.c_void_p.from_address(engine.get_global_value_address(code.environment))
+    place.value = id(environment)
+    entry = engine.get_function_address(code.entry)
+    module = sys.modules[function.__module__]
+    # The last argument is kept as long as the function; so is the environment.
+    made: Callable[..., Any] = functions.make_function(
+        module, function.__name__, function.__doc__ or "", entry, environment, (engine,)
+    )
+    return made
+
+
+@lru_cache(maxsize=1)
+def _engine() -> Any:
+    """What links object files, with all names that numba's machine code refers to."""
+    from llvmlite import binding
+
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    binding.add_symbol("_Py_NoneStruct", id(None))
+    for kind in vars(builtins).values():
+        if isinstance(kind, type) and issubclass(kind, BaseException):
+            binding.add_symbol(f"PyExc_{kind.__name__}", id(kind))
+    for name in ("_helperlib", "_dynfunc"):
+        for symbol, address in _extension(name).c_helpers.items():
+            binding.add_symbol(f"numba_{symbol}", address)
+    if "numba" not in sys.modules:
+        binding.add_symbol("numba_unpickle", ctypes.cast(_UNPICKLE, ctypes.c_void_p).value)
+    memory = _extension("core/runtime/_nrt_python")
+    for symbol, address in memory.c_helpers.items():
+        binding.add_symbol(symbol if symbol.startswith("_") else f"NRT_{symbol}", address)
+    memory.memsys_use_cpython_allocator()
+    triple = binding.get_process_triple()
+    machine = binding.Target.from_triple(triple).create_target_machine(
+        cpu=binding.get_host_cpu_name(), reloc="static", codemodel="jitdefault", jit=True
+    )
+    nothing = binding.parse_assembly(f'target triple = "{triple}"')
+    return binding.create_mcjit_compiler(nothing, machine)
+
+
+def _unpickle(address: int, length: int, digest: int) -> Any:
+    """Give machine code a Python object that it holds; numba's own function would import numba."""
+    if address not in _unpickled:
+        _unpickled[address] = pickle.loads(ctypes.string_at(address, length))
+    return _unpickled[address]
+
+
+_UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(
+    _unpickle
+)
+
+
+def _extension(name: str) -> ModuleType:
+    """One of numba's extension modules, which need nothing of the package around them."""
+    dotted = "numba." + name.replace("/", ".")
+    if "numba" in sys.modules:
+        return importlib.import_module(dotted)
+    base = _numba_folder() / name
+    path = next(p for s in EXTENSION_SUFFIXES if (p := base.with_name(base.name + s)).exists())
+    loader = ExtensionFileLoader(dotted, str(path))
+    spec = importlib.util.spec_from_loader(dotted, loader)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    loader.exec_module(module)
+    return module
+
+
+@lru_cache(maxsize=1)
+def _numba_version() -> str:
+    """Without importing it; empty if it is not to be found."""
+    spec = importlib.util.spec_from_file_location("", _numba_folder() / "_version.py")
+    assert spec is not None and spec.loader is not None
+    version = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(version)
+        return str(version.get_versions()["version"])
+    except (OSError, AttributeError, KeyError):
+        return ""
+
+
+@lru_cache(maxsize=1)
+def _numba_folder() -> Path:
+    spec = importlib.util.find_spec("numba")
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).parent
