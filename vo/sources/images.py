@@ -10,7 +10,6 @@ checks of size, what is skipped, slices, comes with `vo.sources.sequence`.
 from __future__ import annotations
 
 import threading
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.errors import SourceError
+from vo.formats import png
 from vo.types import Bytes
 
 Pixels = NDArray[np.unsignedinteger]
@@ -30,7 +30,6 @@ ImageKind = Literal["grey", "colour", "recorded"]
 """What images are read as: (H, W) uint8, as the odometry needs them; with 8 bits, in colour where
 they were recorded so; or as they were recorded, also with 16 bits."""
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
@@ -188,6 +187,9 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     # OpenCV fills what is missing of a cut-off JPEG with grey and says nothing to the caller.
     if not is_complete(data):
         raise SourceError(f"image {name} is cut off or damaged ({len(data)} bytes)")
+    grey = png.decode_grey(data) if data.startswith(png.SIGNATURE) else None
+    if grey is not None:
+        return grey
     try:
         with _quiet_opencv:
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _IN_COLOUR[colour])
@@ -202,27 +204,11 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
 
 def is_complete(data: bytes) -> bool:
     """Whether a PNG or JPEG file reaches its end mark undamaged; True for other formats."""
-    if data.startswith(_PNG):
-        return _png_is_complete(data)
+    if data.startswith(png.SIGNATURE):
+        return png.is_complete(data)
     if data.startswith(_JPEG):
         return _jpeg_is_complete(data)
     return True
-
-
-def _png_is_complete(data: bytes) -> bool:
-    """Walk the chunks (length, type, content, CRC) to IEND."""
-    position = len(_PNG)
-    while position + 12 <= len(data):
-        length = int.from_bytes(data[position : position + 4], "big")
-        end = position + 8 + length
-        kind = data[position + 4 : position + 8]
-        crc = int.from_bytes(data[end : end + 4], "big")
-        if end + 4 > len(data) or zlib.crc32(memoryview(data)[position + 4 : end]) != crc:
-            return False
-        if kind == b"IEND":
-            return True
-        position = end + 4
-    return False
 
 
 def _jpeg_is_complete(data: bytes) -> bool:
