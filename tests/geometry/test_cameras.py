@@ -351,3 +351,16 @@ def test_equidistant_without_coefficients_still_bends() -> None:
     np.testing.assert_allclose(
         distort(camera, np.array([[1.0, 0.0]])), [[50.0 + 50.0 * np.pi / 4, 50.0]], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7, 0.9])
+def test_lenses_that_fold_are_inverted_up_to_the_fold(share: float) -> None:
+    """First guesses lie at the fold, or beyond, where Newton's method alone goes astray."""
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        lens = (rng.uniform(0.0, 0.3), rng.uniform(-0.1, -0.01), *rng.uniform(-1e-3, 1e-3, 2))
+        radius = share * radial_reach(lens)
+        bearing = rng.uniform(0.0, 2.0 * np.pi, 20)
+        rays = radius * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        camera = Camera(800, 800, 500.0, 501.0, 400.0, 399.0, "radtan", lens)
+        assert np.abs(normalise(camera, distort(camera, rays)) - rays).max() < 1e-8

@@ -35,11 +35,26 @@ def distort(k, rays, reach):  # type: ignore[no-untyped-def]
 def undistort(k, moved, reach, iterations, converged, accepted):  # type: ignore[no-untyped-def]
     """The inverse by Newton's method; NaN where it leaves more than `accepted`.
 
-    All points take as many steps as the slowest of them.
+    All points take as many steps as the slowest of them. Those that go astray, as they do where
+    the lens folds soon after, are tried again from where they would be by the radial part alone.
     """
     rays = np.empty_like(moved)
     for n in range(len(moved)):
         rays[n, 0], rays[n, 1] = _clipped(moved[n, 0], moved[n, 1], reach)
+    _approach(k, moved, rays, reach, iterations, converged)
+    for n in range(len(moved)):
+        if not _left_over(k, moved[n], rays[n]) <= accepted:
+            share = _radial_inverse(k, np.hypot(moved[n, 0], moved[n, 1]), reach)
+            rays[n, 0], rays[n, 1] = share * moved[n, 0], share * moved[n, 1]
+            _approach(k, moved[n : n + 1], rays[n : n + 1], reach, iterations, converged)
+            if not _left_over(k, moved[n], rays[n]) <= accepted:
+                rays[n, 0], rays[n, 1] = np.nan, np.nan
+    return rays
+
+
+@compiled(error_model="numpy")
+def _approach(k, moved, rays, reach, iterations, converged):  # type: ignore[no-untyped-def]
+    """Newton's steps for `rays` that the lens would move to `moved`."""
     is_settled = False
     for _ in range(iterations):
         if is_settled:
@@ -58,12 +73,26 @@ def undistort(k, moved, reach, iterations, converged, accepted):  # type: ignore
             if abs(step_x) > converged * (1.0 + abs(x)) or abs(step_y) > converged * (1.0 + abs(y)):
                 is_settled = False
             rays[n, 0], rays[n, 1] = x, y
-    for n in range(len(moved)):
-        found_x, found_y, _, _, _ = _moved(k, rays[n, 0], rays[n, 1])
-        left_over = max(abs(found_x - moved[n, 0]), abs(found_y - moved[n, 1]))
-        if not left_over <= accepted:
-            rays[n, 0], rays[n, 1] = np.nan, np.nan
-    return rays
+
+
+@compiled(error_model="numpy")
+def _left_over(k, moved, ray):  # type: ignore[no-untyped-def]
+    found_x, found_y, _, _, _ = _moved(k, ray[0], ray[1])
+    return max(abs(found_x - moved[0]), abs(found_y - moved[1]))
+
+
+@compiled(error_model="numpy")
+def _radial_inverse(k, moved, reach):  # type: ignore[no-untyped-def]
+    """Share of a moved radius that the radius was, by bisection: up to `reach` it grows."""
+    low, high = 0.0, min(reach, 1e6)
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        factor, _ = _radial(k, middle * middle)
+        if middle * factor < moved:
+            low = middle
+        else:
+            high = middle
+    return low / max(moved, 1e-300)
 
 
 @compiled(error_model="numpy")
