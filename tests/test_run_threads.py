@@ -54,7 +54,7 @@ def test_a_smoother_killed_in_every_window_makes_no_difference(
     ask, killed = SmootherProcess.ask, []
 
     def kill_and_ask(self: SmootherProcess, problem: WindowProblem) -> None:
-        killed.append(self._child._process.pid)
+        killed.append(self._child.pid)
         os.kill(killed[-1], signal.SIGKILL)
         ask(self, problem)
 

@@ -11,10 +11,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import IO
 
 _log = logging.getLogger(__name__)
 
+# A window takes a third of that: nobody waits for the other end to make room.
+_PIPE_BYTES = 1 << 20
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
 # where this process finds them, not in the folder that it happens to be started in.
 # numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
@@ -54,7 +57,7 @@ def start_child() -> subprocess.Popen[bytes]:
     Raises:
         OSError: it cannot be started.
     """
-    return subprocess.Popen(
+    child = subprocess.Popen(
         [sys.executable, "-c", _PROGRAM.format(path=sys.path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -62,6 +65,18 @@ def start_child() -> subprocess.Popen[bytes]:
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         process_group=0,  # Ctrl-C in a terminal goes to a whole group
     )
+    for pipe in (child.stdin, child.stdout):
+        assert pipe is not None
+        _widen(pipe)
+    return child
+
+
+def _widen(pipe: IO[bytes]) -> None:
+    """Make room for a whole window, where the system knows how to and the user may."""
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl
+
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
 def end_child(child: subprocess.Popen[bytes]) -> int:
