@@ -15,7 +15,7 @@ from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, cast, overload
 
 from vo.compiling import machine_code, store
 from vo.compiling.fingerprint import fingerprint, names_in, source_of
-from vo.compiling.kinds import describe, kind_of
+from vo.compiling.kinds import describe, kinds_of
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -68,7 +68,7 @@ class Compiled(Generic[P, R]):
         """
         if named:
             raise TypeError(f"{self.__name__} takes no argument by name")
-        kinds = tuple(map(kind_of, arguments))
+        kinds = kinds_of(arguments)
         entry = self._entries.get(kinds)
         if entry is None:
             entry = self._find(kinds, arguments)

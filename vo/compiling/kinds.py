@@ -6,21 +6,27 @@ from typing import Any
 
 import numpy as np
 
+_ARRAY = np.ndarray
 _NUMBERS = {bool: "?", int: "i8", float: "f8"}
 
 
-def kind_of(value: Any) -> Any:
+def kinds_of(values: tuple[Any, ...]) -> tuple[Any, ...]:
     """What is the same for arguments that the same machine code takes; made to be quick."""
-    if type(value) is np.ndarray:
-        return value.dtype, value.ndim, value.flags.num
-    if isinstance(value, tuple):
-        return type(value), *map(kind_of, value)
-    return type(value)
+    return tuple(
+        [
+            (v.dtype, v.ndim, v.flags.num)
+            if type(v) is _ARRAY
+            else kinds_of(v)
+            if type(v) is tuple
+            else type(v)
+            for v in values
+        ]
+    )
 
 
 def describe(value: Any) -> str | None:
     """The kind in words, the same wherever the machine code is; None for what has no words here."""
-    if type(value) is np.ndarray:
+    if type(value) is _ARRAY:
         return _describe_array(value)
     if type(value) is tuple:
         parts = [describe(part) for part in value]
