@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from vo.compiling import machine_code, store
-from vo.compiling.function import Compiled, WrittenOut, compiled
+from vo.compiling.function import WrittenOut, compiled
 from vo.compiling.kinds import describe
 
 HELPER = """
@@ -279,4 +279,3 @@ def test_a_run_does_without_numba(synthetic_stereo: Path, tmp_path: Path) -> Non
             [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
         )
     assert done.stdout.splitlines()[-1] == "False"
-    assert isinstance(compiled(area), Compiled)

@@ -138,6 +138,7 @@ _UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, c
 )
 
 
+@lru_cache(maxsize=3)
 def _extension(name: str) -> ModuleType:
     """One of numba's extension modules, which need nothing of the package around them."""
     dotted = "numba." + name.replace("/", ".")

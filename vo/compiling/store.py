@@ -38,9 +38,9 @@ def save(place: Path, code: MachineCode) -> None:
     """Keep it, in place of what older versions of the function had become, if the disk allows."""
     content = pickle.dumps(tuple(code))
     outdated = place.name.rpartition("-")[0]
+    new = place.with_suffix(f".{os.getpid()}")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        new = place.with_suffix(f".{os.getpid()}")
         new.write_bytes(hashlib.sha256(content).digest() + content)
         new.replace(place)
         for other in place.parent.glob(f"{outdated}-*"):
@@ -48,6 +48,8 @@ def save(place: Path, code: MachineCode) -> None:
                 other.unlink(missing_ok=True)
     except OSError as error:
         _log.info("machine code cannot be kept: %s", error)
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
 
 
 @lru_cache(maxsize=1)

@@ -10,8 +10,8 @@ from numba import types
 from numba.extending import intrinsic
 
 _ON_RING = 16  # pixels around a corner
-LANES = 16  # numbers of 32 bits in a vector register
-_INTEGER, _NUMBERS = ir.IntType(32), ir.VectorType(ir.FloatType(), LANES)
+_LANES = 16  # numbers of 32 bits in a vector register
+_INTEGER, _NUMBERS = ir.IntType(32), ir.VectorType(ir.FloatType(), _LANES)
 _UNDEFINED = ir.Constant(_NUMBERS, ir.Undefined)
 
 
@@ -111,7 +111,7 @@ def prefetch(typing_context: Any, image: Any, at: Any) -> Any:
 
 
 def _load(builder: Any, pixels: Any) -> Any:
-    grey = ir.VectorType(ir.IntType(8), LANES)
+    grey = ir.VectorType(ir.IntType(8), _LANES)
     loaded = builder.load(builder.bitcast(pixels, grey.as_pointer()))
     loaded.align = 1
     return builder.uitofp(loaded, _NUMBERS)
@@ -119,5 +119,5 @@ def _load(builder: Any, pixels: Any) -> Any:
 
 def _everywhere(builder: Any, value: Any) -> Any:
     first = builder.insert_element(_UNDEFINED, value, ir.Constant(_INTEGER, 0))
-    zeros = ir.Constant(ir.VectorType(_INTEGER, LANES), [0] * LANES)
+    zeros = ir.Constant(ir.VectorType(_INTEGER, _LANES), [0] * _LANES)
     return builder.shuffle_vector(first, _UNDEFINED, zeros)
