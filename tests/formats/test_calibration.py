@@ -289,6 +289,16 @@ def test_euroc_alone_is_mono(tmp_path: Path) -> None:
     assert not read_calibration(tmp_path / "cam1/sensor.yaml").rig.is_stereo
 
 
+def test_euroc_partner_of_a_folder_that_is_a_link(tmp_path: Path) -> None:
+    _file(tmp_path, _sensor(0.1), "shared/cam0/sensor.yaml")
+    _file(tmp_path, _sensor(0.2), "shared/cam1/sensor.yaml")
+    _file(tmp_path, _sensor(0.3), "mine/cam1/sensor.yaml")
+    (tmp_path / "mine" / "cam0").symlink_to(tmp_path / "shared" / "cam0")
+    rig = read_calibration(tmp_path / "mine" / "cam0" / "sensor.yaml").rig
+    assert rig.cam1_from_cam0 is not None
+    np.testing.assert_allclose(np.abs(rig.cam1_from_cam0[:3, 3]).max(), 0.2)
+
+
 def test_euroc_both_cameras_in_one_place(tmp_path: Path) -> None:
     left = _file(tmp_path, _sensor(0.1), "cam0/sensor.yaml")
     _file(tmp_path, _sensor(0.1), "cam1/sensor.yaml")

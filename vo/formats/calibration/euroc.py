@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from vo.errors import CalibrationError
@@ -35,9 +36,10 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
 
 
 def _partner(path: Path) -> Path | None:
-    partner = path.resolve().parent.parent / "cam1" / path.name
-    is_left = path.resolve().parent.name == "cam0"
-    return partner if is_left and partner.is_file() else None
+    """The file beside it as the path has it: a `cam0` that is a link may lead elsewhere."""
+    path = Path(os.path.abspath(path))
+    partner = path.parent.parent / "cam1" / path.name
+    return partner if path.parent.name == "cam0" and partner.is_file() else None
 
 
 def _camera(document: Document) -> Camera:
