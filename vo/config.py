@@ -101,6 +101,9 @@ class StereoConfig(Section):
     offset_correction: bool = Field(
         True, description="estimate and correct a constant error of all disparities"
     )
+    row_correction: bool = Field(
+        True, description="bring rows in line that a wrong calibration has moved apart"
+    )
     max_disparity_share: float = Field(
         0.3, gt=0, le=1, description="largest disparity, share of the image width"
     )

@@ -17,12 +17,13 @@ import numpy as np
 
 from vo.config import Config
 from vo.geometry.rectification import working_rig
+from vo.geometry.row_errors import RowErrors
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.adjust import Window, cull, make_window, take_in
 from vo.pipeline.cores import available_cores
 from vo.pipeline.direct_step import direct_step
-from vo.pipeline.disparity_watch import DisparityWatch
+from vo.pipeline.disparity_watch import DisparityWatch, is_from_yaw
 from vo.pipeline.essential_step import essential_step
 from vo.pipeline.forecast import KeyframeForecast
 from vo.pipeline.grow import grow_stereo, look_back, looks_swapped
@@ -32,6 +33,7 @@ from vo.pipeline.keyframe import add_keyframe, add_tracked, change_since
 from vo.pipeline.later import Later
 from vo.pipeline.light import fault_of
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
+from vo.pipeline.row_alignment import right_camera
 from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
 from vo.pipeline.view import (
@@ -47,7 +49,16 @@ from vo.smoothing.smoother import make_smoother
 from vo.smoothing.solution import WindowSolution
 from vo.tracking.keyframes import needs_keyframe
 from vo.tracking.motion import ConstantVelocity
-from vo.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, State
+from vo.types import (
+    Estimate,
+    Floats,
+    Frame,
+    KeyframePose,
+    Landmarks,
+    Rig,
+    RightCamera,
+    State,
+)
 
 # Frames after which the smoother's answer is taken in, unless a keyframe comes before: always the
 # same, so that the path does not depend on how fast the smoother is. A stereo map can do without
@@ -94,12 +105,13 @@ class Odometry:
         self._rig = working_rig(rig)
         threads = config.threads or available_cores()
         self._smoother = make_smoother(config.smoothing, threads, smoother_process)
-        self._preparation = Preparation(config.features, threads=threads)
+        self._preparation = Preparation(config, threads=threads)
         capacity = config.smoothing.window + config.smoothing.fixed
         self._map = Map(capacity, self._rig.height, self._rig.width)
         self._motion = ConstantVelocity()
         self._mono_start = MonoStart(self._rig, config)
         self._disparity_watch = DisparityWatch()
+        self._rows: RowErrors | None = None  # of the right camera, if a pair has told
         self._state = State.STARTING
         self._segment = 0
         self._lost: list[WorkingFrame] = []  # the newest frames, since the map was lost
@@ -116,6 +128,11 @@ class Odometry:
         """The constant error of disparities that is corrected, 0 if none was found."""
         return self._rig.disparity_offset_px
 
+    @property
+    def right_camera(self) -> RightCamera | None:
+        """What was wrong with the right camera's calibration and is corrected."""
+        return right_camera(self._preparation.row_errors, self._rig)
+
     def step(self, frame: Frame) -> Estimate:
         """Take in the next frame."""
         return self._step(self._preparation.later(frame, self._rig))
@@ -129,6 +146,7 @@ class Odometry:
         clock = Stopwatch()
         with clock.stage("features"):
             working = coming.result()
+            self._rows = working.rows
             if self._features_soon or self._state is not State.TRACKING:
                 working.begin_features()
         reason, tracked, keyframe = self._advance(working, clock)
@@ -284,9 +302,12 @@ class Odometry:
 
     def _correct_disparities(self, offset_px: float) -> None:
         """Move all disparities, past and future, to a new offset, and the map with them."""
-        change = offset_px - self._rig.disparity_offset_px
-        self._rig = replace(self._rig, disparity_offset_px=offset_px)
+        is_yaw = self._rows is not None and is_from_yaw(offset_px, self._rows.skew_px)
+        before = self._rig
+        self._rig = replace(before, disparity_offset_px=offset_px, offset_is_yaw=is_yaw)
         for keyframe in self._map.keyframes:
+            right_u = keyframe.image_xy[:, 0] - keyframe.disparity
+            change = self._rig.disparity_error(right_u) - before.disparity_error(right_u)
             keyframe.disparity -= change
         self._ask(whole_map=True)
         self._settle(self._smoother.answer())

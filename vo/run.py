@@ -275,6 +275,7 @@ class _Run:
             unpaired=self._source.unpaired,
             wall_s=time.perf_counter() - self._begun,
             disparity_offset_px=self._odometry.disparity_offset_px,
+            right_camera=self._odometry.right_camera,
             error=None if error is None else self._named(error),
             profile=self._profile(),
         )

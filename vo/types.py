@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,6 +195,24 @@ class Keypoints:
 
     def __len__(self) -> int:
         return len(self.xy)
+
+
+class RightCamera(NamedTuple):
+    """How the right camera differs from its calibration, where that was found and corrected.
+
+    Attributes:
+        pitch_deg: it looks up by this.
+        yaw_deg: it looks to the left.
+        roll_deg: it is turned counter-clockwise, seen from behind.
+        zoom_percent: its focal length is longer.
+        rows_px: most that rows of rectified images differed.
+    """
+
+    pitch_deg: float
+    yaw_deg: float
+    roll_deg: float
+    zoom_percent: float
+    rows_px: float
 
 
 class State(StrEnum):

@@ -65,7 +65,7 @@ class Scene:
     def __init__(self, texture: Bytes, rig: Rig) -> None:
         self.texture = texture
         self.rig: WorkingRig = working_rig(rig)
-        self.preparation = Preparation(CONFIG.features, threads=1)
+        self.preparation = Preparation(CONFIG, threads=1)
         self.map = Map(4, HEIGHT, WIDTH)
 
     def frame(self, world_from_cam: Floats, *, shift_right_px: float = 0.0) -> WorkingFrame:

@@ -44,7 +44,7 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene(synthetic_stereo: Path) -> Scene:
     source = open_source(synthetic_stereo)
-    rig, preparation = working_rig(source.rig), Preparation(CONFIG.features, threads=1)
+    rig, preparation = working_rig(source.rig), Preparation(CONFIG, threads=1)
     first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
     world = Map(4, rig.height, rig.width)
     free = np.ones(len(first.keypoints), dtype=bool)

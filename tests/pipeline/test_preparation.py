@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from vo.config import FeaturesConfig
+from vo.config import Config, FeaturesConfig
 from vo.geometry.rectification import working_rig
 from vo.pipeline.later import Later
 from vo.pipeline.working_frame import Preparation
@@ -28,7 +28,7 @@ def _frames(count: int, error: Exception | None = None) -> Iterator[Frame]:
 
 @pytest.fixture(params=[1, 2])
 def preparation(request: pytest.FixtureRequest) -> Iterator[Preparation]:
-    preparation = Preparation(FeaturesConfig(count=100), threads=request.param)
+    preparation = Preparation(Config(features=FeaturesConfig(count=100)), threads=request.param)
     yield preparation
     preparation.close()
 

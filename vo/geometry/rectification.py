@@ -8,7 +8,7 @@ the positions of features are undistorted, which is cheaper and keeps every pixe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from vo.errors import CalibrationError
 from vo.geometry import cameras
 from vo.geometry.distortion import centre_scale
+from vo.geometry.row_errors import RowErrors
 from vo.geometry.transforms import inverse, make_transform
 from vo.types import Bytes, Camera, Floats, Floats32, Rig
 
 _Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
 # A place outside every image, for what a lens does not see; OpenCV's maps hold 16 bits.
 _OUTSIDE_PX = -10000.0
+# Neighbours in a map are less apart than this, unless one of them is outside.
+_TORN_PX = 100.0
 # The standard deviation of a disparity, 0.4 px, is then one of 1 cm in 2 m and of 6 cm in 5 m
 # (fx = 525): about what structured light and time of flight keep to.
 VIRTUAL_BASELINE_M = 0.3
@@ -44,8 +47,10 @@ class WorkingRig:
         cam0_from_working: (4, 4) turns the working (rectified) left camera into the recorded cam0.
         lens: the distorted camera whose images are used as recorded, or None if there is nothing
             to undo.
-        maps: OpenCV's rectification maps of each camera, or None if the images are used as is.
+        maps: OpenCV's rectification maps of each camera, None for images that are used as is.
         disparity_offset_px: what a slightly wrong calibration adds to every disparity.
+        offset_is_yaw: whether that is because the right camera looks sideways, so that it grows
+            towards the left and right of the image, or the same everywhere.
     """
 
     width: int
@@ -57,8 +62,9 @@ class WorkingRig:
     baseline_m: float
     cam0_from_working: Floats
     lens: Camera | None = None
-    maps: tuple[_Maps, ...] | None = None
+    maps: tuple[_Maps | None, ...] = (None, None)
     disparity_offset_px: float = 0.0
+    offset_is_yaw: bool = False
 
     @property
     def matrix(self) -> Floats:
@@ -72,16 +78,33 @@ class WorkingRig:
 
     def rectify(self, image: Bytes, side: int) -> Bytes:
         """The working image of cam0 (side 0) or cam1 (side 1)."""
-        if self.maps is None:
+        maps = self.maps[side]
+        if maps is None:
             return image
-        return np.asarray(cv2.remap(image, *self.maps[side], cv2.INTER_LINEAR), dtype=np.uint8)
+        return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def rectify_depth(self, depth: Floats32) -> Floats32:
         """Depth at the pixels of the working image: moved, never mixed, as edges are in it."""
-        if self.maps is None:
+        if self.maps[0] is None:
             return depth
         nearest = cv2.remap(depth, self.maps[0][0], None, cv2.INTER_NEAREST)
         return np.asarray(nearest, dtype=np.float32)
+
+    def with_right_corrected(self, errors: RowErrors) -> WorkingRig:
+        """The same rig whose right images are taken from where points are really seen."""
+        v, u = np.mgrid[: self.height, : self.width].astype(np.float64)
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        at_u = (u + errors.columns_px(x, y)).astype(np.float32)
+        at_v = (v + errors.rows_px(x, y)).astype(np.float32)
+        if self.maps[1] is not None:
+            recorded = cv2.convertMaps(*self.maps[1], cv2.CV_32FC1)
+            at_u, at_v = (_looked_up(side, at_u, at_v) for side in recorded)
+        return replace(self, maps=(self.maps[0], cv2.convertMaps(at_u, at_v, cv2.CV_16SC2)))
+
+    def disparity_error(self, right_u: Floats) -> Floats:
+        """What the calibration adds to disparities of points at columns (N,) on the right."""
+        growth = ((right_u - self.cx) / self.fx) ** 2 if self.offset_is_yaw else 0.0 * right_u
+        return np.asarray(self.disparity_offset_px * (1.0 + growth))
 
     def ideal_from_image(self, xy: Floats) -> Floats:
         """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""
@@ -129,7 +152,7 @@ def _single(c: Camera, baseline: float) -> WorkingRig:
         return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4), lens)
     fx, fy = _central_focal(c)
     matrix = np.array([[fx, 0.0, c.cx], [0.0, fy, c.cy], [0.0, 0.0, 1.0]])
-    maps = (_wide_maps(c, np.eye(3), matrix, (c.width, c.height)),)
+    maps = (_wide_maps(c, np.eye(3), matrix, (c.width, c.height)), None)
     return WorkingRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), None, maps)
 
 
@@ -230,6 +253,18 @@ def _wide_maps(
     bounded = np.clip(xy, _OUTSIDE_PX, -_OUTSIDE_PX).astype(np.float32)
     first, second = cv2.convertMaps(bounded.reshape(size[1], size[0], 2), None, cv2.CV_16SC2)
     return first, second
+
+
+def _looked_up(values: Floats32, u: Floats32, v: Floats32) -> Floats32:
+    """Values of a map between its pixels, and outside of it what lies outside of every image."""
+
+    def looked_up(how: int) -> Floats32:
+        found = cv2.remap(values, u, v, how, None, cv2.BORDER_CONSTANT, _OUTSIDE_PX)
+        return np.asarray(found, dtype=np.float32)
+
+    between, nearest = looked_up(cv2.INTER_LINEAR), looked_up(cv2.INTER_NEAREST)
+    is_torn = np.abs(between - nearest) > _TORN_PX
+    return np.where(is_torn, np.float32(_OUTSIDE_PX), between)
 
 
 def _check_baseline(cam1_in_cam0: Floats) -> None:

@@ -109,7 +109,7 @@ def _calibration(rig: Rig) -> CalibrationReport:
         return CalibrationReport(tuple(lenses), None, None)
     lenses.append(_lens("cam1", rig.cam1))
     try:
-        is_rectified = working_rig(rig).maps is None
+        is_rectified = working_rig(rig).maps[0] is None
     except CalibrationError:
         is_rectified = False
     baseline_m = float(np.linalg.norm(rig.cam1_from_cam0[:3, 3]))

@@ -12,6 +12,7 @@ _SYSTEMATIC_PX = 0.1
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_CHANGE_PX = 0.05
 _LEAST_WINDOWS = 3
+_YAW_PX, _LEAST_YAW, _MOST_YAW = 0.3, 0.5, 1.5
 _OVERLAP = 10  # windows from one to the next that shares no keyframe with it
 
 
@@ -50,3 +51,13 @@ class DisparityWatch:
             return None
         self.applied_px = wanted
         return wanted
+
+
+def is_from_yaw(offset_px: float, skew_px: float) -> bool:
+    """Whether the offset and the skew of the rows have one cause: the right camera looks sideways.
+
+    Turned by w about its vertical axis it sees rows off by w x y and disparities by -w (1 + x^2),
+    x and y being pixels over focal length. A skew that another cause has is of another size.
+    """
+    ratio = -offset_px / skew_px if abs(skew_px) > _YAW_PX else 0.0
+    return _LEAST_YAW < ratio < _MOST_YAW

@@ -80,7 +80,8 @@ def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: C
     )
     found = np.flatnonzero(matched >= 0)
     disparity = np.full(len(rows), np.nan)
-    guess = xy[found, 0] - right.xy[matched[found], 0] - rig.disparity_offset_px
+    right_u = right.xy[matched[found], 0].astype(np.float64)
+    guess = xy[found, 0] - right_u - rig.disparity_error(right_u)
     disparity[found] = measure_disparity(
         frame.image0, frame.image1, xy[found], guess, rig, config.tracking, config.stereo
     )

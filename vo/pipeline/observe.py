@@ -268,13 +268,13 @@ def measure_disparity(
     stereo: StereoConfig,
 ) -> Floats:
     """Sub-pixel disparity (n,) of patches around xy (n, 2), NaN where there is none."""
-    offset = rig.disparity_offset_px
-    start = xy - np.column_stack([guess + offset, np.zeros(len(guess))])
+    expected = guess + rig.disparity_error(xy[:, 0] - guess)
+    start = xy - np.column_stack([expected, np.zeros(len(guess))])
     only = np.zeros(len(xy), dtype=np.int64)
     found = align_between(
         image0[None], only, xy, None, image1[None], only, start, half_px=config.patch_half_px
     )
-    disparity = xy[:, 0] - found.xy[:, 0] - offset
+    disparity = xy[:, 0] - found.xy[:, 0] - rig.disparity_error(found.xy[:, 0])
     good = found.converged & (found.score >= config.min_patch_score)
     good &= np.abs(found.xy[:, 1] - xy[:, 1]) <= stereo.max_row_offset_px
     good &= (disparity > 0) & (np.abs(disparity - guess) <= np.maximum(3.0, 0.2 * guess))

@@ -70,7 +70,8 @@ def with_matches(
     if tracked is not None and world_from_cam is not None:
         found, count = tracked.observed, len(tracked.ids)
         previous_xy[:count] = _positions_in(last, tracked.ids)
-        right_u[:count] = found.image_xy[:, 0] - found.disparity - rig.disparity_offset_px
+        right = found.image_xy[:, 0] - found.disparity
+        right_u[:count] = right - rig.disparity_error(right)
         error_px[:count] = _reprojection_error(world, tracked, rig, world_from_cam)
     return replace(view, previous_xy=previous_xy, right_u=right_u, error_px=error_px)
 

@@ -10,11 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.config import FeaturesConfig
+from vo.config import Config
 from vo.features.camera_alignment import smaller_images
 from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig
+from vo.geometry.row_errors import RowErrors
 from vo.pipeline.later import Later
+from vo.pipeline.row_alignment import RowAlignment, View
 from vo.types import Bools, Bytes, Floats, Floats32, Frame, Keypoints
 
 
@@ -45,6 +47,7 @@ class WorkingFrame:
         right: features of image1.
         depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
         path: the file that holds the left image as recorded, or None.
+        rows: by how much rows of recorded pairs were found to differ until this frame, or None.
     """
 
     index: int
@@ -56,6 +59,7 @@ class WorkingFrame:
     right: Later[Keypoints] | None = None
     depth: Floats32 | None = None
     path: Path | None = None
+    rows: RowErrors | None = None
 
     @property
     def keypoints(self) -> Keypoints:
@@ -87,14 +91,17 @@ class WorkingFrame:
 class Preparation:
     """Makes frames ready, left and right each in a thread of its own if there are cores for it.
 
+    Rows of the right images are brought in line on the way, see `vo.pipeline.row_alignment`.
+
     Attributes:
         begins_features: whether features, too, are looked for a frame ahead. Those that nobody
             asks for then cost time, and nothing else.
     """
 
-    def __init__(self, config: FeaturesConfig, *, threads: int) -> None:
+    def __init__(self, config: Config, *, threads: int) -> None:
         self.begins_features = True
-        self._detectors = (OrbDetector(config), OrbDetector(config))
+        self._rows = RowAlignment(config)
+        self._detectors = (OrbDetector(config.features), OrbDetector(config.features))
         names = ("left", "right") if threads > 1 else ()
         self._pools = [ThreadPoolExecutor(1, thread_name_prefix=name) for name in names]
 
@@ -120,6 +127,11 @@ class Preparation:
         if waiting is not None:
             yield waiting
 
+    @property
+    def row_errors(self) -> RowErrors:
+        """By how much rows of the pairs differed before they were corrected, 0 if they were not."""
+        return self._rows.corrected
+
     def close(self) -> None:
         """End the threads."""
         for pool in self._pools:
@@ -128,25 +140,36 @@ class Preparation:
     def _prepare(self, frame: Frame, rig: WorkingRig) -> WorkingFrame:
         """Rectify a frame; have its features looked for."""
         image0 = rig.rectify(frame.image0, 0)
+        pool = self._pools[0] if self._pools else None
+        left = Later(lambda: self._left(image0, rig), pool)
         image1, right = None, None
         if rig.is_stereo and frame.image1 is not None:
-            image1 = rig.rectify(frame.image1, 1)
+            if self._rows.is_open:
+                left = self._learn_rows(image0, frame.image1, rig)
+            image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
             right = self._right(image1)
-        pool = self._pools[0] if self._pools else None
         working = WorkingFrame(
             frame.index,
             frame.stamp_ns,
             image0,
             image1,
             smaller_images(image0),
-            Later(lambda: self._left(image0, rig), pool),
+            left,
             right,
             None if frame.depth is None else rig.rectify_depth(frame.depth),
             frame.path,
+            self._rows.found,
         )
         if self.begins_features:
             working.begin_features()
         return working
+
+    def _learn_rows(self, image0: Bytes, recorded1: Bytes, rig: WorkingRig) -> Later[Features]:
+        """Have the rows of a pair compared; gives the features of the left image."""
+        image1 = rig.rectify(recorded1, 1)
+        right, features = self._right(image1), self._left(image0, rig)
+        self._rows.learn(View(image0, features.keypoints), View(image1, right.result()), rig)
+        return Later(lambda: features, None)  # a thread cannot wait for itself
 
     def _left(self, image: Bytes, rig: WorkingRig) -> Features:
         keypoints = self._detectors[0].detect(image)

@@ -46,7 +46,7 @@ class ColmapRecorder:
         Raises:
             OutputError: it cannot be written to.
         """
-        self._is_rectified = working_rig(rig).maps is not None
+        self._is_rectified = working_rig(rig).maps[0] is not None
         try:
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
             for old in (self._folder / _MODELS).glob("[0-9]*"):

@@ -12,7 +12,7 @@ from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import Floats, Ints, Light, PlacedFrames, Skipped, State
+from vo.types import Floats, Ints, Light, PlacedFrames, RightCamera, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -20,6 +20,7 @@ SCHEMA_VERSION = 1
 
 _WORTH_TELLING_PX = 0.05
 _BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
+_WORTH_TELLING_OF_CAMERA = 0.01  # degrees or per cent
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
 _MOST_RANGES = 3  # in a warning
@@ -85,6 +86,7 @@ class Summary:
     versions: Mapping[str, str]
     median_inliers: float | None
     disparity_offset_px: float
+    right_camera: RightCamera | None = None
     profile: Profile | None = None
 
     @property
@@ -106,11 +108,12 @@ class Summary:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
-        profile = fields.pop("profile")
+        profile, right = fields.pop("profile"), fields.pop("right_camera")
         return {
             "schema_version": SCHEMA_VERSION,
             **fields,
             **asdict(facts),
+            "right_camera": None if right is None else _rounded(right),
             "topics": list(facts.topics),
             "skipped": [asdict(s) for s in self.skipped],
             "without_pose": [r._asdict() for r in self.without_pose],
@@ -135,6 +138,7 @@ def summarise(
     unpaired: int,
     wall_s: float,
     disparity_offset_px: float = 0.0,
+    right_camera: RightCamera | None = None,
     error: str | None = None,
     profile: Profile | None = None,
 ) -> Summary:
@@ -166,6 +170,7 @@ def summarise(
         versions=versions(),
         median_inliers=account.median_inliers,
         disparity_offset_px=round(disparity_offset_px, 4),
+        right_camera=right_camera,
         profile=profile,
     )
 
@@ -204,7 +209,7 @@ def _path_length(steps: Floats) -> float:
     return float(steps.sum())
 
 
-def _rounded(times: StageTime) -> dict[str, float]:
+def _rounded(times: StageTime | RightCamera) -> dict[str, float]:
     return {name: round(value, 3) for name, value in times._asdict().items()}
 
 
@@ -226,7 +231,10 @@ def _warnings(summary: Summary) -> list[str]:
         warnings.append(f"{summary.unpaired} frames used without their right or depth image")
     if summary.tracked and (summary.median_inliers or 0.0) < _FEW_INLIERS:
         warnings.append(f"poor tracking: median of {summary.median_inliers or 0:.0f} inliers")
-    if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX:
+    if summary.right_camera is not None:
+        warnings.append(_of_right_camera(summary.right_camera))
+    explained = summary.right_camera is not None and summary.right_camera.yaw_deg != 0.0
+    if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX and not explained:
         warnings.append(_of_offset(summary.disparity_offset_px))
     if len(summary.segments) > 1:
         warnings.append(f"{len(summary.segments)} segments, each in a world of its own")
@@ -244,6 +252,24 @@ def _of_light(without_pose: Sequence[FrameRange], light: Light) -> list[str]:
     said = [str(r.first) if r.frames == 1 else f"{r.first} to {r.last}" for r in ranges]
     more = ", …" if len(said) > _MOST_RANGES else ""
     return [f"images {', '.join(said[:_MOST_RANGES])}{more} are {light.value}"]
+
+
+def _of_right_camera(found: RightCamera) -> str:
+    parts = [
+        f"{amount:+.2f}{unit} {name}"
+        for amount, unit, name in (
+            (found.pitch_deg, "°", "pitch"),
+            (found.yaw_deg, "°", "yaw"),
+            (found.roll_deg, "°", "roll"),
+            (found.zoom_percent, " %", "focal length"),
+        )
+        if abs(amount) >= _WORTH_TELLING_OF_CAMERA
+    ]
+    rows = f", rows differ by up to {found.rows_px:.1f} px" if found.rows_px else ""
+    return (
+        f"the right camera is not as calibrated ({', '.join(parts) or 'slightly off'}{rows}); this "
+        "has been corrected, but calibrate anew: vo calibrate"
+    )
 
 
 def _of_offset(offset_px: float) -> str:
