@@ -40,7 +40,7 @@ def epipolar_lines(
     else:
         plane = cameras.normalise(view.lens, np.asarray(previous_xy, dtype=np.float64))
     rays = np.column_stack([plane, np.ones(len(plane))])
-    inverse_depths = np.linspace(0.0, 1.0 / (_NEAREST_IN_STEPS * step), count)
+    inverse_depths = np.arange(count) / ((count - 1) * _NEAREST_IN_STEPS * step)
     # Homogeneous points (ray, 1 / depth), so that infinity is a depth like any other.
     turned = rays @ now_from_previous[:3, :3].T
     points = turned[:, None] + inverse_depths[:, None] * now_from_previous[:3, 3]

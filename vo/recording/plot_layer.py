@@ -66,9 +66,12 @@ class PlotLayer:
         error_px = view.error_px[view.feature_state == FeatureState.TRACKED]
         error_px = error_px[~np.isnan(error_px)]
         if len(error_px):
-            median, p95 = np.percentile(error_px, (50, 95))
-            self.add_number(moment, f"{entities.REPROJECTION_PLOT}/median", float(median))
-            self.add_number(moment, f"{entities.REPROJECTION_PLOT}/p95", float(p95))
+            # `np.percentile` takes ten times as long, a tenth of what recording costs.
+            last = len(error_px) - 1
+            at = np.array([0.5 * last, 0.95 * last])
+            median, p95 = np.interp(at, np.arange(last + 1), np.sort(error_px)).tolist()
+            self.add_number(moment, f"{entities.REPROJECTION_PLOT}/median", median)
+            self.add_number(moment, f"{entities.REPROJECTION_PLOT}/p95", p95)
 
     def _add_times(self, moment: Moment, estimate: Estimate) -> None:
         total = sum(estimate.stage_ms.values())

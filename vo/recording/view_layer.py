@@ -149,7 +149,7 @@ def _radii(view: View) -> Floats32:
     """The larger the reprojection error, the larger the dot; negative means ui points."""
     if view.error_px is None:
         return np.full(len(view.xy), -_SMALLEST, np.float32)
-    share = np.nan_to_num(view.error_px / _LARGE_ERROR_PX, nan=0.0).clip(0.0, 1.0)
+    share = np.fmin(np.fmax(view.error_px / _LARGE_ERROR_PX, 0.0), 1.0)  # of NaN, 0
     step = np.round(share * _STEPS) / _STEPS
     return np.asarray(-(_SMALLEST + (_LARGEST - _SMALLEST) * step), dtype=np.float32)
 
@@ -157,7 +157,7 @@ def _radii(view: View) -> Floats32:
 def _some(mask: Bools, most: int = _MOST_LINES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """Rows of a mask, evenly chosen if there are too many."""
     rows = np.flatnonzero(mask)
-    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(np.intp)]
+    return rows if len(rows) <= most else rows[np.arange(most) * (len(rows) - 1) // (most - 1)]
 
 
 def _halved(image: Bytes) -> Bytes:
