@@ -57,17 +57,19 @@ class RowAlignment:
         self._pairs_left = _MOST_PAIRS
         self._aligned: WorkingRig | None = None
 
-    def learn(self, left: View, right: View, rig: WorkingRig) -> None:
-        """Compare the rows of a pair."""
+    def learn(self, left: View, right: View, rig: WorkingRig) -> bool:
+        """Compare the rows of a pair; whether it and those that follow are to be corrected."""
         fitted = compare_rows(left, right, rig, self._config)
         self._pairs_left -= 1
         self.is_open = fitted is None and self._pairs_left > 0
         if fitted is None:
-            return
+            return False
         self.found = fitted.errors
-        if _is_worth_it(fitted, rig):
-            self.corrected = fitted.errors
-            self._aligned = rig.with_right_corrected(fitted.errors)
+        if not _is_worth_it(fitted, rig):
+            return False
+        self.corrected = fitted.errors
+        self._aligned = rig.with_right_corrected(fitted.errors)
+        return True
 
     def aligned(self, rig: WorkingRig) -> WorkingRig:
         """The rig with its right images corrected, if there is something to correct."""

@@ -144,10 +144,15 @@ class Preparation:
         left = Later(lambda: self._left(image0, rig), pool)
         image1, right = None, None
         if rig.is_stereo and frame.image1 is not None:
-            if self._rows.is_open:
-                left = self._learn_rows(image0, frame.image1, rig)
             image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
             right = self._right(image1)
+            if self._rows.is_open:
+                features = self._left(image0, rig)
+                left = Later(lambda: features, None)  # a thread cannot wait for itself
+                one, other = View(image0, features.keypoints), View(image1, right.result())
+                if self._rows.learn(one, other, rig):
+                    image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
+                    right = self._right(image1)
         working = WorkingFrame(
             frame.index,
             frame.stamp_ns,
@@ -163,13 +168,6 @@ class Preparation:
         if self.begins_features:
             working.begin_features()
         return working
-
-    def _learn_rows(self, image0: Bytes, recorded1: Bytes, rig: WorkingRig) -> Later[Features]:
-        """Have the rows of a pair compared; gives the features of the left image."""
-        image1 = rig.rectify(recorded1, 1)
-        right, features = self._right(image1), self._left(image0, rig)
-        self._rows.learn(View(image0, features.keypoints), View(image1, right.result()), rig)
-        return Later(lambda: features, None)  # a thread cannot wait for itself
 
     def _left(self, image: Bytes, rig: WorkingRig) -> Features:
         keypoints = self._detectors[0].detect(image)
