@@ -112,6 +112,7 @@ class Odometry:
         self._mono_start = MonoStart(self._rig, config)
         self._disparity_watch = DisparityWatch()
         self._rows: RowErrors | None = None  # of the right camera, if a pair has told
+        self._corrected = RowErrors()  # what of that is corrected in right images
         self._state = State.STARTING
         self._segment = 0
         self._lost: list[WorkingFrame] = []  # the newest frames, since the map was lost
@@ -131,7 +132,7 @@ class Odometry:
     @property
     def right_camera(self) -> RightCamera | None:
         """What was wrong with the right camera's calibration and is corrected."""
-        return right_camera(self._preparation.row_errors, self._rig)
+        return right_camera(self._corrected, self._rig)
 
     def step(self, frame: Frame) -> Estimate:
         """Take in the next frame."""
@@ -149,6 +150,8 @@ class Odometry:
             self._rows = working.rows
             if self._features_soon or self._state is not State.TRACKING:
                 working.begin_features()
+        if working.corrected != self._corrected:
+            self._realign(working.corrected, clock)
         reason, tracked, keyframe = self._advance(working, clock)
         is_tracking = self._state is State.TRACKING
         self._preparation.begins_features = self._forecast.expects_all or not is_tracking
@@ -309,8 +312,24 @@ class Odometry:
             right_u = keyframe.image_xy[:, 0] - keyframe.disparity
             change = self._rig.disparity_error(right_u) - before.disparity_error(right_u)
             keyframe.disparity -= change
+        self._smooth_map()
+
+    def _realign(self, corrected: RowErrors, clock: Stopwatch) -> None:
+        """Move the disparities of the past to where a better alignment would have seen them."""
+        self._take_in(clock)
+        before, self._corrected = self._corrected, corrected
+        rig = self._rig
+        for keyframe in self._map.keyframes:
+            x = (keyframe.image_xy[:, 0] - keyframe.disparity - rig.cx) / rig.fx
+            y = (keyframe.image_xy[:, 1] - rig.cy) / rig.fy
+            keyframe.disparity += corrected.columns_px(x, y) - before.columns_px(x, y)
+        with clock.stage("window"):
+            self._smooth_map()
+
+    def _smooth_map(self) -> None:
         self._ask(whole_map=True)
-        self._settle(self._smoother.answer())
+        if self._window is not None:
+            self._settle(self._smoother.answer())
 
     # --- beginning and losing ---------------------------------------------------------------
 

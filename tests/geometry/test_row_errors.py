@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from vo.geometry.row_errors import RowErrors, fit_row_errors, sigma_of_rows
-from vo.types import Floats
+from vo.geometry.row_errors import FittedRows, RowErrors, RowFit, sigma_of_rows
+from vo.types import Bools, Floats
 
 FOCAL = 450.0
 FOUND = RowErrors(pitch_px=-1.5, roll_px=0.8, zoom_px=0.6, bend_px=-0.3, skew_px=2.0)
@@ -18,12 +18,18 @@ def _places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     return x, y
 
 
+def _fitted(x: Floats, y: Floats, rows_px: Floats) -> tuple[FittedRows, Bools]:
+    fit = RowFit()
+    agrees = fit.add(x, y, rows_px)
+    return fit.result(), agrees
+
+
 def test_errors_are_found_again() -> None:
     x, y = _places(2000)
-    fitted = fit_row_errors(x, y, FOUND.rows_px(x, y))
+    fitted, agrees = _fitted(x, y, FOUND.rows_px(x, y))
     # What is usual pulls a little, bend most.
     assert fitted.errors == pytest.approx(FOUND, abs=0.05)
-    assert fitted.agrees.all()
+    assert agrees.all()
 
 
 def test_a_third_of_wrong_matches_changes_little() -> None:
@@ -31,19 +37,30 @@ def test_a_third_of_wrong_matches_changes_little() -> None:
     x, y = _places(900)
     rows = FOUND.rows_px(x, y) + 0.1 * rng.standard_normal(len(x))
     rows[:300] = rng.uniform(-20.0, 20.0, 300)
-    fitted = fit_row_errors(x, y, rows)
+    fitted, agrees = _fitted(x, y, rows)
     corner = np.array([0.8]), np.array([0.5])
     assert fitted.errors.rows_px(*corner) == pytest.approx(FOUND.rows_px(*corner), abs=0.15)
-    assert fitted.agrees[300:].mean() > 0.95
-    assert fitted.agrees[:300].mean() < 0.1
+    assert agrees[300:].mean() > 0.95
+    assert agrees[:300].mean() < 0.1
 
 
 def test_less_is_known_where_there_are_no_points() -> None:
     x, y = _places(300)
     left = x < 0.0
-    fitted = fit_row_errors(x[left], y[left], FOUND.rows_px(x[left], y[left]))
+    fitted, _ = _fitted(x[left], y[left], FOUND.rows_px(x[left], y[left]))
     on_left, on_right = sigma_of_rows(fitted, np.array([-0.4, 0.8]), np.array([0.2, 0.2]))
     assert on_right > 3.0 * on_left > 0.0
+
+
+def test_what_one_half_of_the_image_leaves_open_the_other_one_tells() -> None:
+    x, y = _places(600)
+    fit, corner = RowFit(), (np.array([0.8]), np.array([0.4]))
+    fit.add(x[x < 0], y[x < 0], FOUND.rows_px(x[x < 0], y[x < 0]))
+    (before,) = sigma_of_rows(fit.result(), *corner)
+    fit.add(x[x > 0], y[x > 0], FOUND.rows_px(x[x > 0], y[x > 0]))
+    (after,) = sigma_of_rows(fit.result(), *corner)
+    assert after < 0.5 * before
+    assert fit.result().errors.rows_px(*corner) == pytest.approx(FOUND.rows_px(*corner), abs=0.05)
 
 
 def _turned(axis: tuple[float, float, float]) -> Callable[[Floats], Floats]:
@@ -75,7 +92,7 @@ def test_a_camera_that_looks_sideways_skews_the_rows() -> None:
     x, y = _places(50)
     seen = _turned((0.0, 1.0, 0.0))(np.column_stack([x, y, np.ones(len(x))]))
     moved = FOCAL * (seen[:, :2] / seen[:, 2:] - np.column_stack([x, y]))
-    skew = fit_row_errors(x, y, moved[:, 1]).errors.skew_px
+    skew = _fitted(x, y, moved[:, 1])[0].errors.skew_px
     assert abs(skew) == pytest.approx(1e-3 * FOCAL, abs=0.02)
     # The disparity shrinks by as much on the axis, and more beside it.
     np.testing.assert_allclose(moved[:, 0], skew * (1.0 + x * x), atol=0.03)

@@ -48,14 +48,13 @@ def _seen_by_turned(image: Bytes, rig: WorkingRig, pitch_deg: float, roll_deg: f
 
 def _learned(left: Bytes, right: Bytes, rig: WorkingRig) -> RowAlignment:
     alignment = RowAlignment(CONFIG)
-    assert alignment.is_open
-    alignment.learn(_view(left), _view(right), rig)
+    assert alignment.asks()
+    assert alignment.learn(_view(left), _view(right), rig) == (alignment.corrected != RowErrors())
     return alignment
 
 
 def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: WorkingRig) -> None:
     alignment = _learned(*pair, rig)
-    assert not alignment.is_open
     assert alignment.corrected == RowErrors()
     assert alignment.aligned(rig) is rig
     assert right_camera(alignment.corrected, rig) is None
@@ -86,9 +85,9 @@ def test_a_pair_without_features_says_nothing_and_others_are_asked(
 ) -> None:
     grey = np.full_like(pair[0], 100)
     alignment = _learned(grey, grey, rig)
-    assert alignment.is_open
+    assert alignment.found is None
+    assert alignment.asks()
     alignment.learn(_view(pair[0]), _view(_seen_by_turned(pair[1], rig, 0.5, 0.0)), rig)
-    assert not alignment.is_open
     assert alignment.corrected.pitch_px > 1.0
 
 
@@ -96,11 +95,30 @@ def test_one_does_not_ask_for_ever(rig: WorkingRig, pair: tuple[Bytes, Bytes]) -
     grey = _view(np.full_like(pair[0], 100))
     alignment = RowAlignment(CONFIG)
     asked = 0
-    while alignment.is_open:
-        alignment.learn(grey, grey, rig)
-        asked += 1
+    for _ in range(100):
+        if alignment.asks():
+            alignment.learn(grey, grey, rig)
+            asked += 1
     assert asked == 30
     assert alignment.aligned(rig) is rig
+
+
+def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
+    rig: WorkingRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    """As where the cameras were not triggered together while they turned."""
+    left, right = pair
+    alignment, found = RowAlignment(CONFIG), {}
+    for number in range(1, 32):
+        if alignment.asks():
+            seen = _seen_by_turned(right, rig, 0.4 if number == 1 else 0.2, 0.0)
+            aligned = alignment.aligned(rig).rectify(seen, 1)
+            alignment.learn(_view(left), _view(aligned), rig)
+            camera = right_camera(alignment.corrected, rig)
+            found[number] = None if camera is None else camera.pitch_deg
+    assert list(found) == [1, 3, 7, 15, 31]
+    assert found[1] == pytest.approx(0.4, abs=0.03)
+    assert found[31] == pytest.approx(0.2 + 0.2 / 5, abs=0.03)
 
 
 def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: WorkingRig) -> None:
@@ -110,7 +128,7 @@ def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: Workin
 
 def test_it_can_be_switched_off() -> None:
     stereo = CONFIG.stereo.model_copy(update={"row_correction": False})
-    assert not RowAlignment(CONFIG.model_copy(update={"stereo": stereo})).is_open
+    assert not RowAlignment(CONFIG.model_copy(update={"stereo": stereo})).asks()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.types import Floats
+from vo.types import Bools, Floats
 
 _ROUNDS = 20
 _NOISE_PX = 0.1  # rows are not known better than that, however well they fit
@@ -58,28 +58,40 @@ class RowErrors(NamedTuple):
 
 
 class FittedRows(NamedTuple):
-    """Errors of rows, their covariance (5, 5), and which points (N,) agree with them."""
+    """Errors of rows, and their covariance (5, 5)."""
 
     errors: RowErrors
     covariance: Floats
-    agrees: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
-def fit_row_errors(x: Floats, y: Floats, rows_px: Floats) -> FittedRows:
-    """Fit errors of rows to those of points (N,), many of which may be wrong matches.
+class RowFit:
+    """Gathers what pairs say of errors of rows."""
 
-    Iteratively reweighted least squares with Cauchy weights, from the median on.
-    """
-    terms, anything = _terms(x, y), np.diag(_USUAL_PX**-2.0)
-    found = np.array([np.median(rows_px), 0.0, 0.0, 0.0, 0.0])
-    for _ in range(_ROUNDS):
-        left = rows_px - terms @ found
-        sigma = max(_NOISE_PX, 1.4826 * float(np.median(np.abs(left))))
-        weight = 1.0 / (_TOGETHER * sigma**2 * (1.0 + (left / (2.0 * sigma)) ** 2))
-        covariance = np.linalg.inv((terms * weight[:, None]).T @ terms + anything)
-        found = covariance @ (terms.T @ (weight * rows_px))
-    agrees = np.abs(rows_px - terms @ found) <= 3.0 * sigma
-    return FittedRows(RowErrors(*found.tolist()), covariance, agrees)
+    def __init__(self) -> None:
+        self._information = np.diag(_USUAL_PX**-2.0)
+        self._vector = np.zeros(len(_USUAL_PX))
+
+    def add(self, x: Floats, y: Floats, rows_px: Floats) -> Bools:
+        """Take in a pair's points (N,), many of which may be wrong matches; which ones agree.
+
+        Iteratively reweighted least squares with Cauchy weights, from the median on.
+        """
+        terms, usual = _terms(x, y), np.diag(_USUAL_PX**-2.0)
+        found = np.array([np.median(rows_px), 0.0, 0.0, 0.0, 0.0])
+        for _ in range(_ROUNDS):
+            left = rows_px - terms @ found
+            sigma = max(_NOISE_PX, 1.4826 * float(np.median(np.abs(left))))
+            weight = 1.0 / (_TOGETHER * sigma**2 * (1.0 + (left / (2.0 * sigma)) ** 2))
+            information, vector = (terms * weight[:, None]).T @ terms, terms.T @ (weight * rows_px)
+            found = np.linalg.solve(information + usual, vector)
+        self._information += information
+        self._vector += vector
+        return np.asarray(np.abs(rows_px - terms @ found) <= 3.0 * sigma)
+
+    def result(self) -> FittedRows:
+        """What all pairs together say."""
+        covariance = np.linalg.inv(self._information)
+        return FittedRows(RowErrors(*(covariance @ self._vector).tolist()), covariance)
 
 
 def sigma_of_rows(fitted: FittedRows, x: Floats, y: Floats) -> Floats:

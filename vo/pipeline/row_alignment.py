@@ -12,6 +12,7 @@ right camera's angles from rows).
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from vo.config import Config
 from vo.features.alignment import align_between
 from vo.features.matching import match_segments
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.row_errors import FittedRows, RowErrors, fit_row_errors, sigma_of_rows
+from vo.geometry.row_errors import FittedRows, RowErrors, RowFit, sigma_of_rows
 from vo.types import Bytes, Floats, Keypoints, RightCamera
 
 _FARTHEST = 0.06  # rows are looked for within this share of the image's height
@@ -28,8 +29,9 @@ _FEWEST = 100  # points that must agree, and
 _LEAST_SHARE = 0.5  # of all that were matched
 _RATIO = 0.8
 _SURE = 2.0  # standard deviations
-_MOST_PAIRS = 30  # that are asked before it is given up
+_MOST_PAIRS = 30  # that are asked before it is given up if none tells
 # Less is left alone: nothing is lost by it, and images that are used as recorded stay as they are.
+_LEAST_CHANGE_PX = 0.05
 _WORTH_PX, _WORTH_WITH_SKEW_PX = 0.5, 2.0
 
 
@@ -41,53 +43,63 @@ class View(NamedTuple):
 
 
 class RowAlignment:
-    """Learns from the first pair that tells; corrects pairs from then on.
+    """Learns from pairs, ever more seldom, and corrects those that follow.
+
+    The first pair that tells is corrected at once; pairs number 3, 7, 15, 31 … make it more exact:
+    what one scene leaves open another one shows.
 
     Attributes:
-        is_open: whether another pair is wanted.
-        found: what the pair said, if one has told.
+        found: what pairs said until now, if one has told.
         corrected: what is corrected of that.
     """
 
     def __init__(self, config: Config) -> None:
-        self.is_open = config.stereo.row_correction
         self.found: RowErrors | None = None
         self.corrected = RowErrors()
         self._config = config
-        self._pairs_left = _MOST_PAIRS
+        self._fit = RowFit()
         self._aligned: WorkingRig | None = None
+        self._pairs = 0
+        self._next = 0
+
+    def asks(self) -> bool:
+        """Whether the next pair is to be learned from; to be called for every pair, once."""
+        self._pairs += 1
+        is_over = self.found is None and self._pairs > _MOST_PAIRS
+        return self._config.stereo.row_correction and self._pairs > self._next and not is_over
 
     def learn(self, left: View, right: View, rig: WorkingRig) -> bool:
-        """Compare the rows of a pair; whether it and those that follow are to be corrected."""
-        fitted = compare_rows(left, right, rig, self._config)
-        self._pairs_left -= 1
-        self.is_open = fitted is None and self._pairs_left > 0
-        if fitted is None:
+        """Take in a pair, as it is corrected now; whether the correction has changed."""
+        if not self._take_in(left, right, rig):
             return False
+        self._next = 2 * self._pairs
+        fitted = self._fit.result()
         self.found = fitted.errors
-        if not _is_worth_it(fitted, rig):
+        corrects = self._aligned is not None or _is_worth_it(fitted, rig)
+        wanted = fitted.errors if corrects else RowErrors()
+        if _largest_change(self.corrected, wanted, rig) < _LEAST_CHANGE_PX:
             return False
-        self.corrected = fitted.errors
-        self._aligned = rig.with_right_corrected(fitted.errors)
+        self.corrected = wanted
+        self._aligned = rig.with_right_corrected(wanted)
         return True
 
     def aligned(self, rig: WorkingRig) -> WorkingRig:
         """The rig with its right images corrected, if there is something to correct."""
         return rig if self._aligned is None else self._aligned
 
-
-def compare_rows(left: View, right: View, rig: WorkingRig, config: Config) -> FittedRows | None:
-    """By how much rows of a pair differ; None if it does not tell."""
-    xy, found = _matched(left, right, config)
-    if len(xy) < _FEWEST:
-        return None
-    centre, focal = (rig.cx, rig.cy), (rig.fx, rig.fy)
-    x, y = ((np.column_stack([found[:, 0], xy[:, 1]]) - centre) / focal).T
-    fitted = fit_row_errors(x, y, found[:, 1] - xy[:, 1])
-    agreeing = np.count_nonzero(fitted.agrees)
-    if agreeing < max(_FEWEST, _LEAST_SHARE * len(xy)):
-        return None
-    return fitted
+    def _take_in(self, left: View, right: View, rig: WorkingRig) -> bool:
+        """Learn from a pair, if it tells."""
+        xy, found = _matched(left, right, self._config)
+        if len(xy) < _FEWEST:
+            return False
+        centre, focal = (rig.cx, rig.cy), (rig.fx, rig.fy)
+        x, y = ((np.column_stack([found[:, 0], xy[:, 1]]) - centre) / focal).T
+        rows_px = found[:, 1] - xy[:, 1] + self.corrected.rows_px(x, y)
+        fit = deepcopy(self._fit)
+        if np.count_nonzero(fit.add(x, y, rows_px)) < max(_FEWEST, _LEAST_SHARE * len(xy)):
+            return False
+        self._fit = fit
+        return True
 
 
 def _matched(left: View, right: View, config: Config) -> tuple[Floats, Floats]:
@@ -132,6 +144,14 @@ def _is_worth_it(fitted: FittedRows, rig: WorkingRig) -> bool:
     along = np.maximum(np.abs(without_skew.rows_px(x, y)), np.abs(without_skew.columns_px(x, y)))
     across = np.abs(fitted.errors.rows_px(x, y))
     return bool((sure & ((along > _WORTH_PX) | (across > _WORTH_WITH_SKEW_PX))).any())
+
+
+def _largest_change(one: RowErrors, other: RowErrors, rig: WorkingRig) -> float:
+    """By how many pixels two corrections differ at the corners of the image, at most."""
+    x, y = _corners(rig)
+    rows = one.rows_px(x, y) - other.rows_px(x, y)
+    columns = one.columns_px(x, y) - other.columns_px(x, y)
+    return float(max(np.abs(rows).max(), np.abs(columns).max()))
 
 
 def right_camera(corrected: RowErrors, rig: WorkingRig) -> RightCamera | None:

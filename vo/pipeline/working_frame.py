@@ -48,6 +48,7 @@ class WorkingFrame:
         depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
         path: the file that holds the left image as recorded, or None.
         rows: by how much rows of recorded pairs were found to differ until this frame, or None.
+        corrected: what of that is corrected in image1.
     """
 
     index: int
@@ -60,6 +61,7 @@ class WorkingFrame:
     depth: Floats32 | None = None
     path: Path | None = None
     rows: RowErrors | None = None
+    corrected: RowErrors = RowErrors()
 
     @property
     def keypoints(self) -> Keypoints:
@@ -127,11 +129,6 @@ class Preparation:
         if waiting is not None:
             yield waiting
 
-    @property
-    def row_errors(self) -> RowErrors:
-        """By how much rows of the pairs differed before they were corrected, 0 if they were not."""
-        return self._rows.corrected
-
     def close(self) -> None:
         """End the threads."""
         for pool in self._pools:
@@ -146,7 +143,7 @@ class Preparation:
         if rig.is_stereo and frame.image1 is not None:
             image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
             right = self._right(image1)
-            if self._rows.is_open:
+            if self._rows.asks():
                 features = self._left(image0, rig)
                 left = Later(lambda: features, None)  # a thread cannot wait for itself
                 one, other = View(image0, features.keypoints), View(image1, right.result())
@@ -164,6 +161,7 @@ class Preparation:
             None if frame.depth is None else rig.rectify_depth(frame.depth),
             frame.path,
             self._rows.found,
+            self._rows.corrected,
         )
         if self.begins_features:
             working.begin_features()
