@@ -90,7 +90,7 @@ class RowFit:
 
     def result(self) -> FittedRows:
         """What all pairs together say."""
-        covariance = np.linalg.inv(self._information)
+        covariance = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
         return FittedRows(RowErrors(*(covariance @ self._vector).tolist()), covariance)
 
 
