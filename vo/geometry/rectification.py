@@ -92,7 +92,7 @@ class WorkingRig:
 
     def with_right_corrected(self, errors: RowErrors) -> WorkingRig:
         """The same rig whose right images are taken from where points are really seen."""
-        v, u = np.mgrid[: self.height, : self.width].astype(np.float64)
+        v, u = np.ogrid[: self.height, : self.width]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         at_u = (u + errors.columns_px(x, y)).astype(np.float32)
         at_v = (v + errors.rows_px(x, y)).astype(np.float32)

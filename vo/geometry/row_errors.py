@@ -45,16 +45,13 @@ class RowErrors(NamedTuple):
 
     def rows_px(self, x: Floats, y: Floats) -> Floats:
         """How much lower than expected a point is seen that should be at (x, y)."""
-        return np.asarray(_terms(x, y) @ np.array(self))
+        rows = self.pitch_px * (1.0 + y * y) + self.roll_px * x + self.zoom_px * y
+        return np.asarray(rows + self.bend_px * y * (x * x + y * y) + self.skew_px * x * y)
 
     def columns_px(self, x: Floats, y: Floats) -> Floats:
         """How much farther to the right, as far as rows tell."""
-        return np.asarray(
-            self.pitch_px * x * y
-            - self.roll_px * y
-            + self.zoom_px * x
-            + self.bend_px * x * (x * x + y * y)
-        )
+        columns = self.pitch_px * x * y - self.roll_px * y + self.zoom_px * x
+        return np.asarray(columns + self.bend_px * x * (x * x + y * y))
 
 
 class FittedRows(NamedTuple):
