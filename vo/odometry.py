@@ -17,6 +17,7 @@ import numpy as np
 
 from vo.config import Config
 from vo.geometry.rectification import working_rig
+from vo.geometry.right_camera import right_camera
 from vo.geometry.row_errors import RowErrors
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.map import Keyframe, Map
@@ -33,7 +34,6 @@ from vo.pipeline.keyframe import add_keyframe, add_tracked, change_since
 from vo.pipeline.later import Later
 from vo.pipeline.light import fault_of
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
-from vo.pipeline.row_alignment import right_camera
 from vo.pipeline.start import MonoStart, map_from_pair
 from vo.pipeline.stopwatch import Stopwatch
 from vo.pipeline.view import (

@@ -214,6 +214,19 @@ class RightCamera(NamedTuple):
     zoom_percent: float
     rows_px: float
 
+    @property
+    def in_words(self) -> str:
+        """The same for people, without what is next to nothing."""
+        amounts = (
+            (self.pitch_deg, "° pitch"),
+            (self.yaw_deg, "° yaw"),
+            (self.roll_deg, "° roll"),
+            (self.zoom_percent, " % focal length"),
+        )
+        parts = [f"{amount:+.2f}{of_what}" for amount, of_what in amounts if abs(amount) >= 0.01]
+        rows = [f"rows differ by up to {self.rows_px:.1f} px"] if self.rows_px else []
+        return ", ".join(parts + rows)
+
 
 class State(StrEnum):
     """What the odometry is doing."""

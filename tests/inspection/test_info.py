@@ -87,12 +87,31 @@ def test_a_baseline_in_millimetres_is_named(walk: Path) -> None:
     assert "divide by 1000" in finding(report_of(walk), "the baseline is").advice
 
 
-def test_rows_that_do_not_correspond_are_measured(walk: Path) -> None:
+def test_a_right_camera_that_looks_up_is_measured(walk: Path) -> None:
     spoil(walk, lambda image: np.roll(image, 3, axis=0), slice(None), "cam1")
     report = report_of(walk)
-    assert finding(report, "rows of left and right differ").level == "error"
     assert report.stereo is not None
     assert report.stereo.row_offset_px == pytest.approx(3.0, abs=0.2)
+    assert report.stereo.right_camera is not None
+    angle = np.rad2deg(np.arctan(3.0 / 220.0))
+    assert report.stereo.right_camera.pitch_deg == pytest.approx(angle, abs=0.05)
+    found = finding(report, "the right camera is not as calibrated")
+    assert found.level == "warning"
+    assert "vo calibrate" in found.advice
+    assert not report.command.endswith("--mode mono")
+
+
+def test_rows_too_far_apart_are_a_wrong_calibration(walk: Path) -> None:
+    spoil(walk, lambda image: np.roll(image, 25, axis=0), slice(None), "cam1")
+    report = report_of(walk)
+    assert finding(report, "rows of left and right differ").level == "error"
+    assert report.command.endswith("--mode mono")
+
+
+def test_a_right_camera_that_is_right_is_not_spoken_of(walk: Path) -> None:
+    report = report_of(walk)
+    assert report.stereo is not None
+    assert report.stereo.right_camera is None
 
 
 @pytest.mark.parametrize(

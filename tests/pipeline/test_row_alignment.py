@@ -11,9 +11,10 @@ import pytest
 from vo.config import Config
 from vo.features.orb import OrbDetector
 from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.right_camera import right_camera
 from vo.geometry.row_errors import RowErrors
 from vo.pipeline.disparity_watch import is_from_yaw
-from vo.pipeline.row_alignment import RowAlignment, View, right_camera
+from vo.pipeline.row_alignment import RowAlignment, View
 from vo.sources.registry import open_source
 from vo.types import Bytes
 

@@ -16,6 +16,7 @@ _USUAL_BASELINE_M = (0.005, 5.0)
 _USUAL_DEPTH_M = (0.1, 300.0)
 _ROWS_APART_PX = 1.0
 _ROWS_SPREAD_PX = 1.5
+_CORRECTED_PX = 15.0  # vo run looks for rows so far apart, and somewhat more in tall images
 _SWAPPED = 0.3
 """Share of positive disparities below which left is right."""
 
@@ -66,7 +67,14 @@ def in_pair(report: Report, rig: Rig) -> Iterator[Finding]:
             "swap the cameras and their calibration, or use --mode mono",
         )
     elif stereo is not None and stereo.rectified:
-        if abs(stereo.row_offset_px) > _ROWS_APART_PX or stereo.row_spread_px > _ROWS_SPREAD_PX:
+        right = stereo.right_camera
+        if right is not None and right.rows_px < _CORRECTED_PX:
+            yield Finding(
+                "warning",
+                f"the right camera is not as calibrated ({right.in_words})",
+                "vo run corrects that as well as it can; calibrate again: vo calibrate",
+            )
+        elif abs(stereo.row_offset_px) > _ROWS_APART_PX or stereo.row_spread_px > _ROWS_SPREAD_PX:
             yield Finding(
                 "error",
                 "after rectification, rows of left and right differ by "

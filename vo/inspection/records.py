@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from vo.types import RightCamera
+
 Level = Literal["error", "warning", "note"]
 
 
@@ -154,6 +156,7 @@ class StereoReport:
         positive: share of points that lie further left in the right image, as they should.
         disparity_px: their median disparity.
         depth_m: what that means with the calibration; None without one.
+        right_camera: how the right camera differs from its calibration, if rows say that it does.
     """
 
     rectified: bool
@@ -164,6 +167,7 @@ class StereoReport:
     positive: float
     disparity_px: float
     depth_m: float | None
+    right_camera: RightCamera | None = None
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,16 @@ import numpy as np
 
 from vo.errors import CalibrationError
 from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.right_camera import is_worth_correcting, right_camera
+from vo.geometry.row_errors import RowFit
 from vo.inspection.records import StereoReport
-from vo.types import Bytes, Floats, Rig
+from vo.types import Bytes, Floats, Rig, RightCamera
 
 _FEATURES = 1500
 _FEWEST_MATCHES = 15
 _OUTLIER_PX = 1.0
 _NEAR_PX = 3.0
+_PATCH_PX = 15
 _TELLING_PX = 1.0
 """Disparities below this do not tell left from right."""
 
@@ -25,10 +28,10 @@ def compare(pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None) -> StereoRepo
     working = _working(rig)
     if working is not None:
         pairs = [(working.rectify(a, 0), working.rectify(b, 1)) for a, b in pairs]
-    found = [points for a, b in pairs if len(points := match(a, b)) >= _FEWEST_MATCHES]
+    found = [(pair, points) for pair in pairs if len(points := match(*pair)) >= _FEWEST_MATCHES]
     if not found:
         return None
-    points = np.concatenate(found)
+    points = np.concatenate([points for _, points in found])
     rows = points[:, 3] - points[:, 1]
     disparity = points[:, 0] - points[:, 2]
     telling = disparity[np.abs(disparity) > _TELLING_PX]
@@ -47,7 +50,34 @@ def compare(pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None) -> StereoRepo
         positive=float((telling > 0).mean()) if len(telling) else 1.0,
         disparity_px=middle,
         depth_m=depth,
+        right_camera=None if working is None else _right_camera(found, working),
     )
+
+
+def _right_camera(
+    found: Sequence[tuple[tuple[Bytes, Bytes], Floats]], rig: WorkingRig
+) -> RightCamera | None:
+    """What the rows of all pairs together say, if they say it surely."""
+    fit = RowFit()
+    for pair, points in found:
+        exact = _refined(*pair, points)
+        x, y = (exact[:, 2] - rig.cx) / rig.fx, (exact[:, 1] - rig.cy) / rig.fy
+        if len(exact) >= _FEWEST_MATCHES:
+            fit.add(x, y, exact[:, 3] - exact[:, 1])
+    fitted = fit.result()
+    return right_camera(fitted.errors, rig) if is_worth_correcting(fitted, rig) else None
+
+
+def _refined(left: Bytes, right: Bytes, points: Floats) -> Floats:
+    """Points (N, 4) whose place in the right image is no longer on whole pixels."""
+    a, b = points[:, :2].astype(np.float32), points[:, 2:].astype(np.float32)
+    side, flags = (_PATCH_PX, _PATCH_PX), cv2.OPTFLOW_USE_INITIAL_FLOW
+    moved, good, _ = cv2.calcOpticalFlowPyrLK(
+        left, right, a, b.copy(), None, None, side, 0, flags=flags
+    )
+    near = np.linalg.norm(moved - b, axis=1) < _NEAR_PX
+    kept = (good.ravel() > 0) & near
+    return np.asarray(np.hstack([a, moved])[kept], dtype=np.float64)
 
 
 def match(left: Bytes, right: Bytes) -> Floats:

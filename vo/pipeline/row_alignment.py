@@ -21,18 +21,16 @@ from vo.config import Config
 from vo.features.alignment import align_between
 from vo.features.matching import match_segments
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.row_errors import FittedRows, RowErrors, RowFit, sigma_of_rows
-from vo.types import Bytes, Floats, Keypoints, RightCamera
+from vo.geometry.right_camera import is_worth_correcting, largest_change
+from vo.geometry.row_errors import RowErrors, RowFit
+from vo.types import Bytes, Floats, Keypoints
 
 _FARTHEST = 0.06  # rows are looked for within this share of the image's height
 _FEWEST = 100  # points that must agree, and
 _LEAST_SHARE = 0.5  # of all that were matched
 _RATIO = 0.8
-_SURE = 2.0  # standard deviations
 _MOST_PAIRS = 30  # that are asked before it is given up if none tells
-# Less is left alone: nothing is lost by it, and images that are used as recorded stay as they are.
 _LEAST_CHANGE_PX = 0.05
-_WORTH_PX, _WORTH_WITH_SKEW_PX = 0.5, 2.0
 
 
 class View(NamedTuple):
@@ -75,9 +73,9 @@ class RowAlignment:
         self._next = 2 * self._pairs
         fitted = self._fit.result()
         self.found = fitted.errors
-        corrects = self._aligned is not None or _is_worth_it(fitted, rig)
+        corrects = self._aligned is not None or is_worth_correcting(fitted, rig)
         wanted = fitted.errors if corrects else RowErrors()
-        if _largest_change(self.corrected, wanted, rig) < _LEAST_CHANGE_PX:
+        if largest_change(self.corrected, wanted, rig) < _LEAST_CHANGE_PX:
             return False
         self.corrected = wanted
         self._aligned = rig.with_right_corrected(wanted)
@@ -134,41 +132,3 @@ def _matched(left: View, right: View, config: Config) -> tuple[Floats, Floats]:
     )
     good = found.converged & (found.score >= config.tracking.min_patch_score)
     return xy[rows[good]], found.xy[good]
-
-
-def _is_worth_it(fitted: FittedRows, rig: WorkingRig) -> bool:
-    """Whether errors at the corners of the image are large and surely there."""
-    x, y = _corners(rig)
-    sure = np.abs(fitted.errors.rows_px(x, y)) > _SURE * sigma_of_rows(fitted, x, y)
-    without_skew = fitted.errors._replace(skew_px=0.0)
-    along = np.maximum(np.abs(without_skew.rows_px(x, y)), np.abs(without_skew.columns_px(x, y)))
-    across = np.abs(fitted.errors.rows_px(x, y))
-    return bool((sure & ((along > _WORTH_PX) | (across > _WORTH_WITH_SKEW_PX))).any())
-
-
-def _largest_change(one: RowErrors, other: RowErrors, rig: WorkingRig) -> float:
-    """By how many pixels two corrections differ at the corners of the image, at most."""
-    x, y = _corners(rig)
-    rows = one.rows_px(x, y) - other.rows_px(x, y)
-    columns = one.columns_px(x, y) - other.columns_px(x, y)
-    return float(max(np.abs(rows).max(), np.abs(columns).max()))
-
-
-def right_camera(corrected: RowErrors, rig: WorkingRig) -> RightCamera | None:
-    """The same in words of the right camera, and how it looks sideways, if that is known."""
-    yaw_px = -rig.disparity_offset_px if rig.offset_is_yaw else 0.0
-    if corrected == RowErrors() and yaw_px == 0.0:
-        return None
-    return RightCamera(
-        pitch_deg=float(np.rad2deg(corrected.pitch_px / rig.fx)),
-        yaw_deg=float(np.rad2deg(yaw_px / rig.fx)),
-        roll_deg=float(np.rad2deg(corrected.roll_px / rig.fx)),
-        zoom_percent=100.0 * corrected.zoom_px / rig.fx,
-        rows_px=float(np.abs(corrected.rows_px(*_corners(rig))).max()),
-    )
-
-
-def _corners(rig: WorkingRig) -> tuple[Floats, Floats]:
-    """Those of the image, in pixels from the principal point over focal length."""
-    u, v = np.array([(u, v) for u in (0, rig.width - 1) for v in (0, rig.height - 1)]).T
-    return (u - rig.cx) / rig.fx, (v - rig.cy) / rig.fy

@@ -20,7 +20,6 @@ SCHEMA_VERSION = 1
 
 _WORTH_TELLING_PX = 0.05
 _BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
-_WORTH_TELLING_OF_CAMERA = 0.01  # degrees or per cent
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
 _MOST_RANGES = 3  # in a warning
@@ -255,20 +254,9 @@ def _of_light(without_pose: Sequence[FrameRange], light: Light) -> list[str]:
 
 
 def _of_right_camera(found: RightCamera) -> str:
-    parts = [
-        f"{amount:+.2f}{unit} {name}"
-        for amount, unit, name in (
-            (found.pitch_deg, "°", "pitch"),
-            (found.yaw_deg, "°", "yaw"),
-            (found.roll_deg, "°", "roll"),
-            (found.zoom_percent, " %", "focal length"),
-        )
-        if abs(amount) >= _WORTH_TELLING_OF_CAMERA
-    ]
-    rows = f", rows differ by up to {found.rows_px:.1f} px" if found.rows_px else ""
     return (
-        f"the right camera is not as calibrated ({', '.join(parts) or 'slightly off'}{rows}); this "
-        "has been corrected, but calibrate anew: vo calibrate"
+        f"the right camera is not as calibrated ({found.in_words}); this has been corrected, but "
+        "calibrate anew: vo calibrate"
     )
 
 
