@@ -156,16 +156,17 @@ def test_the_command_imports_nothing_heavy_before_it_runs() -> None:
 
 
 def start_and_signal(source: Path, out: Path, number: signal.Signals) -> subprocess.Popen[str]:
-    """Start a run and send it a signal when it has written three poses."""
+    """Start a run and send it a signal when it has written three poses, causal and smoothed."""
     running = subprocess.Popen(
         [VO, "run", source, "--output", out, "--config", "fast"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    growing, give_up = out / "causal.tum.partial", time.monotonic() + 60
+    growing = [out / f"{name}.tum.partial" for name in ("causal", "trajectory")]
+    give_up = time.monotonic() + 60
     while time.monotonic() < give_up and running.poll() is None:
-        if growing.exists() and growing.read_bytes().count(b"\n") >= 3:
+        if all(path.exists() and path.read_bytes().count(b"\n") >= 3 for path in growing):
             break
         time.sleep(0.01)
     running.send_signal(number)
