@@ -104,6 +104,18 @@ def test_one_does_not_ask_for_ever(rig: WorkingRig, pair: tuple[Bytes, Bytes]) -
     assert alignment.aligned(rig) is rig
 
 
+def test_in_the_dark_pairs_are_not_asked_more_often(
+    rig: WorkingRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    alignment, grey = _learned(*pair, rig), _view(np.full_like(pair[0], 100))
+    asked = []
+    for number in range(2, 32):
+        if alignment.asks():
+            asked.append(number)
+            alignment.learn(grey, grey, rig)
+    assert asked == [3, 7, 15, 31]
+
+
 def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
     rig: WorkingRig, pair: tuple[Bytes, Bytes]
 ) -> None:

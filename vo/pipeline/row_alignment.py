@@ -1,4 +1,4 @@
-"""Brings the rows of pairs in line before the first frame is placed.
+"""Brings the rows of pairs in line before features are looked for on the right.
 
 A camera that was bumped since it was calibrated has rows that are pixels off, too far for matching
 along rows, and disparities that err from place to place, which costs several per cent of the scale
@@ -68,9 +68,11 @@ class RowAlignment:
 
     def learn(self, left: View, right: View, rig: WorkingRig) -> bool:
         """Take in a pair, as it is corrected now; whether the correction has changed."""
-        if not self._take_in(left, right, rig):
+        tells = self._take_in(left, right, rig)
+        if tells or self.found is not None:  # also in the dark, a pair is asked but now and then
+            self._next = 2 * self._pairs
+        if not tells:
             return False
-        self._next = 2 * self._pairs
         fitted = self._fit.result()
         self.found = fitted.errors
         corrects = self._aligned is not None or is_worth_correcting(fitted, rig)
