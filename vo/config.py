@@ -87,10 +87,26 @@ class KeyframeConfig(Section):
         0.75, gt=0, le=1, description="share of the last keyframe's landmarks still tracked"
     )
     min_tracked: int = Field(
-        200, ge=0, description="fewer tracked landmarks than this ask for one, if moving"
+        200, ge=0, description="stereo: fewer tracked landmarks than this ask for one, if moving"
     )
-    min_parallax_deg: float = Field(1.5, gt=0, description="median parallax with the last keyframe")
+    min_tracked_mono: int = Field(
+        150, ge=0, description="mono: the same; new landmarks need a baseline"
+    )
+    min_parallax_deg: float = Field(
+        1.5, gt=0, description="stereo: median parallax with the last keyframe"
+    )
+    min_parallax_mono_deg: float = Field(
+        2.5, gt=0, description="mono: the same; new landmarks need a baseline"
+    )
     max_gap_s: float = Field(1.0, gt=0, description="longest time between two, if moving")
+
+    def in_mono(self) -> KeyframeConfig:
+        """The same for a single camera."""
+        update = {
+            "min_tracked": self.min_tracked_mono,
+            "min_parallax_deg": self.min_parallax_mono_deg,
+        }
+        return self.model_copy(update=update)
 
 
 class StereoConfig(Section):

@@ -120,7 +120,8 @@ class Odometry:
         self._window: Window | None = None  # that the smoother works on
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
         self._frames_since_asked = 0
-        self._forecast = KeyframeForecast(config.keyframes)
+        self._keyframes = config.keyframes if rig.is_metric else config.keyframes.in_mono()
+        self._forecast = KeyframeForecast(self._keyframes)
         self._features_soon = True  # whether the next frame's features are likely to be needed
         self._moved: set[int] = set()  # keyframes that were smoothed in this step
 
@@ -162,11 +163,12 @@ class Odometry:
     ) -> tuple[str, Tracked | None, Keyframe | None]:
         """Place a frame, in a map of its own if need be: why it failed, what it sees, keyframe."""
         self._frames_since_asked += 1
+        step = self._look(frame, clock)  # while the smoother works
         if self._frames_since_asked > self._answer_after:
             self._take_in(clock)
         if self._state is State.STARTING:
             return self._start(frame, clock)
-        tracked = self._track(frame, clock)
+        tracked = self._track(frame, step, clock)
         if tracked is not None:
             return "", tracked, self._extend(frame, tracked, clock)
         self._state = State.LOST
@@ -189,9 +191,19 @@ class Odometry:
 
     # --- placing a frame in the map ---------------------------------------------------------
 
-    def _track(self, frame: WorkingFrame, clock: Stopwatch) -> Tracked | None:
+    def _look(self, frame: WorkingFrame, clock: Stopwatch) -> Floats | None:
+        """last_from_cam by how the last frame looked, whatever smoothing makes of its pose."""
+        if self._last is None or self._state is not State.TRACKING:
+            return None
+        predicted = self._motion.predict(frame.stamp_ns)
+        with clock.stage("match"):
+            return direct_step(
+                self._map, self._last, self._motion.last, frame, predicted, self._rig
+            )
+
+    def _track(self, frame: WorkingFrame, step: Floats | None, clock: Stopwatch) -> Tracked | None:
         """Each first pose is tried until patches confirm one."""
-        poses, best = self._first_poses(frame), None
+        poses, best = self._first_poses(frame, step), None
         while True:
             with clock.stage("match"):
                 first = next(poses, None)
@@ -205,17 +217,16 @@ class Odometry:
                 return tracked
             best = tracked
 
-    def _first_poses(self, frame: WorkingFrame) -> Iterator[FirstPose]:
+    def _first_poses(self, frame: WorkingFrame, step: Floats | None) -> Iterator[FirstPose]:
         """By how the last frame looked; by descriptors, near the prediction and farther away.
 
         The prediction as it is comes between these; mono's last resort are two views.
         """
         world, rig, config = self._map, self._rig, self._config
         predicted = self._motion.predict(frame.stamp_ns)
-        if self._last is not None and self._state is State.TRACKING:
-            looked = direct_step(world, self._last, self._motion.last, frame, predicted, rig)
-            if looked is not None:
-                yield FirstPose(looked, enough=_CLEAR * int(self._last.inlier.sum()))
+        if self._last is not None and step is not None:
+            looked = self._motion.last @ step
+            yield FirstPose(looked, enough=_CLEAR * int(self._last.inlier.sum()))
         near = place_near(world, frame, predicted, rig, config)
         if near is not None:
             yield FirstPose(near)
@@ -240,7 +251,7 @@ class Odometry:
         self._state, self._lost = State.TRACKING, []
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         change = change_since(self._map, frame, tracked, self._config)
-        is_keyframe = needs_keyframe(change, self._config.keyframes)
+        is_keyframe = needs_keyframe(change, self._keyframes)
         self._features_soon = self._forecast.expects(change, is_keyframe=is_keyframe)
         if not is_keyframe:
             newest = self._map.keyframes[-1]

@@ -12,7 +12,7 @@ from vo.config import load_config
 from vo.features.camera_alignment import smaller_images
 from vo.formats.trajectory import read_tum
 from vo.geometry.rectification import WorkingRig, working_rig
-from vo.geometry.transforms import inverse, rotation_angle, se3_exp
+from vo.geometry.transforms import inverse, rotation_angle, se3_exp, transform_points
 from vo.mapping.map import Map
 from vo.pipeline.direct_step import direct_step
 from vo.pipeline.grow import grow_stereo
@@ -68,6 +68,18 @@ def test_pose_is_found_from_a_prediction_many_pixels_off(scene: Scene, degrees: 
     away = inverse(scene.pose) @ found
     assert np.linalg.norm(away[:3, 3]) < 0.01
     assert np.rad2deg(rotation_angle(away[:3, :3])) < 0.06
+
+
+def test_the_step_is_the_same_when_smoothing_has_moved_everything(scene: Scene) -> None:
+    motion = se3_exp(np.array([0.02, -0.3, 0.01, 0.4, 0.1, -0.2]))
+    before = scene.map.xyz.copy()
+    scene.map.xyz = transform_points(motion, before)
+    predicted = motion @ scene.pose
+    moved = direct_step(scene.map, scene.last, motion, scene.frame, predicted, scene.rig)
+    scene.map.xyz = before
+    step = scene.step(scene.pose)
+    assert step is not None and moved is not None
+    np.testing.assert_allclose(moved, step, atol=1e-5)
 
 
 def test_no_feature_is_looked_for(scene: Scene) -> None:

@@ -123,7 +123,9 @@ def test_two_poses_at_one_time_give_no_velocity() -> None:
 
 # Keyframes
 
-CONFIG = KeyframeConfig(min_tracked_share=0.75, min_parallax_deg=1.5, max_gap_s=1.0)
+CONFIG = KeyframeConfig(
+    min_tracked_share=0.75, min_tracked=200, min_parallax_deg=1.5, max_gap_s=1.0
+)
 
 
 @pytest.mark.parametrize(
@@ -150,6 +152,12 @@ def test_few_landmarks_ask_for_a_keyframe_once_the_camera_has_moved(
     parallax_deg: float, needed: bool
 ) -> None:
     assert needs_keyframe(Change(150, 160, np.deg2rad(parallax_deg), 0.1), CONFIG) == needed
+
+
+@pytest.mark.parametrize(("parallax_deg", "needed"), [(1.6, False), (2.4, False), (2.6, True)])
+def test_a_single_camera_waits_for_more_parallax(parallax_deg: float, needed: bool) -> None:
+    mono = KeyframeConfig(min_parallax_deg=1.5, min_parallax_mono_deg=2.5).in_mono()
+    assert needs_keyframe(Change(900, 1000, np.deg2rad(parallax_deg), 0.1), mono) == needed
 
 
 def test_parallax_is_the_median_angle_at_the_points() -> None:

@@ -25,7 +25,10 @@ def direct_step(
     predicted: Floats,
     rig: WorkingRig,
 ) -> Floats | None:
-    """world_from_cam with which the last frame's landmarks look as they did; None if unclear.
+    """last_from_cam with which the last frame's landmarks look as they did; None if unclear.
+
+    It hangs on the landmarks' places against the last frame only, and outlasts what smoothing
+    makes of both in the world.
 
     Args:
         world: the map.
@@ -53,7 +56,7 @@ def direct_step(
     )
     if float(np.mean(found.score >= _CLEAR_SCORE)) < _CLEAR_SHARE:
         return None
-    return np.asarray(world_from_last @ inverse(found.target_from_reference))
+    return inverse(found.target_from_reference)
 
 
 def _image_from_ideal(xy: Floats, rig: WorkingRig) -> Floats:
