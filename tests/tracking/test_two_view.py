@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from vo.config import StartConfig
-from vo.geometry.transforms import rotation_angle, se3_exp, transform_points
-from vo.tracking.two_view import TwoView, _trial, start_two_view
+from vo.geometry.transforms import rotation_angle, se3_exp, se3_log, transform_points
+from vo.tracking.two_view import Between, TwoView, _trial, start_two_view
 from vo.types import Floats
 
 MATRIX = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
 CONFIG = StartConfig()
 SIDEWAYS = se3_exp(np.array([0.02, -0.05, 0.01, -0.6, 0.1, 0.05]))
+OVER = se3_exp(np.array([0.01, -0.02, 0.01, -0.1, 1.2, -1.5]))  # fields that lie ahead and below
 FORWARD = se3_exp(np.array([0.01, -0.02, 0.0, 0.05, -0.02, -1.0]))
 
 
@@ -104,6 +105,44 @@ def test_a_plane_is_started_by_the_homography_or_waits_where_two_motions_fit() -
     for turn, direction in (_errors_deg(f, SIDEWAYS) for f in found):
         assert turn < 0.2
         assert direction < 1.0
+
+
+def _over_fields(
+    share: float, *, noise: float, seed: int, frames: int
+) -> tuple[TwoView | str, Floats]:
+    """Of the flight `OVER` a share, with frames between that each miss a third of the points."""
+    rng = np.random.default_rng(seed)
+    rays = _rays(400, seed)
+    points = rays * (6.0 / (rays @ (0.0, 0.6, 0.8)))[:, None]
+    course = share * se3_log(OVER)
+
+    def seen(part: float) -> Floats:
+        exact = _project(transform_points(se3_exp(part * course), points))
+        return np.asarray(exact + noise * rng.standard_normal(exact.shape))
+
+    first, second, between = seen(0.0), seen(1.0), []
+    for part in np.arange(1, frames + 1) / (frames + 1):
+        rows = np.flatnonzero(rng.random(400) < 2 / 3)
+        between.append(Between(rows, seen(part)[rows]))
+    return start_two_view(first, second, MATRIX, CONFIG, between), se3_exp(course)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_frames_between_tell_which_of_a_planes_two_motions_is_true(seed: int) -> None:
+    alone, _ = _over_fields(1.0, noise=0.2, seed=seed, frames=0)
+    assert alone == "the plane in view allows two motions"
+    found, motion = _over_fields(1.0, noise=0.2, seed=seed, frames=7)
+    assert isinstance(found, TwoView), found
+    assert found.model == "homography"
+    turn, direction = _errors_deg(found, motion)
+    assert turn < 0.1
+    assert direction < 1.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_frames_between_decide_nothing_that_could_be_noise(seed: int) -> None:
+    found, _ = _over_fields(0.2, noise=0.4, seed=seed, frames=7)
+    assert found == "the plane in view allows two motions"
 
 
 @pytest.mark.parametrize("seed", range(50))

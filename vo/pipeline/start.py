@@ -15,7 +15,7 @@ from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.keyframe import add_keyframe
 from vo.pipeline.working_frame import WorkingFrame
-from vo.tracking.two_view import TwoView, start_two_view
+from vo.tracking.two_view import Between, TwoView, start_two_view
 from vo.types import Bools, Floats, Ints
 
 _MOST_WAITING = 30  # frames kept in memory to be placed once there is a map
@@ -42,11 +42,13 @@ class MonoStart:
         self._reference: WorkingFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
         self.waiting: list[WorkingFrame] = []  # the frames since the reference, newest last
+        # The reference's features that each of them has seen, and where (ideal pixels).
+        self._seen: list[tuple[Ints, Floats]] = []
 
     def restart(self) -> None:
         """Forget the reference frame."""
         self._reference = None
-        self.waiting = []
+        self.waiting, self._seen = [], []
 
     def attempt(self, frame: WorkingFrame) -> FirstPair | str:
         """A first map from the reference frame and this one, or why there is none yet."""
@@ -58,15 +60,17 @@ class MonoStart:
         self._expected_xy[query] = image_xy
         xy = self._rig.ideal_from_image(image_xy)
         reference_xy = self._reference.ideal_xy[query]
-        result = start_two_view(reference_xy, xy, self._rig.matrix, self._config.start)
+        between = [_between(query, *seen) for seen in self._seen]
+        result = start_two_view(reference_xy, xy, self._rig.matrix, self._config.start, between)
         if isinstance(result, str):
             self.waiting = [*self.waiting[1 - _MOST_WAITING :], frame]
+            self._seen = [*self._seen[1 - _MOST_WAITING :], (query, xy)]
             return result
         return FirstPair(self._reference, frame, query, image_xy, xy, result)
 
     def _begin(self, frame: WorkingFrame, reason: str) -> str:
         self._reference = frame
-        self.waiting = []
+        self.waiting, self._seen = [], []
         self._expected_xy = frame.keypoints.xy.astype(np.float64)
         return reason
 
@@ -140,6 +144,12 @@ def map_from_pair(
     first.add_observations(ids, pair.reference.ideal_xy[query], reference_xy, none, sigma)
     second.add_observations(ids, pair.xy[good], taken, none, sigma)
     return first, second
+
+
+def _between(query: Ints, seen: Ints, xy: Floats) -> Between:
+    """Which of the features `query` were among those seen, by row."""
+    _, rows, there = np.intersect1d(query, seen, assume_unique=True, return_indices=True)
+    return Between(rows, xy[there])
 
 
 def _others(frame: WorkingFrame, used: Ints) -> Bools:

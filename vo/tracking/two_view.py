@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.config import StartConfig
 from vo.geometry import epipolar
+from vo.geometry.pnp import refine_pose
 from vo.geometry.triangulation import in_front, triangulate
-from vo.types import Bools, Floats
+from vo.types import Bools, Floats, Ints
 
 # 95 % of the chi-square distribution with 1 and 2 degrees of freedom (Mur-Artal 2015, eq. 2).
 _CHI2_LINE, _CHI2_POINT = 3.84, 5.99
 # Points with less than this share of the parallax asked for have no depth worth keeping.
 _LEAST_SHARE = 0.3
+# Motions that make more than this share of the most good points are rivals: points cannot tell.
+_RIVALS = 0.7
+# Of rivals the one is taken whose squared errors in the frames between are this much smaller.
+_CLEARLY = 2.0
+_FRAMES_BETWEEN = 4  # are asked, those in the middle tell most
+_LEAST_SEEN = 30  # points that such a frame must share with the two
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +43,34 @@ class TwoView:
     model: str
 
 
+class Between(NamedTuple):
+    """What a frame between the two has seen of their matches.
+
+    Attributes:
+        rows: (M,) of the matches.
+        xy: (M, 2) where they are in it, ideal pixels.
+    """
+
+    rows: Ints
+    xy: Floats
+
+
 def start_two_view(
-    first: Floats, second: Floats, matrix: Floats, config: StartConfig
+    first: Floats,
+    second: Floats,
+    matrix: Floats,
+    config: StartConfig,
+    between: Sequence[Between] = (),
 ) -> TwoView | str:
     """Motion and points from matches (N, 2) in ideal pixels, or why there is none.
 
     Both models are fitted; the one that explains the matches better is used, after
     Mur-Artal et al., "ORB-SLAM", 2015, sec. IV. Too little parallax (standing still, pure
     rotation) gives no map, whatever the scores.
+
+    Two views of a plane allow two motions (Faugeras and Lustman 1988): one with the true plane,
+    one with a plane across the direction of travel. The second is another plane for every length
+    of the way, so that frames `between`, oldest first, tell them apart.
     """
     if len(first) < config.min_matches:
         return f"{len(first)} matches with the reference frame, {config.min_matches} needed"
@@ -61,7 +90,9 @@ def start_two_view(
         plane_score + line_score
     ):
         candidates = epipolar.motions_of_homography(homography[0], matrix)
-        return _choose(candidates, homography[1], first, second, matrix, config, "homography")
+        return _choose(
+            candidates, homography[1], first, second, matrix, config, "homography", between
+        )
     return _choose([motion], essential[1], first, second, matrix, config, "essential")
 
 
@@ -73,19 +104,24 @@ def _choose(
     matrix: Floats,
     config: StartConfig,
     model: str,
+    between: Sequence[Between] = (),
 ) -> TwoView | str:
     """The candidate with clearly the most good points, if it has enough of them and parallax."""
     if not candidates:
         return "the camera only turns"
     trials = [_trial(motion, inlier, first, second, matrix, config) for motion in candidates]
-    counts = [int(good.sum()) for _, good, _ in trials]
+    counts = np.array([int(good.sum()) for _, good, _ in trials])
     best = int(np.argmax(counts))
-    runner_up = max((c for i, c in enumerate(counts) if i != best), default=0)
-    points, good, angle = trials[best]
     if counts[best] < max(config.min_points, 0.5 * int(inlier.sum())):
         return f"{counts[best]} of {int(inlier.sum())} inliers make good points, too few"
-    if runner_up > 0.7 * counts[best]:
-        return "the plane in view allows two motions"
+    rivals = np.flatnonzero(counts > _RIVALS * counts[best])
+    if len(rivals) > 1:
+        errors = [_squared_error(trials[i][0], trials[i][1], between, matrix) for i in rivals]
+        order = np.argsort(errors)
+        if not errors[order[1]] > _CLEARLY * errors[order[0]]:
+            return "the plane in view allows two motions"
+        best = int(rivals[order[0]])
+    points, good, angle = trials[best]
     # Far points never show parallax, however long one waits: enough near ones are what counts.
     parallax = np.rad2deg(np.sort(angle[good])[-config.min_points])
     if parallax < config.min_parallax_deg:
@@ -112,6 +148,25 @@ def _trial(
         close = np.maximum(np.sum(error_first**2, axis=1), np.sum(error_second**2, axis=1))
     good &= close < _CHI2_POINT * config.threshold_px**2
     return points, good, angle
+
+
+def _squared_error(
+    points: Floats, good: Bools, between: Sequence[Between], matrix: Floats
+) -> float:
+    """Of points in the frames between, each placed by them, px^2; mean of medians, NaN if none."""
+    pose, errors = np.eye(4), []
+    intrinsics = float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
+    asked = np.linspace(0, len(between) - 1, min(_FRAMES_BETWEEN, len(between)))
+    for frame in (between[int(i)] for i in asked):
+        usable = good[frame.rows]
+        rows, xy = frame.rows[usable], frame.xy[usable]
+        if len(rows) < _LEAST_SEEN:
+            continue
+        none, sigma = np.full(len(rows), np.nan), np.ones(len(rows))
+        fit = refine_pose(pose, points[rows], xy, none, sigma, 1.0, intrinsics, 0.0)
+        errors.append(float(np.median(fit.residual**2)))
+        pose = fit.cam_from_world  # where the next one begins
+    return float(np.mean(errors)) if errors else float("nan")
 
 
 def _essential_score(
