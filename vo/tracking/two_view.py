@@ -111,16 +111,17 @@ def _choose(
         return "the camera only turns"
     trials = [_trial(motion, inlier, first, second, matrix, config) for motion in candidates]
     counts = np.array([int(good.sum()) for _, good, _ in trials])
+    enough = max(config.min_points, 0.5 * int(inlier.sum()))
     best = int(np.argmax(counts))
-    if counts[best] < max(config.min_points, 0.5 * int(inlier.sum())):
-        return f"{counts[best]} of {int(inlier.sum())} inliers make good points, too few"
     rivals = np.flatnonzero(counts > _RIVALS * counts[best])
-    if len(rivals) > 1:
+    if len(rivals) > 1 and counts[best] >= enough:
         errors = [_squared_error(trials[i][0], trials[i][1], between, matrix) for i in rivals]
         order = np.argsort(errors)
         if not errors[order[1]] > _CLEARLY * errors[order[0]]:
             return "the plane in view allows two motions"
         best = int(rivals[order[0]])
+    if counts[best] < enough:
+        return f"{counts[best]} of {int(inlier.sum())} inliers make good points, too few"
     points, good, angle = trials[best]
     # Far points never show parallax, however long one waits: enough near ones are what counts.
     parallax = np.rad2deg(np.sort(angle[good])[-config.min_points])
