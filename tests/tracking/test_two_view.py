@@ -131,7 +131,7 @@ def _over_fields(
 def test_frames_between_tell_which_of_a_planes_two_motions_is_true(seed: int) -> None:
     alone, _ = _over_fields(1.0, noise=0.2, seed=seed, frames=0)
     assert alone == "the plane in view allows two motions"
-    found, motion = _over_fields(1.0, noise=0.2, seed=seed, frames=7)
+    found, motion = _over_fields(1.0, noise=0.2, seed=seed, frames=4)
     assert isinstance(found, TwoView), found
     assert found.model == "homography"
     turn, direction = _errors_deg(found, motion)
@@ -141,7 +141,7 @@ def test_frames_between_tell_which_of_a_planes_two_motions_is_true(seed: int) ->
 
 @pytest.mark.parametrize("seed", range(20))
 def test_frames_between_decide_nothing_that_could_be_noise(seed: int) -> None:
-    found, _ = _over_fields(0.2, noise=0.4, seed=seed, frames=7)
+    found, _ = _over_fields(0.2, noise=0.4, seed=seed, frames=4)
     assert found == "the plane in view allows two motions"
 
 

@@ -19,6 +19,7 @@ from vo.tracking.two_view import Between, TwoView, start_two_view
 from vo.types import Bools, Floats, Ints
 
 _MOST_WAITING = 30  # frames kept in memory to be placed once there is a map
+_ASKED = 4  # of them, spread evenly, tell a plane's two motions apart; those in the middle best
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,8 @@ class MonoStart:
         self._expected_xy[query] = image_xy
         xy = self._rig.ideal_from_image(image_xy)
         reference_xy = self._reference.ideal_xy[query]
-        between = [_between(query, *seen) for seen in self._seen]
+        asked = np.linspace(0, len(self._seen) - 1, min(_ASKED, len(self._seen)))
+        between = [_between(query, *self._seen[int(i)]) for i in asked]
         result = start_two_view(reference_xy, xy, self._rig.matrix, self._config.start, between)
         if isinstance(result, str):
             self.waiting = [*self.waiting[1 - _MOST_WAITING :], frame]

@@ -22,8 +22,7 @@ _LEAST_SHARE = 0.3
 _RIVALS = 0.7
 # Of rivals the one is taken whose squared errors in the frames between are this much smaller.
 _CLEARLY = 2.0
-_FRAMES_BETWEEN = 4  # are asked, those in the middle tell most
-_LEAST_SEEN = 30  # points that such a frame must share with the two
+_LEAST_SEEN = 30  # points that a frame between must share with the two
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +156,7 @@ def _squared_error(
     """Of points in the frames between, each placed by them, px^2; mean of medians, NaN if none."""
     pose, errors = np.eye(4), []
     intrinsics = float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
-    asked = np.linspace(0, len(between) - 1, min(_FRAMES_BETWEEN, len(between)))
-    for frame in (between[int(i)] for i in asked):
+    for frame in between:
         usable = good[frame.rows]
         rows, xy = frame.rows[usable], frame.xy[usable]
         if len(rows) < _LEAST_SEEN:
