@@ -68,7 +68,7 @@ def test_frames_placed_later_stand_in_the_smoothed_path_only(
     smoothed, causal = read_tum(tmp_path / "trajectory.tum"), read_tum(tmp_path / "causal.tum")
     true = read_tum(synthetic_stereo / "groundtruth.tum")
     np.testing.assert_array_equal(smoothed.stamps_ns, true.stamps_ns[:FRAMES])
-    assert 2 < len(causal) < FRAMES - 2
+    assert 2 < len(causal) < FRAMES - 1  # the first frame and at least one after it came later
     np.testing.assert_array_equal(causal.stamps_ns, smoothed.stamps_ns[-len(causal) :])
     assert (summary["tracked"], summary["starting"]) == (FRAMES, 0)
     assert summary["without_pose"] == []
