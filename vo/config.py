@@ -113,7 +113,7 @@ class StereoConfig(Section):
     """Left and right."""
 
     max_row_offset_px: float = Field(2.5, gt=0, description="most that matched rows may differ")
-    min_disparity_px: float = Field(1.5, gt=0, description="least disparity of a new landmark")
+    min_disparity_px: float = Field(0.3, gt=0, description="least disparity of a new landmark")
     offset_correction: bool = Field(
         True, description="estimate and correct a constant error of all disparities"
     )

@@ -474,6 +474,7 @@ class Odometry:
             is_keyframe=keyframe is not None,
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
+            median_disparity_px=None if tracked is None else tracked.median_disparity_px,
             keyframes=tuple(self.history.keyframes_by_id(moved)),
             view=view,
             landmarks=self._landmarks() if moved else None,

@@ -365,6 +365,7 @@ class Estimate:
         neighbours: of a new keyframe, frame numbers of the map's keyframes that share landmarks
             with it, and how many.
         disparity_offset_px: the constant error of disparities that is corrected now.
+        median_disparity_px: of the landmarks that agree, None where there is no disparity.
     """
 
     frame_index: int
@@ -382,6 +383,7 @@ class Estimate:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     neighbours: Mapping[int, int] = field(default_factory=dict)
     disparity_offset_px: float = 0.0
+    median_disparity_px: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,7 @@ def test_nothing_tracked_is_bad_and_says_what_to_check(good: Summary) -> None:
     nothing = replace(good, tracked=0, starting=6, segments=(), median_inliers=None)
     assert verdict(nothing) == ("bad", "no path: none of the 6 frames has a pose")
     assert "check the calibration" in advice(nothing)[0]
+    assert "--mode mono" in advice(nothing)[1]
     mono = replace(nothing, facts=replace(nothing.facts, mode="mono"))
     assert "moves sideways" in advice(mono)[0]
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +148,16 @@ def test_an_offset_of_many_pixels_is_called_a_wrong_calibration() -> None:
     (wrong,) = summary_of([estimate(0)], placed([0]), offset_px=13.8).warnings
     assert "calibration is wrong" in wrong
     assert "corrected" not in wrong
+
+
+def test_a_scene_that_is_far_for_the_baseline_is_said_to_be() -> None:
+    estimates = [replace(estimate(f), median_disparity_px=1.2 + 0.05 * f) for f in range(3)]
+    far = summary_of(estimates, placed([0, 1, 2]))
+    assert far.median_disparity_px == 1.25
+    assert "far away" in far.warnings[0] and "lengths 8% wrong" in far.warnings[0]
+    near = summary_of([replace(estimate(0), median_disparity_px=2.1)], placed([0]))
+    assert near.warnings == ()
+    assert summary_of(estimates, placed([0, 1, 2]), mode="mono").median_disparity_px is None
 
 
 def test_landmarks_are_counted_once() -> None:

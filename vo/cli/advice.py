@@ -73,6 +73,7 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
             lines.append(
                 "check the calibration: baseline, focal length, left and right not swapped"
             )
+            lines.append("if all is too far away for the baseline, --mode mono does without it")
     if summary.lost:
         how = "vo view shows it" if is_recorded else "record with --rrd, then vo view"
         lines.append(f"look at what happened in {_ranges(summary)}: {how}")

@@ -37,6 +37,13 @@ class Tracked:
         """Number of landmarks that agree with the pose."""
         return int(self.inlier.sum())
 
+    @property
+    def median_disparity_px(self) -> float | None:
+        """Of the landmarks that agree with the pose; None where no disparity was measured."""
+        disparity = self.observed.disparity[self.inlier]
+        measured = disparity[~np.isnan(disparity)]
+        return float(np.median(measured)) if len(measured) else None
+
 
 def place_near(
     world: Map,

@@ -40,6 +40,7 @@ class Account:
         self.landmarks = 0
         self._highest_landmark = -1
         self._inliers = array("i")
+        self._disparities_px = array("f")
         self._stage_ms: dict[str, array[float]] = {}
 
     def note(self, estimate: Estimate) -> None:
@@ -49,6 +50,8 @@ class Account:
             self.unplaced[estimate.frame_index] = Unplaced(estimate.state, estimate.reason)
         else:
             self._inliers.append(estimate.inliers)
+            if estimate.median_disparity_px is not None:
+                self._disparities_px.append(estimate.median_disparity_px)
         if estimate.landmarks is not None:
             self._count_landmarks(estimate.landmarks.ids)
 
@@ -61,6 +64,11 @@ class Account:
     def median_inliers(self) -> float | None:
         """Of the tracked frames; None if there is none."""
         return float(np.median(self._inliers)) if self._inliers else None
+
+    @property
+    def median_disparity_px(self) -> float | None:
+        """Median over tracked frames of the median of each; None without disparities."""
+        return float(np.median(self._disparities_px)) if self._disparities_px else None
 
     def stages(self) -> dict[str, StageTime]:
         """Median and 95th percentile of each stage."""

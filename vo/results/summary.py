@@ -20,6 +20,8 @@ SCHEMA_VERSION = 1
 
 _WORTH_TELLING_PX = 0.05
 _BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
+_USUAL_OFFSET_PX = 0.1  # of the disparities of a well calibrated pair
+_FAR_PX = 2.0  # median disparity below which that makes lengths 5 % wrong
 _FEW_INLIERS = 50
 _LONG_START = 0.1  # of all frames
 _MOST_RANGES = 3  # in a warning
@@ -84,6 +86,7 @@ class Summary:
     peak_rss_mb: float
     versions: Mapping[str, str]
     median_inliers: float | None
+    median_disparity_px: float | None
     disparity_offset_px: float
     right_camera: RightCamera | None = None
     profile: Profile | None = None
@@ -146,6 +149,8 @@ def summarise(
     ranges, count = unplaced_ranges(account, placed.frame_index, skipped, untracked)
     interpolated = int(placed.interpolated.sum())
     segments = _segments(placed)
+    # A depth camera's disparities are to a right camera that is not there.
+    disparity_px = account.median_disparity_px if facts.mode == "stereo" else None
     return Summary(
         status=status,
         error=error,
@@ -168,6 +173,7 @@ def summarise(
         peak_rss_mb=round(peak_rss_mb(), 1),
         versions=versions(),
         median_inliers=account.median_inliers,
+        median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
         disparity_offset_px=round(disparity_offset_px, 4),
         right_camera=right_camera,
         profile=profile,
@@ -235,6 +241,8 @@ def _warnings(summary: Summary) -> list[str]:
     explained = summary.right_camera is not None and summary.right_camera.yaw_deg != 0.0
     if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX and not explained:
         warnings.append(_of_offset(summary.disparity_offset_px))
+    if summary.median_disparity_px is not None and summary.median_disparity_px < _FAR_PX:
+        warnings.append(_of_far_scene(summary.median_disparity_px))
     if len(summary.segments) > 1:
         warnings.append(f"{len(summary.segments)} segments, each in a world of its own")
     if summary.facts.mode == "mono" and summary.tracked:
@@ -242,6 +250,14 @@ def _warnings(summary: Summary) -> list[str]:
             "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
         )
     return warnings
+
+
+def _of_far_scene(disparity_px: float) -> str:
+    share = _USUAL_OFFSET_PX / disparity_px
+    return (
+        f"all is far away for this baseline (median disparity {disparity_px:.1f} px): a stereo "
+        f"calibration that is off by {_USUAL_OFFSET_PX} px makes lengths {share:.0%} wrong"
+    )
 
 
 def _of_light(without_pose: Sequence[FrameRange], light: Light) -> list[str]:
