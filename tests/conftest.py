@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from vo.types import Trajectory
+from vo.compiling.processor import use_common_instructions
+
+use_common_instructions()  # as the program does, so that both share what is compiled
 
 
 @pytest.fixture(scope="session")
@@ -21,6 +23,7 @@ def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from data_synth.plan import make_plan
     from data_synth.recipe import load_recipe
     from data_synth.writers import euroc
+    from vo.types import Trajectory
 
     settings = ["motion=handheld", "seconds=4", "speed=1.5", "scale=0.625", "effects.exposure=0"]
     plan = make_plan(load_recipe("demo", settings))

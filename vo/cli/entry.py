@@ -10,6 +10,7 @@ import sys
 from types import FrameType
 
 from vo.cli.loading import loading
+from vo.compiling.processor import use_common_instructions
 
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -23,6 +24,7 @@ def main() -> None:
     # Matrices are small here: a second thread of BLAS only waits, at the cost of the core it waits
     # on, and the bits of a result may depend on their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    use_common_instructions()
     # Nothing here uses scipy; numba would load it, where it is installed, to look for a BLAS.
     sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
     # Others' plugins for pydantic are not wanted: it would look through all packages for them.

@@ -12,6 +12,7 @@ import builtins
 import ctypes
 import importlib
 import importlib.util
+import os
 import pickle
 import platform
 import sys
@@ -52,9 +53,12 @@ def maker() -> str:
     import llvmlite
     from llvmlite import binding
 
-    features = binding.get_host_cpu_features().flatten()
+    processor = os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name()
+    features = os.environ.get("NUMBA_CPU_FEATURES")
+    if features is None:
+        features = binding.get_host_cpu_features().flatten()
     versions = (_numba_version(), llvmlite.__version__, sys.implementation.cache_tag)
-    return " ".join((*versions, binding.get_host_cpu_name(), features))
+    return " ".join((*versions, processor, features))
 
 
 def of(dispatcher: Any, arguments: tuple[Any, ...]) -> MachineCode | None:
