@@ -27,7 +27,7 @@ from vo.pipeline.direct_step import direct_step
 from vo.pipeline.disparity_watch import DisparityWatch, is_from_yaw
 from vo.pipeline.essential_step import essential_step
 from vo.pipeline.forecast import KeyframeForecast
-from vo.pipeline.grow import grow_stereo, look_back, looks_swapped
+from vo.pipeline.grow import grow_stereo, incline, look_back, looks_swapped
 from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.history import History
 from vo.pipeline.keyframe import add_keyframe, add_tracked, change_since
@@ -274,6 +274,7 @@ class Odometry:
             grow_stereo(self._map, keyframe, frame, self._rig, self._config)
         else:
             grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)
+        incline(self._map, keyframe, self._rig, only_new=True)
         look_back(self._map, keyframe, self._rig, self._config)
 
     # --- smoothing --------------------------------------------------------------------------
@@ -305,6 +306,7 @@ class Odometry:
             if offset is not None and self._corrects_offset:
                 self._correct_disparities(offset)
             cull(self._map, self._config)
+            incline(self._map, self._map.keyframes[-1], self._rig)
         self._motion.carry(newest.world_from_cam @ inverse(before))
 
     def _settle(self, solution: WindowSolution) -> None:

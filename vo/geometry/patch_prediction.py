@@ -19,15 +19,18 @@ class PatchPrediction(NamedTuple):
         xy: (N, 2) ideal pixels, NaN where the point is not in front of the camera.
         scale: (N,) size of the patch there against its reference.
         reference_from_target: (N, 2, 2) takes steps of pixels there back to the reference image.
+        slope: (N, 2) how inverse depth changes from pixel to pixel there, relative to it, 1/px.
     """
 
     xy: Floats
     scale: Floats
     reference_from_target: Floats
+    slope: Floats
 
 
 def predict_patches(
     points: Floats,
+    normals: Floats,
     reference: Ints,
     point: Ints,
     camera: Ints,
@@ -36,21 +39,23 @@ def predict_patches(
 ) -> PatchPrediction:
     """Project points into cameras, together with the neighbourhood that their patch shows.
 
-    Two neighbours one pixel away at the same depth are carried over.
+    Two neighbours one pixel away on the point's surface are carried over.
 
     Args:
         points: (M, 3) in the world.
+        normals: (M, 3) of the surfaces there, of any length; the reference camera's axis if unknown.
         reference: (M,) row in world_from_cam of the camera that holds each point's patch.
         point: (N,) row in points of each pair.
         camera: (N,) row in world_from_cam of each pair.
         world_from_cam: (K, 4, 4).
         intrinsics: fx, fy, cx, cy.
 
-    Source: Forster et al., SVO, 2014, sec. IV-B: the patch is taken to face its reference camera.
+    Source: Forster et al., SVO, 2014, sec. IV-B, whose patches all face their reference camera.
     """
     return PatchPrediction(
         *_predict(
             np.ascontiguousarray(points),
+            np.ascontiguousarray(normals),
             reference,
             point,
             camera,
@@ -61,23 +66,29 @@ def predict_patches(
 
 
 @compiled
-def _predict(points, reference, point, camera, poses, intrinsics):  # type: ignore[no-untyped-def]
+def _predict(points, normals, reference, point, camera, poses, intrinsics):  # type: ignore[no-untyped-def]
     count = len(point)
     fx, fy, cx, cy = intrinsics
     xy = np.full((count, 2), np.nan)
     scale = np.zeros(count)
     back = np.zeros((count, 2, 2))
+    slope = np.zeros((count, 2))
     for n in range(count):
-        at, there, here = points[point[n]], poses[reference[point[n]]], poses[camera[n]]
+        at, normal = points[point[n]], normals[point[n]]
+        there, here = poses[reference[point[n]]], poses[camera[n]]
         x, y, z = _seen_from(here, at[0], at[1], at[2])
         then, now = _distance(there, at), _distance(here, at)
         if not z > _NEAREST * then:
             continue
         u, v = fx * x / z + cx, fy * y / z + cy
         xy[n, 0], xy[n, 1], scale[n] = u, v, then / now
+        ahead = _along(normal, here, at)
+        if abs(ahead) > 1e-9 * now:
+            slope[n, 0] = _dot(normal, here[:3, 0]) * z / (fx * ahead)
+            slope[n, 1] = _dot(normal, here[:3, 1]) * z / (fy * ahead)
         depth = _seen_from(there, at[0], at[1], at[2])[2]
-        a, c = _moved(at, there, 0, depth / fx, here, fx, fy)
-        b, d = _moved(at, there, 1, depth / fy, here, fx, fy)
+        a, c = _moved(at, normal, there, 0, depth / fx, here, fx, fy)
+        b, d = _moved(at, normal, there, 1, depth / fy, here, fx, fy)
         a, c = a + cx - u, c + cy - v
         b, d = b + cx - u, d + cy - v
         determinant = a * d - b * c
@@ -86,7 +97,7 @@ def _predict(points, reference, point, camera, poses, intrinsics):  # type: igno
             back[n, 1, 0], back[n, 1, 1] = -c / determinant, a / determinant
         else:  # seen from the side, or from behind: as it was is as good a guess as any
             back[n, 0, 0] = back[n, 1, 1] = 1.0
-    return xy, scale, back
+    return xy, scale, back, slope
 
 
 @compiled
@@ -107,14 +118,35 @@ def _distance(pose, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _moved(at, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
-    """Pixel, less the principal point, of a point moved along an axis of another camera."""
+def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
+    """Pixel, less the principal point, of a point moved along its surface.
+
+    It is moved by a step along an axis of another camera, then to the surface along its ray.
+    """
+    ahead = _along(normal, there, at)
+    moved = ahead + step * _dot(normal, there[:3, axis])
+    nearer = ahead / moved if 0.5 * abs(ahead) < moved * np.sign(ahead) < 2.0 * abs(ahead) else 1.0
     x, y, z = _seen_from(
         here,
-        at[0] + step * there[0, axis],
-        at[1] + step * there[1, axis],
-        at[2] + step * there[2, axis],
+        there[0, 3] + nearer * (at[0] + step * there[0, axis] - there[0, 3]),
+        there[1, 3] + nearer * (at[1] + step * there[1, axis] - there[1, 3]),
+        there[2, 3] + nearer * (at[2] + step * there[2, axis] - there[2, 3]),
     )
     if z == 0.0:
         return np.nan, np.nan
     return fx * x / z, fy * y / z
+
+
+@compiled
+def _along(normal, pose, at):  # type: ignore[no-untyped-def]
+    """How far a point is from a camera, along a normal."""
+    return (
+        normal[0] * (at[0] - pose[0, 3])
+        + normal[1] * (at[1] - pose[1, 3])
+        + normal[2] * (at[2] - pose[2, 3])
+    )
+
+
+@compiled
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

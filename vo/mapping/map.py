@@ -76,6 +76,7 @@ class Keyframe:
 _LANDMARK_FIELDS: dict[str, tuple[tuple[int, ...], type]] = {
     "id": ((), np.int64),
     "xyz": ((3,), np.float64),
+    "normal": ((3,), np.float64),  # of the surface it lies on, in the world, of any length
     "descriptor": ((32,), np.uint8),
     "octave": ((), np.int32),
     "angle": ((), np.float32),
@@ -102,6 +103,7 @@ class Map:
         self._next_keyframe = 0
         self.id: Ints
         self.xyz: Floats
+        self.normal: Floats
         self.descriptor: Bytes
         self.octave: NDArray[np.int32]
         self.angle: NDArray[np.float32]
@@ -177,6 +179,7 @@ class Map:
         new = {
             "id": ids,
             "xyz": xyz,
+            "normal": np.tile(reference.world_from_cam[:3, 2], (n, 1)),  # facing that camera
             "descriptor": descriptor,
             "octave": octave,
             "angle": angle,

@@ -10,7 +10,8 @@ from vo.config import Config
 from vo.features.matching import match_segments
 from vo.geometry.neighbours import NEIGHBOURS, median_of_nearest
 from vo.geometry.rectification import WorkingRig
-from vo.geometry.transforms import transform_points
+from vo.geometry.surfaces import inverse_depth_slopes, surface_normals
+from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.later import Later
@@ -85,7 +86,8 @@ def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: C
     disparity[found] = measure_disparity(
         frame.image0, frame.image1, xy[found], guess, rig, config.tracking, config.stereo
     )
-    return _filled_from_neighbours(disparity, xy, frame, rig, config)
+    disparity = _filled_from_neighbours(disparity, xy, frame, rig, config)
+    return _on_surfaces(disparity, rows, frame, rig, config)
 
 
 def looks_swapped(frame: WorkingFrame, rig: WorkingRig, config: Config) -> bool:
@@ -119,6 +121,36 @@ def _filled_from_neighbours(
         frame.image0, frame.image1, xy[missing], guess, rig, config.tracking, config.stereo
     )
     return filled
+
+
+def _on_surfaces(
+    disparity: Floats, rows: Ints, frame: WorkingFrame, rig: WorkingRig, config: Config
+) -> Floats:
+    """Measure disparities again, now that those around tell how the right camera sees a patch."""
+    assert frame.image1 is not None
+    known = np.flatnonzero(disparity > 0.0)
+    xy, guess = frame.keypoints.xy[rows[known]].astype(np.float64), disparity[known]
+    slope = inverse_depth_slopes(frame.ideal_xy[rows[known]], guess, np.arange(len(known)))
+    again = measure_disparity(
+        frame.image0, frame.image1, xy, guess, rig, config.tracking, config.stereo, slope
+    )
+    measured = disparity.copy()
+    measured[known] = np.where(np.isnan(again), guess, again)
+    return measured
+
+
+def incline(world: Map, keyframe: Keyframe, rig: WorkingRig, *, only_new: bool = False) -> None:
+    """Tell from landmarks beside each other in a keyframe how their surfaces are inclined."""
+    rows = world.rows(keyframe.landmark)
+    seen = np.flatnonzero(rows >= 0)
+    rows = rows[seen]
+    in_cam = transform_points(inverse(keyframe.world_from_cam), world.xyz[rows])
+    ahead = in_cam[:, 2] > 0
+    rows, seen, depth = rows[ahead], seen[ahead], in_cam[ahead, 2]
+    of = np.flatnonzero(world.found[rows] <= 1) if only_new else np.arange(len(rows))
+    intrinsics = (rig.fx, rig.fy, rig.cx, rig.cy)
+    pose = keyframe.world_from_cam
+    world.normal[rows[of]] = surface_normals(keyframe.xy[seen], depth, of, pose, intrinsics)
 
 
 def look_back(world: Map, keyframe: Keyframe, rig: WorkingRig, config: Config) -> None:

@@ -5,37 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 from vo.config import Config
-from vo.features.alignment import align_patches
+from vo.features.alignment import Alignment, align_between, align_patches
 from vo.features.matching import agree_in_rotation, match_segments
 from vo.geometry.epipolar_segments import epipolar_segments
+from vo.geometry.patch_prediction import predict_patches
 from vo.geometry.rectification import WorkingRig
+from vo.geometry.surfaces import surface_normals
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import in_front, triangulate
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.grow import add_new
-from vo.types import Bools, Floats, Ints
+from vo.types import Bools, Bytes, Floats, Ints
 
 _NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
-_SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
-_THIN = 3  # times `tracking.min_inliers`: with fewer landmarks a map is about to be lost
+_SMALLEST = 0.85  # of a feature's depth is left when the camera has come nearer
+_MOST_MOVED_PX = 3.0  # by knowing the surface
 
 
 def grow_mono(
     world: Map, keyframe: Keyframe, image: np.ndarray, rig: WorkingRig, config: Config
 ) -> int:
-    """Landmarks from features that a keyframe shares with some keyframes before it.
-
-    With a map as thin as to be lost soon, pairs of keyframes are used too that lie one behind the
-    other, so that what is nearest in the older one is behind the camera in the newer. Their
-    landmarks are worse: used always they cost accuracy.
-    """
-    thin = len(keyframe.landmark) < _THIN * config.tracking.min_inliers
+    """Landmarks from features that a keyframe shares with some keyframes before it."""
     added = 0
     others = world.keyframes[:-1][-config.mapping.neighbours :]
     for other in reversed(others):
         room = config.mapping.new_per_keyframe - added
         if room > 0:
-            added += _grow_between(world, keyframe, other, image, rig, config, room, thin=thin)
+            added += _grow_between(world, keyframe, other, image, rig, config, room)
     return added
 
 
@@ -47,8 +43,6 @@ def _grow_between(
     rig: WorkingRig,
     config: Config,
     room: int,
-    *,
-    thin: bool,
 ) -> int:
     """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`."""
     now_from_other = inverse(keyframe.world_from_cam) @ other.world_from_cam
@@ -57,9 +51,8 @@ def _grow_between(
     if depth is None or baseline < 0.005 * depth:
         return 0
     query, train = np.flatnonzero(other.free), np.flatnonzero(keyframe.free)
-    nearest = np.full(len(query), _NEAREST * depth)
-    if thin:
-        nearest = np.maximum(nearest, _not_too_near(other.ideal_xy[query], now_from_other, rig))
+    not_too_near = _not_too_near(other.ideal_xy[query], now_from_other, rig)
+    nearest = np.maximum(_NEAREST * depth, not_too_near)
     query, start, end = _segments(other, query, now_from_other, nearest, _FARTHEST * depth, rig)
     query, train = _match_between(keyframe, other, query, train, start, end, config)
     if len(query) == 0:
@@ -80,6 +73,13 @@ def _grow_between(
     query, train, image_xy = query[good], train[good], found.xy[good]
     xy = rig.ideal_from_image(image_xy)
     points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
+    query, train, image_xy = query[good], train[good], image_xy[good]
+    found = _on_surfaces(world, keyframe, other, image, query, image_xy, points[good], rig, config)
+    good = found.converged & (found.score >= config.tracking.min_patch_score)
+    good &= np.linalg.norm(found.xy - image_xy, axis=1) <= _MOST_MOVED_PX
+    query, train, image_xy = query[good], train[good], found.xy[good]
+    xy = rig.ideal_from_image(image_xy)
+    points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
     query, train = query[good][:room], train[good][:room]
     xy, image_xy, points = xy[good][:room], image_xy[good][:room], points[good][:room]
     in_world = transform_points(other.world_from_cam, points)
@@ -92,6 +92,58 @@ def _grow_between(
     other.free[query] = False
     keyframe.free[train] = False
     return len(ids)
+
+
+def _on_surfaces(
+    world: Map,
+    keyframe: Keyframe,
+    other: Keyframe,
+    image: Bytes,
+    query: Ints,
+    image_xy: Floats,
+    points: Floats,
+    rig: WorkingRig,
+    config: Config,
+) -> Alignment:
+    """Find features again, now that a first depth tells how the camera sees them from here.
+
+    Args:
+        world: the map.
+        keyframe: the newer one.
+        other: the older one.
+        image: of the newer one.
+        query: (n,) features of the older one.
+        image_xy: (n, 2) where they were found in the newer one.
+        points: (n, 3) in the older one's frame.
+        rig: the working camera.
+        config: all settings.
+    """
+    pose, intrinsics = other.world_from_cam, (rig.fx, rig.fy, rig.cx, rig.cy)
+    rows = world.rows(other.landmark)
+    landmarks = transform_points(inverse(pose), world.xyz[rows])
+    known = (rows >= 0) & (landmarks[:, 2] > 0)
+    xy = np.concatenate([other.ideal_xy[query], other.xy[known]])
+    depth = np.concatenate([points[:, 2], landmarks[known, 2]])
+    number, first = np.arange(len(query)), np.zeros(len(query), dtype=np.int64)
+    seen = predict_patches(
+        transform_points(pose, points),
+        surface_normals(xy, depth, number, pose, intrinsics),
+        first,
+        number,
+        first + 1,
+        np.stack([pose, keyframe.world_from_cam]),
+        intrinsics,
+    )
+    return align_between(
+        world.images,
+        np.full(len(query), other.slot),
+        other.keypoints.xy[query].astype(np.float64),
+        seen.reference_from_target,
+        image[None],
+        first,
+        image_xy,
+        half_px=config.tracking.patch_half_px,
+    )
 
 
 def _match_between(

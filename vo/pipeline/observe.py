@@ -14,6 +14,7 @@ from vo.features.matching import agree_in_rotation, match_everywhere, match_wind
 from vo.geometry.patch_prediction import predict_patches
 from vo.geometry.pnp import PoseFit, refine_pose
 from vo.geometry.rectification import WorkingRig
+from vo.geometry.surfaces import left_from_right
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.map import Map
 from vo.pipeline.depth import disparity_from_depth
@@ -40,6 +41,7 @@ class Visible:
         image_xy: (n, 2) the same in the working image.
         scale: (n,) size of their patch now against its reference.
         reference_from_image: (n, 2, 2) takes steps of pixels back to their reference image.
+        slope: (n, 2) how inverse depth changes from pixel to pixel, relative to it, 1/px.
     """
 
     rows: Ints
@@ -47,6 +49,7 @@ class Visible:
     image_xy: Floats
     scale: Floats
     reference_from_image: Floats
+    slope: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,7 @@ class Observed:
         sigma_px: (n,) standard deviation of xy.
         score: (n,) correlation of the patch.
         scale: (n,) size of the patch now against its reference.
+        slope: (n, 2) how inverse depth changes from pixel to pixel, relative to it, 1/px.
     """
 
     rows: Ints
@@ -70,6 +74,7 @@ class Observed:
     sigma_px: Floats
     score: Floats
     scale: Floats
+    slope: Floats
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -81,6 +86,7 @@ def visible_landmarks(world: Map, rig: WorkingRig, world_from_cam: Floats) -> Vi
     first = world.keyframes[0].id if world.keyframes else 0
     seen = predict_patches(
         world.xyz,
+        world.normal,
         world.reference - first,
         np.arange(len(world)),
         np.full(len(world), len(poses) - 1),
@@ -94,7 +100,12 @@ def visible_landmarks(world: Map, rig: WorkingRig, world_from_cam: Floats) -> Vi
     inside = ((image_xy >= _BORDER_PX) & (image_xy < farthest)).all(axis=1)
     rows = rows[inside]
     return Visible(
-        rows, xy[inside], image_xy[inside], seen.scale[rows], seen.reference_from_target[rows]
+        rows,
+        xy[inside],
+        image_xy[inside],
+        seen.scale[rows],
+        seen.reference_from_target[rows],
+        seen.slope[rows],
     )
 
 
@@ -113,6 +124,7 @@ def _some(visible: Visible, kept: Ints) -> Visible:
         visible.image_xy[kept],
         visible.scale[kept],
         visible.reference_from_image[kept],
+        visible.slope[kept],
     )
 
 
@@ -227,6 +239,7 @@ def align_landmarks(
         sigma_px=config.sigma_px * _uncertainty(found.sigma_px[kept]),
         score=found.score[kept],
         scale=visible.scale[kept],
+        slope=visible.slope[kept],
     )
 
 
@@ -254,7 +267,9 @@ def with_disparity(
     in_cam = transform_points(inverse(world_from_cam), world.xyz[observed.rows])
     guess = rig.fx * rig.baseline_m / in_cam[:, 2]
     xy = observed.image_xy
-    disparity = measure_disparity(frame.image0, frame.image1, xy, guess, rig, config, stereo)
+    disparity = measure_disparity(
+        frame.image0, frame.image1, xy, guess, rig, config, stereo, observed.slope
+    )
     return replace(observed, disparity=disparity)
 
 
@@ -266,13 +281,19 @@ def measure_disparity(
     rig: WorkingRig,
     config: TrackingConfig,
     stereo: StereoConfig,
+    slope: Floats | None = None,
 ) -> Floats:
-    """Sub-pixel disparity (n,) of patches around xy (n, 2), NaN where there is none."""
+    """Sub-pixel disparity (n,) of patches around xy (n, 2), NaN where there is none.
+
+    Where the surface recedes, as a road does, the right camera sees the patch sheared: `slope`
+    (n, 2) tells how disparity changes from pixel to pixel, relative to it; None if unknown.
+    """
     expected = guess + rig.disparity_error(xy[:, 0] - guess)
     start = xy - np.column_stack([expected, np.zeros(len(guess))])
     only = np.zeros(len(xy), dtype=np.int64)
+    back = None if slope is None else left_from_right(guess, slope)
     found = align_between(
-        image0[None], only, xy, None, image1[None], only, start, half_px=config.patch_half_px
+        image0[None], only, xy, back, image1[None], only, start, half_px=config.patch_half_px
     )
     disparity = xy[:, 0] - found.xy[:, 0] - rig.disparity_error(found.xy[:, 0])
     good = found.converged & (found.score >= config.min_patch_score)

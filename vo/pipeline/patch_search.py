@@ -42,7 +42,7 @@ def find_patches(
     poses = np.stack([k.world_from_cam for k in world.keyframes])
     slots = np.array([k.slot for k in world.keyframes])
     intrinsics = (rig.fx, rig.fy, rig.cx, rig.cy)
-    seen = predict_patches(world.xyz, reference, rows, camera, poses, intrinsics)
+    seen = predict_patches(world.xyz, world.normal, reference, rows, camera, poses, intrinsics)
     kept = np.flatnonzero((seen.scale < _SCALE_RANGE) & (seen.scale > 1.0 / _SCALE_RANGE))
     expected = rig.image_from_ideal(seen.xy[kept])
     farthest = (rig.width - _BORDER_PX, rig.height - _BORDER_PX)

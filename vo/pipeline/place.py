@@ -112,6 +112,7 @@ def as_tracked(world: Map, keyframe: Keyframe) -> Tracked:
         keyframe.sigma_px,
         np.ones(n),
         np.ones(n),
+        np.zeros((n, 2)),
     )
     every = np.ones(n, dtype=bool)
     return Tracked(keyframe.world_from_cam, keyframe.landmark, observed, every)
