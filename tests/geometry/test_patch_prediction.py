@@ -20,11 +20,14 @@ def _project(world_from_cam: Floats, points: Floats) -> Floats:
     return np.asarray(seen[:, :2] / seen[:, 2:] * (FX, FY) + (CX, CY))
 
 
-def _predict(points: Floats, reference: Floats, target: Floats) -> PatchPrediction:
-    """Points whose patches the reference holds, in the target."""
+def _predict(
+    points: Floats, reference: Floats, target: Floats, normal: Floats | None = None
+) -> PatchPrediction:
+    """Points whose patches the reference holds, in the target; they face it unless told."""
     count = len(points)
     return predict_patches(
         points,
+        np.tile(reference[:3, 2] if normal is None else normal, (count, 1)),
         np.zeros(count, np.int64),
         np.arange(count),
         np.ones(count, np.int64),
@@ -60,6 +63,41 @@ def test_the_stretch_takes_steps_back_on_a_wall_that_faces_the_reference() -> No
         there = _project(target, moved) - _project(target, points)
         back = np.einsum("nij,nj->ni", seen.reference_from_target, there)
         np.testing.assert_allclose(back, np.tile(step, (len(points), 1)), atol=2e-5)
+
+
+def test_the_stretch_takes_steps_back_on_a_slanted_wall() -> None:
+    """Along the wall, exactly to first order, whichever way it is inclined."""
+    reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
+    target = _pose((-0.05, 0.3, 0.3), (-0.9, 0.2, 0.5))
+    points, normal = _points(), np.array([0.5, -0.4, 1.0])
+    seen = _predict(points, reference, target, 2.5 * normal)
+    rays = points - reference[:3, 3]
+    for step in ((1e-3, 0.0), (0.0, 1e-3), (-1e-3, 2e-3)):
+        moved_xy = _project(reference, points) + step
+        in_cam = np.column_stack([(moved_xy - (CX, CY)) / (FX, FY), np.ones(len(points))])
+        directions = in_cam @ reference[:3, :3].T
+        moved = reference[:3, 3] + directions * ((rays @ normal) / (directions @ normal))[:, None]
+        there = _project(target, moved) - seen.xy
+        back = np.einsum("nij,nj->ni", seen.reference_from_target, there)
+        # Steps of a pixel, which it is made of, are bent a little by the wall's slope.
+        np.testing.assert_allclose(back, np.tile(step, (len(points), 1)), atol=3e-5)
+
+
+def test_the_slope_is_that_of_the_wall_as_the_target_sees_it() -> None:
+    reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
+    target = _pose((-0.05, 0.3, 0.3), (-0.9, 0.2, 0.5))
+    points, normal = _points(), np.array([0.5, -0.4, 1.0])
+    seen = _predict(points, reference, target, normal)
+    for axis in range(2):
+        inverse_depth = []
+        for step in (-1e-3, 1e-3):
+            xy = seen.xy + step * np.eye(2)[axis]
+            in_cam = np.column_stack([(xy - (CX, CY)) / (FX, FY), np.ones(len(points))])
+            ahead = (points - target[:3, 3]) @ normal
+            inverse_depth.append(in_cam @ target[:3, :3].T @ normal / ahead)
+        change = (inverse_depth[1] - inverse_depth[0]) / 2e-3
+        expected = change / np.mean(inverse_depth, axis=0)
+        np.testing.assert_allclose(seen.slope[:, axis], expected, atol=1e-9)
 
 
 def test_nothing_is_predicted_behind_a_camera() -> None:

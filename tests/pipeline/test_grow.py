@@ -136,8 +136,9 @@ def test_disparities_are_those_of_the_wall(texture: Bytes) -> None:
     expected = FOCAL * BASELINE_M / _on_wall(rays, np.eye(4))[:, 2]
     assert np.isfinite(found).mean() > 0.4
     error = (found - expected)[np.isfinite(found)]
-    assert np.median(np.abs(error)) < 0.05
-    assert abs(np.median(error)) < 0.02
+    # 0.016 with patches that do not follow the wall's slant.
+    assert np.median(np.abs(error)) < 0.014
+    assert abs(np.median(error)) < 0.005
 
 
 def test_a_known_disparity_offset_is_taken_off(texture: Bytes) -> None:

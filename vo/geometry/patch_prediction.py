@@ -43,7 +43,8 @@ def predict_patches(
 
     Args:
         points: (M, 3) in the world.
-        normals: (M, 3) of the surfaces there, of any length; the reference camera's axis if unknown.
+        normals: (M, 3) of the surfaces there, of any length; where unknown, the reference camera's
+            axis.
         reference: (M,) row in world_from_cam of the camera that holds each point's patch.
         point: (N,) row in points of each pair.
         camera: (N,) row in world_from_cam of each pair.

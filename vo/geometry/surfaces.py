@@ -30,9 +30,7 @@ def inverse_depth_slopes(xy: Floats, inverse_depth: Floats, of: Ints) -> Floats:
     Returns:
         (n, 2) gradients of inverse depth by its value, 1/px.
     """
-    return np.asarray(
-        _slopes(np.ascontiguousarray(xy), np.ascontiguousarray(inverse_depth), of)
-    )
+    return np.asarray(_slopes(np.ascontiguousarray(xy), np.ascontiguousarray(inverse_depth), of))
 
 
 def surface_normals(

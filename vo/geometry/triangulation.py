@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.types import Bools, Floats
 
 
@@ -21,21 +22,46 @@ def triangulate(
     call it the mid-point method), which needs no SVD; the smoother refines it. Depths may come
     out negative: check them. Rays that are parallel give infinite points.
     """
-    ones = np.ones((len(rays_first), 1))
-    rotation, translation = second_from_first[:3, :3], second_from_first[:3, 3]
-    d1 = np.hstack([rays_first, ones])
-    d1 /= np.linalg.norm(d1, axis=1, keepdims=True)
-    d2 = np.hstack([rays_second, ones]) @ rotation  # in the first frame
-    d2 /= np.linalg.norm(d2, axis=1, keepdims=True)
-    centre = -rotation.T @ translation
-    cosine = np.sum(d1 * d2, axis=1)
-    sine_squared = np.sum(np.cross(d1, d2) ** 2, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along1 = ((d1 @ centre) - cosine * (d2 @ centre)) / sine_squared
-        along2 = (cosine * (d1 @ centre) - (d2 @ centre)) / sine_squared
-        points = 0.5 * (d1 * along1[:, None] + centre + d2 * along2[:, None])
-    points[~np.isfinite(points).all(axis=1)] = np.inf
-    return points, np.arctan2(np.sqrt(sine_squared), cosine)
+    centre = -second_from_first[:3, :3].T @ second_from_first[:3, 3]
+    points, angle = _triangulate(
+        np.ascontiguousarray(second_from_first),
+        centre,
+        np.ascontiguousarray(rays_first),
+        np.ascontiguousarray(rays_second),
+    )
+    return points, angle
+
+
+@compiled
+def _triangulate(pose, centre, first, second):  # type: ignore[no-untyped-def]
+    points, angle = np.empty((len(first), 3)), np.empty(len(first))
+    a, b = np.empty(3), np.empty(3)
+    for n in range(len(first)):
+        x, y = second[n]
+        length_a = np.sqrt(first[n, 0] ** 2 + first[n, 1] ** 2 + 1.0)
+        length_b = np.sqrt(x * x + y * y + 1.0)
+        a[0], a[1], a[2] = first[n, 0] / length_a, first[n, 1] / length_a, 1.0 / length_a
+        for i in range(3):  # in the first frame
+            b[i] = (pose[0, i] * x + pose[1, i] * y + pose[2, i]) / length_b
+        cosine, ahead_a, ahead_b = 0.0, 0.0, 0.0
+        for i in range(3):
+            cosine += a[i] * b[i]
+            ahead_a += a[i] * centre[i]
+            ahead_b += b[i] * centre[i]
+        sine_squared = (
+            (a[1] * b[2] - a[2] * b[1]) ** 2
+            + (a[2] * b[0] - a[0] * b[2]) ** 2
+            + (a[0] * b[1] - a[1] * b[0]) ** 2
+        )
+        angle[n] = np.arctan2(np.sqrt(sine_squared), cosine)
+        if sine_squared > 0.0:
+            along_a = (ahead_a - cosine * ahead_b) / sine_squared
+            along_b = (cosine * ahead_a - ahead_b) / sine_squared
+            for i in range(3):
+                points[n, i] = 0.5 * (a[i] * along_a + centre[i] + b[i] * along_b)
+        if not (sine_squared > 0.0 and np.isfinite(points[n]).all()):
+            points[n] = np.inf
+    return points, angle
 
 
 def in_front(points: Floats, second_from_first: Floats) -> Bools:

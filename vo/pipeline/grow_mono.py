@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.config import Config
-from vo.features.alignment import Alignment, align_between, align_patches
+from vo.features.alignment import Alignment, align_between
 from vo.features.matching import agree_in_rotation, match_segments
 from vo.geometry.epipolar_segments import epipolar_segments
 from vo.geometry.patch_prediction import predict_patches
@@ -58,12 +58,13 @@ def _grow_between(
     if len(query) == 0:
         return 0
     guess = keyframe.keypoints.xy[train].astype(np.float64)
-    found = align_patches(
+    found = align_between(
         world.images,
         np.full(len(query), other.slot),
         other.keypoints.xy[query].astype(np.float64),
-        np.tile(np.eye(2), (len(query), 1, 1)),
-        image,
+        None,
+        image[None],
+        np.zeros(len(query), dtype=np.int64),
         guess,
         half_px=config.tracking.patch_half_px,
     )
