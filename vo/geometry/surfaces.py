@@ -13,6 +13,7 @@ _MOST_DIFFERENT = 0.3  # inverse depth, relative: farther apart they lie on anot
 # Standard deviation of relative inverse depth about a plane, and of slopes as such, 1/px.
 _NOISE, _USUAL = 0.05, 0.02
 _PASSES = 3  # of reweighting
+_MOST_CELLS = 200  # a side: undistorted pixels may lie anywhere
 
 
 def inverse_depth_slopes(xy: Floats, inverse_depth: Floats, of: Ints) -> Floats:
@@ -76,9 +77,12 @@ def left_from_right(disparity: Floats, slope: Floats) -> Floats:
 def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
     slopes = np.zeros((len(of), 2))
     column, row, columns, first, order = _by_cell(xy)
-    beside = np.empty((len(xy), 4))  # steps to each neighbour, its inverse depth, its weight
+    u, v, told = xy[order, 0], xy[order, 1], inverse_depth[order]
+    # Steps to those beside, and how much nearer they are.
+    dx, dy, more = np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy))
     for i in range(len(of)):
         n = of[i]
+        x, y, by_own = xy[n, 0], xy[n, 1], 1.0 / inverse_depth[n]
         count = 0
         for r in range(max(row[n] - 1, 0), row[n] + 2):
             begin = r * columns + max(column[n] - 1, 0)
@@ -86,35 +90,31 @@ def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
             if begin >= len(first) - 1:
                 break
             for k in range(first[begin], first[min(end, len(first) - 1)]):
-                m = order[k]
-                dx, dy = xy[m, 0] - xy[n, 0], xy[m, 1] - xy[n, 1]
-                squared = dx * dx + dy * dy
-                more = inverse_depth[m] / inverse_depth[n] - 1.0
-                if m == n or squared > _REACH_PX**2 or not abs(more) <= _MOST_DIFFERENT:
-                    continue
-                beside[count, 0], beside[count, 1], beside[count, 2] = dx, dy, more
-                beside[count, 3] = 1.0 / (_NOISE**2 * (1.0 + squared / _FADE_PX**2))
-                count += 1
-        slopes[i, 0], slopes[i, 1] = _fitted(beside[:count])
+                right, down, nearer = u[k] - x, v[k] - y, told[k] * by_own - 1.0
+                near = (right * right + down * down <= _REACH_PX**2) & (order[k] != n)
+                dx[count], dy[count], more[count] = right, down, nearer
+                # Without a branch: what does not count is written over.
+                count += int(near & (abs(nearer) <= _MOST_DIFFERENT))
+        slopes[i, 0], slopes[i, 1] = _fitted(dx[:count], dy[:count], more[:count])
     return slopes
 
 
-@compiled
-def _fitted(beside):  # type: ignore[no-untyped-def]
+@compiled(fastmath={"reassoc", "contract"}, error_model="numpy")  # in vector instructions
+def _fitted(dx, dy, more):  # type: ignore[no-untyped-def]
     gx = gy = 0.0
     for number in range(_PASSES):
         xx = yy = 1.0 / _USUAL**2
         xy = bx = by = 0.0
-        for m in range(len(beside)):
-            dx, dy, more, weight = beside[m]
-            if number > 0:
-                residual = (more - gx * dx - gy * dy) / _NOISE
-                weight /= 1.0 + residual * residual
-            xx += weight * dx * dx
-            yy += weight * dy * dy
-            xy += weight * dx * dy
-            bx += weight * dx * more
-            by += weight * dy * more
+        robust = 0.0 if number == 0 else 1.0 / _NOISE**2
+        for m in range(np.uintp(len(dx))):
+            residual = more[m] - gx * dx[m] - gy * dy[m]
+            squared = (dx[m] * dx[m] + dy[m] * dy[m]) * (1.0 / _FADE_PX**2)
+            w = (1.0 / _NOISE**2) / ((1.0 + squared) * (1.0 + robust * residual * residual))
+            xx += w * dx[m] * dx[m]
+            yy += w * dy[m] * dy[m]
+            xy += w * dx[m] * dy[m]
+            bx += w * dx[m] * more[m]
+            by += w * dy[m] * more[m]
         determinant = xx * yy - xy * xy
         gx, gy = (bx * yy - by * xy) / determinant, (by * xx - bx * xy) / determinant
     return gx, gy
@@ -128,8 +128,8 @@ def _by_cell(xy):  # type: ignore[no-untyped-def]
     if len(xy) > 0:
         left, top = xy[:, 0].min(), xy[:, 1].min()
         for n in range(len(xy)):
-            column[n] = int((xy[n, 0] - left) / _REACH_PX)
-            row[n] = int((xy[n, 1] - top) / _REACH_PX)
+            column[n] = int(min((xy[n, 0] - left) / _REACH_PX, _MOST_CELLS - 1))
+            row[n] = int(min((xy[n, 1] - top) / _REACH_PX, _MOST_CELLS - 1))
             columns, rows = max(columns, column[n] + 1), max(rows, row[n] + 1)
     first = np.zeros(columns * rows + 1, dtype=np.int64)
     for n in range(len(xy)):
