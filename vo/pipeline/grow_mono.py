@@ -18,20 +18,27 @@ from vo.pipeline.grow import add_new
 from vo.types import Bools, Bytes, Floats, Ints
 
 _NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
-_SMALLEST = 0.85  # of a feature's depth is left when the camera has come nearer
+_SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
+_THIN = 3  # times `tracking.min_inliers`: with fewer landmarks a map is about to be lost
 _MOST_MOVED_PX = 3.0  # by knowing the surface
 
 
 def grow_mono(
     world: Map, keyframe: Keyframe, image: np.ndarray, rig: WorkingRig, config: Config
 ) -> int:
-    """Landmarks from features that a keyframe shares with some keyframes before it."""
+    """Landmarks from features that a keyframe shares with some keyframes before it.
+
+    With a map as thin as to be lost soon, pairs of keyframes are used too that lie one behind the
+    other, so that what is nearest in the older one is behind the camera in the newer. Their
+    landmarks are worse: used always they cost accuracy.
+    """
+    thin = len(keyframe.landmark) < _THIN * config.tracking.min_inliers
     added = 0
     others = world.keyframes[:-1][-config.mapping.neighbours :]
     for other in reversed(others):
         room = config.mapping.new_per_keyframe - added
         if room > 0:
-            added += _grow_between(world, keyframe, other, image, rig, config, room)
+            added += _grow_between(world, keyframe, other, image, rig, config, room, thin=thin)
     return added
 
 
@@ -43,6 +50,8 @@ def _grow_between(
     rig: WorkingRig,
     config: Config,
     room: int,
+    *,
+    thin: bool,
 ) -> int:
     """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`."""
     now_from_other = inverse(keyframe.world_from_cam) @ other.world_from_cam
@@ -51,8 +60,9 @@ def _grow_between(
     if depth is None or baseline < 0.005 * depth:
         return 0
     query, train = np.flatnonzero(other.free), np.flatnonzero(keyframe.free)
-    not_too_near = _not_too_near(other.ideal_xy[query], now_from_other, rig)
-    nearest = np.maximum(_NEAREST * depth, not_too_near)
+    nearest = np.full(len(query), _NEAREST * depth)
+    if thin:
+        nearest = np.maximum(nearest, _not_too_near(other.ideal_xy[query], now_from_other, rig))
     query, start, end = _segments(other, query, now_from_other, nearest, _FARTHEST * depth, rig)
     query, train = _match_between(keyframe, other, query, train, start, end, config)
     if len(query) == 0:
