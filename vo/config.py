@@ -129,7 +129,7 @@ class MappingConfig(Section):
     """Which landmarks the map holds."""
 
     new_per_keyframe: int = Field(600, ge=20, description="most new landmarks of a keyframe")
-    min_parallax_deg: float = Field(1.2, gt=0, description="mono: least parallax of a landmark")
+    min_parallax_deg: float = Field(1.1, gt=0, description="mono: least parallax of a landmark")
     look_back: int = Field(
         4, ge=0, description="keyframes in which new landmarks are looked for afterwards"
     )

@@ -19,7 +19,9 @@ from vo.types import Bools, Bytes, Floats, Ints
 
 _NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
 _SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
-_THIN = 3  # times `tracking.min_inliers`: with fewer landmarks a map is about to be lost
+# Least parallax of a landmark, as a share of the angle by which its image has moved: cameras are
+# calibrated to some pixels across the image, which in a turn look like parallax.
+_PARALLAX_SHARE = 0.12
 _MOST_MOVED_PX = 3.0  # by knowing the surface
 
 
@@ -28,18 +30,17 @@ def grow_mono(
 ) -> int:
     """Landmarks from features that a keyframe shares with some keyframes before it.
 
-    With a map as thin as to be lost soon, pairs of keyframes are used too that lie one behind the
-    other, so that what is nearest in the older one is behind the camera in the newer. Their
-    landmarks are worse: used always they cost accuracy.
+    With so few that another keyframe is wanted, those from a turn are better than none.
     """
-    thin = len(keyframe.landmark) < _THIN * config.tracking.min_inliers
-    added = 0
     others = world.keyframes[:-1][-config.mapping.neighbours :]
-    for other in reversed(others):
-        room = config.mapping.new_per_keyframe - added
-        if room > 0:
-            added += _grow_between(world, keyframe, other, image, rig, config, room, thin=thin)
-    return added
+    before, most = len(keyframe.landmark), config.mapping.new_per_keyframe
+    enough = config.keyframes.min_tracked_mono
+    for share, wanted in (_PARALLAX_SHARE, before + most), (0.0, min(enough, before + most)):
+        for other in reversed(others):
+            room = wanted - len(keyframe.landmark)
+            if room > 0:
+                _grow_between(world, keyframe, other, image, rig, config, room, share)
+    return len(keyframe.landmark) - before
 
 
 def _grow_between(
@@ -50,23 +51,25 @@ def _grow_between(
     rig: WorkingRig,
     config: Config,
     room: int,
-    *,
-    thin: bool,
-) -> int:
-    """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`."""
+    parallax_share: float,
+) -> None:
+    """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`.
+
+    The keyframes may lie so far behind each other that what is nearest in the older one is behind
+    the camera in the newer.
+    """
     now_from_other = inverse(keyframe.world_from_cam) @ other.world_from_cam
     depth = _median_depth(world, other)
     baseline = float(np.linalg.norm(now_from_other[:3, 3]))
     if depth is None or baseline < 0.005 * depth:
-        return 0
+        return
     query, train = np.flatnonzero(other.free), np.flatnonzero(keyframe.free)
-    nearest = np.full(len(query), _NEAREST * depth)
-    if thin:
-        nearest = np.maximum(nearest, _not_too_near(other.ideal_xy[query], now_from_other, rig))
+    nearest = _not_too_near(other.ideal_xy[query], now_from_other, rig)
+    nearest = np.maximum(nearest, _NEAREST * depth)
     query, start, end = _segments(other, query, now_from_other, nearest, _FARTHEST * depth, rig)
     query, train = _match_between(keyframe, other, query, train, start, end, config)
     if len(query) == 0:
-        return 0
+        return
     guess = keyframe.keypoints.xy[train].astype(np.float64)
     found = align_between(
         world.images,
@@ -83,16 +86,23 @@ def _grow_between(
     good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * size
     query, train, image_xy = query[good], train[good], found.xy[good]
     xy = rig.ideal_from_image(image_xy)
-    points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
+    points, good, _ = _points_between(
+        other.ideal_xy[query], xy, now_from_other, rig, config, parallax_share
+    )
     query, train, image_xy = query[good], train[good], image_xy[good]
     found = _on_surfaces(world, keyframe, other, image, query, image_xy, points[good], rig, config)
     good = found.converged & (found.score >= config.tracking.min_patch_score)
     good &= np.linalg.norm(found.xy - image_xy, axis=1) <= _MOST_MOVED_PX
     query, train, image_xy = query[good], train[good], found.xy[good]
     xy = rig.ideal_from_image(image_xy)
-    points, good = _points_between(other.ideal_xy[query], xy, now_from_other, rig, config)
-    query, train = query[good][:room], train[good][:room]
-    xy, image_xy, points = xy[good][:room], image_xy[good][:room], points[good][:room]
+    points, good, parallax = _points_between(
+        other.ideal_xy[query], xy, now_from_other, rig, config, parallax_share
+    )
+    chosen = np.flatnonzero(good)
+    if len(chosen) > room:
+        chosen = np.sort(chosen[np.argsort(-parallax[chosen], kind="stable")[:room]])
+    query, train = query[chosen], train[chosen]
+    xy, image_xy, points = xy[chosen], image_xy[chosen], points[chosen]
     in_world = transform_points(other.world_from_cam, points)
     ids = add_new(world, other, query, in_world, keyframe)
     none = np.full(len(ids), np.nan)
@@ -102,7 +112,6 @@ def _grow_between(
     keyframe.add_observations(ids, xy, image_xy, none, sigma)
     other.free[query] = False
     keyframe.free[train] = False
-    return len(ids)
 
 
 def _on_surfaces(
@@ -217,22 +226,29 @@ def _not_too_near(xy: Floats, now_from_other: Floats, rig: WorkingRig) -> Floats
 
 
 def _points_between(
-    xy_other: Floats, xy_now: Floats, now_from_other: Floats, rig: WorkingRig, config: Config
-) -> tuple[Floats, Bools]:
-    """Points (n, 3) in the other view's frame, and which of them are sound."""
+    xy_other: Floats,
+    xy_now: Floats,
+    now_from_other: Floats,
+    rig: WorkingRig,
+    config: Config,
+    parallax_share: float,
+) -> tuple[Floats, Bools, Floats]:
+    """Points (n, 3) in the other view's frame, which of them are sound, and parallax (n,), rad."""
     focal, centre = np.array([rig.fx, rig.fy]), np.array([rig.cx, rig.cy])
     points, angle = triangulate(
         now_from_other, (xy_other - centre) / focal, (xy_now - centre) / focal
     )
     good = in_front(points, now_from_other)
-    good &= angle >= np.deg2rad(config.mapping.min_parallax_deg)
+    moved_rad = np.linalg.norm((xy_now - xy_other) / focal, axis=1)
+    least = np.deg2rad(config.mapping.min_parallax_deg)
+    good &= angle >= np.maximum(least, parallax_share * moved_rad)
     limit = config.tracking.gate * config.tracking.sigma_px
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = transform_points(now_from_other, points)
         error_other = np.linalg.norm(rig.project(points) - xy_other, axis=1)
         error_now = np.linalg.norm(rig.project(moved) - xy_now, axis=1)
         good &= (error_other < limit) & (error_now < limit)
-    return points, good
+    return points, good, angle
 
 
 def _median_depth(world: Map, keyframe: Keyframe) -> float | None:
