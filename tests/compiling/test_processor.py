@@ -42,8 +42,15 @@ def test_an_older_processor_does_what_it_can(tmp_path: Path, missing: str) -> No
 
 
 def test_what_the_user_has_set_counts(tmp_path: Path) -> None:
-    given = {"NUMBA_CPU_NAME": "generic"}
-    assert _settled(tmp_path, LONGER, given) == given
+    settled = _settled(tmp_path, LONGER, {"NUMBA_CPU_NAME": "generic"})
+    assert settled == {"NUMBA_CPU_NAME": "generic", "OPENBLAS_CORETYPE": "Haswell"}
+
+
+@pytest.mark.parametrize("core", ["Haswell", "SkylakeX"])
+def test_what_is_set_for_blas_leaves_compiled_code_settled(tmp_path: Path, core: str) -> None:
+    settled = _settled(tmp_path, LONGER, {"OPENBLAS_CORETYPE": core})
+    assert settled["OPENBLAS_CORETYPE"] == core
+    assert settled["NUMBA_CPU_NAME"] == "x86-64-v3" and settled["NUMBA_CPU_FEATURES"] == ""
 
 
 def test_another_kind_of_processor_is_left_alone(tmp_path: Path) -> None:

@@ -15,11 +15,14 @@ from pathlib import Path
 _INFO = Path("/proc/cpuinfo")
 # What x86-64-v3 has beyond the older versions, as Linux calls it.
 _NEEDED = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
-_SETTINGS = {
-    "OPENBLAS_CORETYPE": "Haswell",
-    "NUMBA_CPU_NAME": "x86-64-v3",
-    "NUMBA_CPU_FEATURES": "",  # those that the name stands for, instead of all that are there
-}
+# Of libraries that know nothing of each other: what is asked for of one does not concern the other.
+_SETTINGS = (
+    {"OPENBLAS_CORETYPE": "Haswell"},
+    {
+        "NUMBA_CPU_NAME": "x86-64-v3",
+        "NUMBA_CPU_FEATURES": "",  # those that the name stands for, instead of all that are there
+    },
+)
 
 
 def use_common_instructions(
@@ -27,10 +30,14 @@ def use_common_instructions(
 ) -> None:
     """Settle it for this process and its children; to be called before numpy is imported.
 
-    Nothing changes where something else is asked for, or the processor is of another kind or older.
+    Nothing changes for a library that is told something already, nor on an older processor or one
+    of another kind.
     """
-    if _flags(info) >= _NEEDED and not any(name in environment for name in _SETTINGS):
-        environment.update(_SETTINGS)
+    if not _flags(info) >= _NEEDED:
+        return
+    for settings in _SETTINGS:
+        if not any(name in environment for name in settings):
+            environment.update(settings)
 
 
 def _flags(info: Path) -> set[str]:
