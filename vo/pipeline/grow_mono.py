@@ -19,8 +19,9 @@ from vo.types import Bools, Bytes, Floats, Ints
 
 _NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
 _SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
-# Least parallax of a landmark, as a share of the angle by which its image has moved: cameras are
-# calibrated to some pixels across the image, which in a turn look like parallax.
+# Least parallax of a landmark, as a share of the angle by which its image has moved: what a
+# calibration leaves wrong from one side of the image to the other looks like parallax in a turn.
+# One real turn asks for it, recordings with a perfect camera do not (docs/accuracy.md).
 _PARALLAX_SHARE = 0.12
 _MOST_MOVED_PX = 3.0  # by knowing the surface
 
