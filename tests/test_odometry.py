@@ -294,6 +294,44 @@ def test_a_disparity_offset_is_left_alone_where_that_is_asked_for(recording: Rec
     assert abs(fit.scale - 1.0) > 0.01  # so the shift is one that matters
 
 
+# Lens
+
+
+def _with_k1(recording: Recording, k1: float) -> Rig:
+    """A calibration that is wrong by so much: the lens of the recording has no distortion."""
+    cam0 = recording.rig.cam0
+    return Rig(replace(cam0, distortion_model="radtan", distortion=(k1, 0.0, 0.0, 0.0)))
+
+
+def test_a_lens_that_is_as_calibrated_is_left_alone(mono: Run) -> None:
+    assert mono.odometry.lens_error is None
+
+
+@pytest.mark.parametrize("k1", [-0.02, -0.01, 0.02])
+def test_what_a_calibration_leaves_of_the_lens_is_found_and_corrected(
+    recording: Recording, mono: Run, k1: float
+) -> None:
+    run = _run(_with_k1(recording, k1), recording.mono())
+    found = run.odometry.lens_error
+    assert found is not None
+    assert found.k1 == pytest.approx(-k1, rel=0.1)  # three pixels in the corners, or six
+    radius = np.hypot(240.0, 150.0) / 264.0
+    assert found.corner_px == pytest.approx(found.k1 * 264.0 * radius**3)
+    ate, _ = _fit(run, recording, with_scale=True)
+    right, _ = _fit(mono, recording, with_scale=True)
+    assert ate < 3.0 * right
+
+
+def test_a_lens_is_left_alone_where_that_is_asked_for(recording: Recording, mono: Run) -> None:
+    tracking = CONFIG.tracking.model_copy(update={"lens_correction": False})
+    config = CONFIG.model_copy(update={"tracking": tracking})
+    run = _run(_with_k1(recording, 0.02), recording.mono(), config)
+    assert run.odometry.lens_error is None
+    ate, _ = _fit(run, recording, with_scale=True)
+    right, _ = _fit(mono, recording, with_scale=True)
+    assert ate > 6.0 * right  # so the error is one that matters
+
+
 # A mono walk
 
 

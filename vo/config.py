@@ -53,6 +53,9 @@ class TrackingConfig(Section):
         4.0, gt=0, description="farthest that alignment may move from the projection"
     )
     max_landmarks: int = Field(1000, ge=50, description="most landmarks aligned in one frame")
+    lens_correction: bool = Field(
+        True, description="mono: estimate and correct an error of the lens's distortion"
+    )
     sigma_px: float = Field(0.5, gt=0, description="standard deviation of an aligned position")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
     gate: float = Field(3.5, gt=0, description="standard deviations from which it is an outlier")

@@ -32,6 +32,7 @@ from vo.pipeline.grow_mono import grow_mono
 from vo.pipeline.history import History
 from vo.pipeline.keyframe import add_keyframe, add_tracked, change_since
 from vo.pipeline.later import Later
+from vo.pipeline.lens_watch import LensWatch
 from vo.pipeline.light import fault_of
 from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
 from vo.pipeline.start import MonoStart, map_from_pair
@@ -55,6 +56,7 @@ from vo.types import (
     Frame,
     KeyframePose,
     Landmarks,
+    LensError,
     Rig,
     RightCamera,
     State,
@@ -100,17 +102,19 @@ class Odometry:
         self.history = History()
         self.details = True
         self._config = config
-        # Depth cameras have other errors than a wrong rectification.
-        self._corrects_offset = config.stereo.offset_correction and not rig.has_depth
         self._rig = working_rig(rig)
+        is_single = not self._rig.is_stereo
+        # Depth cameras have other errors than a wrong rectification.
+        corrects_disparities = config.stereo.offset_correction and not rig.has_depth
+        self._corrects = config.tracking.lens_correction if is_single else corrects_disparities
+        self._calibration_watch = LensWatch(self._rig) if is_single else DisparityWatch()
         threads = config.threads or available_cores()
         self._smoother = make_smoother(config.smoothing, threads, smoother_process)
         self._preparation = Preparation(config, threads=threads)
         capacity = config.smoothing.window + config.smoothing.fixed
         self._map = Map(capacity, self._rig.height, self._rig.width)
         self._motion = ConstantVelocity()
-        self._mono_start = MonoStart(self._rig, config)
-        self._disparity_watch = DisparityWatch()
+        self._mono_start = MonoStart(config)
         self._rows: RowErrors | None = None  # of the right camera, if a pair has told
         self._corrected = RowErrors()  # what of that is corrected in right images
         self._state = State.STARTING
@@ -129,6 +133,12 @@ class Odometry:
     def disparity_offset_px(self) -> float:
         """The constant error of disparities that is corrected, 0 if none was found."""
         return self._rig.disparity_offset_px
+
+    @property
+    def lens_error(self) -> LensError | None:
+        """What was wrong with a single camera's lens and is corrected."""
+        k1 = self._rig.lens_error
+        return LensError(k1, k1 * self._rig.corner_px_of_k1) if k1 != 0.0 else None
 
     @property
     def right_camera(self) -> RightCamera | None:
@@ -260,7 +270,9 @@ class Odometry:
             return None
         frame.begin_features()
         with clock.stage("map"):
-            keyframe = add_tracked(self._map, frame, tracked, self._segment, self._config)
+            keyframe = add_tracked(
+                self._map, frame, tracked, self._segment, self._rig, self._config
+            )
         if self._rig.is_stereo:  # the smoother works while the map grows
             self._smooth(keyframe, clock)
         with clock.stage("map"):
@@ -302,9 +314,9 @@ class Odometry:
             solution = self._smoother.answer()
         with clock.stage("window"):
             self._settle(solution)
-            offset = self._disparity_watch.update(solution.offset) if solution.offset else None
-            if offset is not None and self._corrects_offset:
-                self._correct_disparities(offset)
+            error = self._calibration_watch.update(solution.left) if solution.left else None
+            if error is not None and self._corrects:
+                self._correct(error)
             cull(self._map, self._config)
             incline(self._map, self._map.keyframes[-1], self._rig)
         self._motion.carry(newest.world_from_cam @ inverse(before))
@@ -316,8 +328,18 @@ class Odometry:
         self._store(moved)
         self._moved.update(k.id for k in moved)
 
+    def _correct(self, error: float) -> None:
+        """Move the map, and all that follows, to what the calibration should be."""
+        if self._rig.is_stereo:
+            self._correct_disparities(error)
+        else:
+            self._rig = self._rig.with_lens_error(error)
+            for keyframe in self._map.keyframes:
+                keyframe.see_through(self._rig)
+        self._smooth_map()
+
     def _correct_disparities(self, offset_px: float) -> None:
-        """Move all disparities, past and future, to a new offset, and the map with them."""
+        """Move all disparities, past and future, to a new offset."""
         is_yaw = self._rows is not None and is_from_yaw(offset_px, self._rows.skew_px)
         before = self._rig
         self._rig = replace(before, disparity_offset_px=offset_px, offset_is_yaw=is_yaw)
@@ -325,7 +347,6 @@ class Odometry:
             right_u = keyframe.image_xy[:, 0] - keyframe.disparity
             change = self._rig.disparity_error(right_u) - before.disparity_error(right_u)
             keyframe.disparity -= change
-        self._smooth_map()
 
     def _realign(self, corrected: RowErrors, clock: Stopwatch) -> None:
         """Move the disparities of the past to where a better alignment would have seen them."""
@@ -364,7 +385,7 @@ class Odometry:
         self._map.clear()
         everything = np.ones(len(frame.keypoints), dtype=bool)
         anchor = self._motion.last
-        keyframe = add_keyframe(self._map, frame, anchor, self._segment, everything)
+        keyframe = add_keyframe(self._map, frame, anchor, self._segment, everything, self._rig)
         keyframe.covariance = np.zeros((6, 6))  # what comes later is measured against it
         count = grow_stereo(self._map, keyframe, frame, self._rig, self._config)
         if count >= self._config.start.min_points:
@@ -376,13 +397,13 @@ class Odometry:
         return f"{count} landmarks with a depth, {needed} needed"
 
     def _start_mono(self, frame: WorkingFrame) -> Keyframe | str:
-        pair = self._mono_start.attempt(frame)
+        pair = self._mono_start.attempt(frame, self._rig)
         if isinstance(pair, str):
             return pair
         self._map.clear()
         sigma_px = self._config.tracking.sigma_px
         first, second = map_from_pair(
-            self._map, pair, self._motion.last, _MEDIAN_DEPTH, self._segment, sigma_px
+            self._map, pair, self._motion.last, _MEDIAN_DEPTH, self._segment, self._rig, sigma_px
         )
         self._store([first])
         self._hang(first)

@@ -228,6 +228,18 @@ class RightCamera(NamedTuple):
         return ", ".join(parts + rows)
 
 
+class LensError(NamedTuple):
+    """How a single camera's lens differs from its calibration, where that was found and corrected.
+
+    Attributes:
+        k1: what its first radial coefficient is larger by, that of OpenCV's `radtan` model.
+        corner_px: what that moves the image's corners by, outwards.
+    """
+
+    k1: float
+    corner_px: float
+
+
 class State(StrEnum):
     """What the odometry is doing."""
 

@@ -252,3 +252,49 @@ def test_rays_beyond_the_reach_of_the_lens_model_never_fall_into_the_image() -> 
     lens = replace(PLAIN, distortion_model="radtan", distortion=(-0.35, 0.05, 0.0, 0.0))
     far = np.array([[318.0 + 420.0 * r, 203.0] for r in (1.25, 1.4, 1.6, 10.0)])
     assert np.isnan(working_rig(Rig(lens)).image_from_ideal(far)).any(axis=1).all()
+
+
+# A lens that is not as calibrated
+
+
+@pytest.mark.parametrize("coefficients", [RADTAN, ()])
+def test_a_lens_error_is_one_of_k1(coefficients: tuple[float, ...]) -> None:
+    model: DistortionModel = "radtan" if coefficients else "none"
+    k1, *others = coefficients or (0.0, 0.0, 0.0, 0.0)
+    seen = replace(PLAIN, distortion_model="radtan", distortion=(k1 + 0.01, *others))
+    working = working_rig(Rig(replace(PLAIN, distortion_model=model, distortion=coefficients)))
+    corrected = working.with_lens_error(0.02).with_lens_error(0.01)
+    ideal = _points(working, 3.0)[1]
+    at = cameras.distort(seen, (ideal - (PLAIN.cx, PLAIN.cy)) / (PLAIN.fx, PLAIN.fy))
+    np.testing.assert_allclose(corrected.image_from_ideal(ideal), at, atol=1e-9)
+    np.testing.assert_allclose(corrected.ideal_from_image(at), ideal, atol=1e-6)
+    assert corrected.lens_error == 0.01
+    np.testing.assert_allclose(
+        corrected.with_lens_error(0.0).ideal_from_image(at), working.ideal_from_image(at), atol=1e-9
+    )
+
+
+def test_images_of_a_wide_lens_are_corrected_as_they_are_worked_on() -> None:
+    wide = replace(PLAIN, distortion_model="equidistant", distortion=EQUIDISTANT)
+    working = working_rig(Rig(wide)).with_lens_error(0.01)
+    assert working.lens is not None
+    assert working.lens.distortion == (0.01, 0.0, 0.0, 0.0)
+    assert working.lens.fx == working.fx
+
+
+def test_how_far_a_lens_error_moves_the_corners() -> None:
+    working = working_rig(Rig(replace(PLAIN, cx=WIDTH / 2, cy=HEIGHT / 2, fy=PLAIN.fx)))
+    corner = np.array([[WIDTH, HEIGHT]], dtype=np.float64)
+    moved = working.with_lens_error(0.001).image_from_ideal(corner) - corner
+    assert 0.001 * working.corner_px_of_k1 == pytest.approx(float(np.linalg.norm(moved)))
+
+
+def test_a_corrected_lens_that_folds_earlier_loses_no_feature() -> None:
+    folded = replace(PLAIN, distortion_model="radtan", distortion=(-0.28, 0.0, 0.0, 0.0))
+    working = working_rig(Rig(folded))
+    corrected = working.with_lens_error(-0.05)
+    radius = np.linspace(0.0, 0.75, 200) * PLAIN.fx
+    xy = np.column_stack([PLAIN.cx + radius, np.full(200, PLAIN.cy)])
+    before, after = working.ideal_from_image(xy), corrected.ideal_from_image(xy)
+    assert np.isnan(before).any() and not np.isnan(before).all()
+    np.testing.assert_array_equal(np.isnan(after), np.isnan(before))

@@ -52,7 +52,7 @@ def scene(synthetic_stereo: Path) -> Scene:
     first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
     world = Map(4, rig.height, rig.width)
     free = np.ones(len(first.keypoints), dtype=bool)
-    keyframe = add_keyframe(world, first, np.eye(4), 0, free)
+    keyframe = add_keyframe(world, first, np.eye(4), 0, free, rig)
     grow_stereo(world, keyframe, first, rig, CONFIG)
     seen = as_tracked(world, keyframe)
     last = Seen(first, seen.ids, seen.observed.image_xy, seen.inlier)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from vo.pipeline.disparity_watch import DisparityWatch
-from vo.smoothing.disparity_offset import DisparityOffset
+from vo.smoothing.miscalibration import Miscalibration
 
 
 def _corrections(offsets: list[float], sigma: float = 0.02) -> list[tuple[int, float]]:
     """Number of the window and offset of each correction; what is corrected is seen no more."""
     watch, found = DisparityWatch(), []
     for i, offset in enumerate(offsets):
-        wanted = watch.update(DisparityOffset(offset - watch.applied_px, sigma))
+        wanted = watch.update(Miscalibration(offset - watch.applied_px, sigma))
         if wanted is not None:
             found.append((i, wanted))
     return found

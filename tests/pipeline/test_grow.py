@@ -83,7 +83,7 @@ class Scene:
 
     def keyframe(self, frame: WorkingFrame, world_from_cam: Floats) -> Keyframe:
         free = np.ones(len(frame.keypoints), dtype=bool)
-        return add_keyframe(self.map, frame, world_from_cam, 0, free)
+        return add_keyframe(self.map, frame, world_from_cam, 0, free, self.rig)
 
     def depth_errors(self) -> Floats:
         """How far each landmark is from the wall, as a share of its depth."""
@@ -132,7 +132,7 @@ def test_disparities_are_those_of_the_wall(texture: Bytes) -> None:
     frame = scene.frame(np.eye(4))
     rows = np.arange(0, len(frame.keypoints), 2)
     found = stereo_disparity(frame, rows, scene.rig, CONFIG)
-    rays = scene.rig.back_project(frame.ideal_xy[rows], np.ones(len(rows)))
+    rays = scene.rig.back_project(frame.keypoints.xy[rows], np.ones(len(rows)))
     expected = FOCAL * BASELINE_M / _on_wall(rays, np.eye(4))[:, 2]
     assert np.isfinite(found).mean() > 0.4
     error = (found - expected)[np.isfinite(found)]

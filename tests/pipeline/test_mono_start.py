@@ -53,10 +53,11 @@ def _image(texture: Floats, frame: int) -> Bytes:
 
 def _started(images: list[Bytes], rig: WorkingRig, config: Config) -> tuple[FirstPair, list[str]]:
     preparation = Preparation(config, threads=1)
-    start = MonoStart(rig, config)
+    start = MonoStart(config)
     reasons: list[str] = []
     for index, image in enumerate(images):
-        found = start.attempt(preparation.later(Frame(index, index, image), rig).result())
+        frame = preparation.later(Frame(index, index, image), rig).result()
+        found = start.attempt(frame, rig)
         if isinstance(found, FirstPair):
             return found, reasons
         reasons.append(found)
@@ -67,7 +68,7 @@ def test_over_flat_ground_the_frames_between_begin_a_map(images: list[Bytes]) ->
     config = Config()
     pair, reasons = _started(images, RIG, config)
     assert "the plane in view allows two motions" in reasons
-    reference_xy = pair.reference.ideal_xy[pair.query]
+    reference_xy = RIG.ideal_from_image(pair.reference.keypoints.xy[pair.query])
     alone = start_two_view(reference_xy, pair.xy, RIG.matrix, config.start)
     assert alone == "the plane in view allows two motions"
 

@@ -11,7 +11,7 @@ from vo.geometry.transforms import se3_exp
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.history import History, Untracked
 from vo.pipeline.stopwatch import Stopwatch
-from vo.smoothing.disparity_offset import DisparityOffset
+from vo.smoothing.miscalibration import Miscalibration
 from vo.types import Floats, KeyframePose
 
 # History
@@ -145,7 +145,7 @@ def _watch(
     watch, changes = DisparityWatch(), 0
     for _ in range(windows):
         left = truth_px - watch.applied_px + noise_px * rng.standard_normal()
-        changes += watch.update(DisparityOffset(left, sigma_px)) is not None
+        changes += watch.update(Miscalibration(left, sigma_px)) is not None
     return watch, changes
 
 
@@ -170,20 +170,20 @@ def test_the_watch_tells_which_offset_to_apply() -> None:
     watch = DisparityWatch()
     assert watch.estimate_px == 0.0
     for _ in range(2):  # a single window proves nothing
-        assert watch.update(DisparityOffset(0.6, 0.01)) is None
-    assert watch.update(DisparityOffset(0.6, 0.01)) == pytest.approx(0.6)
+        assert watch.update(Miscalibration(0.6, 0.01)) is None
+    assert watch.update(Miscalibration(0.6, 0.01)) == pytest.approx(0.6)
     assert watch.applied_px == pytest.approx(0.6)
-    assert watch.update(DisparityOffset(0.0, 0.01)) is None
+    assert watch.update(Miscalibration(0.0, 0.01)) is None
     assert watch.estimate_px == pytest.approx(0.6)
 
 
 def test_an_offset_that_comes_back_to_nothing_is_taken_back() -> None:
     watch = DisparityWatch()
     for _ in range(3):
-        watch.update(DisparityOffset(0.4, 0.01))
+        watch.update(Miscalibration(0.4, 0.01))
     assert watch.applied_px == pytest.approx(0.4)
     for _ in range(30):
-        watch.update(DisparityOffset(-watch.applied_px, 0.01))
+        watch.update(Miscalibration(-watch.applied_px, 0.01))
     assert watch.applied_px == 0.0
 
 
@@ -194,8 +194,8 @@ def test_unsure_windows_change_nothing() -> None:
 
 def test_sure_windows_count_more_than_unsure_ones() -> None:
     watch = DisparityWatch()
-    watch.update(DisparityOffset(5.0, 10.0))
-    watch.update(DisparityOffset(0.4, 0.02))
+    watch.update(Miscalibration(5.0, 10.0))
+    watch.update(Miscalibration(0.4, 0.02))
     assert watch.estimate_px == pytest.approx(0.4, abs=0.01)
 
 

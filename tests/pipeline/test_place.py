@@ -48,7 +48,7 @@ def scene(synthetic_stereo: Path) -> Scene:
     first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
     world = Map(4, rig.height, rig.width)
     free = np.ones(len(first.keypoints), dtype=bool)
-    keyframe = add_keyframe(world, first, np.eye(4), 0, free)
+    keyframe = add_keyframe(world, first, np.eye(4), 0, free, rig)
     assert grow_stereo(world, keyframe, first, rig, CONFIG) > 200
     true = read_tum(synthetic_stereo / "groundtruth.tum").world_from_cam
     return Scene(world, rig, later, inverse(true[0]) @ true[2])

@@ -39,7 +39,7 @@ def test_every_frame_comes_in_order_and_is_the_same_as_alone(preparation: Prepar
     assert [frame.index for frame in ahead] == [0, 1, 2, 3]
     for one, other in zip(ahead, alone, strict=True):
         np.testing.assert_array_equal(one.keypoints.descriptor, other.keypoints.descriptor)
-        np.testing.assert_array_equal(one.ideal_xy, other.ideal_xy)
+        np.testing.assert_array_equal(one.keypoints.xy, other.keypoints.xy)
 
 
 def test_one_frame_is_read_ahead_and_no_more(preparation: Preparation) -> None:

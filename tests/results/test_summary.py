@@ -15,6 +15,7 @@ from vo.types import (
     Estimate,
     KeyframePose,
     Landmarks,
+    LensError,
     PlacedFrames,
     Skipped,
     State,
@@ -69,6 +70,7 @@ def summary_of(
     skipped: Sequence[Skipped] = (),
     mode: str = "stereo",
     offset_px: float = 0.0,
+    lens: LensError | None = None,
 ) -> Summary:
     account = Account()
     for each in estimates:
@@ -84,6 +86,7 @@ def summary_of(
         unpaired=0,
         wall_s=2.0,
         disparity_offset_px=offset_px,
+        lens_error=lens,
     )
 
 
@@ -148,6 +151,22 @@ def test_an_offset_of_many_pixels_is_called_a_wrong_calibration() -> None:
     (wrong,) = summary_of([estimate(0)], placed([0]), offset_px=13.8).warnings
     assert "calibration is wrong" in wrong
     assert "corrected" not in wrong
+
+
+def test_a_lens_that_is_not_as_calibrated_is_told_with_what_to_do() -> None:
+    summary = summary_of(
+        [estimate(0)], placed([0]), mode="mono", lens=LensError(0.012345678, 6.4567)
+    )
+    assert summary.to_dict()["lens_error"] == {"k1": 0.01235, "corner_px": 6.4567}
+    told = summary.warnings[0]
+    assert "k1 off by +0.0123, +6.5 px in the image's corners" in told
+    assert "has been corrected" in told
+    assert "vo calibrate" in told
+    wrong = summary_of([estimate(0)], placed([0]), mode="mono", lens=LensError(-0.22, -116.0))
+    assert "the path is off: calibrate anew" in wrong.warnings[0]
+    right = summary_of([estimate(0)], placed([0]), mode="mono")
+    assert right.to_dict()["lens_error"] is None
+    assert not any("lens" in sentence for sentence in right.warnings)
 
 
 def test_a_scene_that_is_far_for_the_baseline_is_said_to_be() -> None:

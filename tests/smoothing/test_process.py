@@ -38,7 +38,7 @@ def _problem(seed: int = 1) -> WindowProblem:
 
 def _assert_same(found: WindowSolution, expected: WindowSolution) -> None:
     assert found.converged and expected.converged
-    assert found.offset == expected.offset
+    assert found.left == expected.left
     for name in ("world_from_cam", "information", "points", "point_ok"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 

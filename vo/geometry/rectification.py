@@ -46,8 +46,9 @@ class WorkingRig:
             that to a right camera that is not there (`VIRTUAL_BASELINE_M`).
         cam0_from_working: (4, 4) turns the working (rectified) left camera into the recorded cam0.
         lens: the distorted camera whose images are used as recorded, or None if there is nothing
-            to undo.
+            to undo; with its error corrected.
         maps: OpenCV's rectification maps of each camera, None for images that are used as is.
+        lens_error: what k1 of that lens is larger by than calibrated.
         disparity_offset_px: what a slightly wrong calibration adds to every disparity.
         offset_is_yaw: whether that is because the right camera looks sideways, so that it grows
             towards the left and right of the image, or the same everywhere.
@@ -63,6 +64,7 @@ class WorkingRig:
     cam0_from_working: Floats
     lens: Camera | None = None
     maps: tuple[_Maps | None, ...] = (None, None)
+    lens_error: float = 0.0
     disparity_offset_px: float = 0.0
     offset_is_yaw: bool = False
 
@@ -101,16 +103,33 @@ class WorkingRig:
             at_u, at_v = (_looked_up(side, at_u, at_v) for side in recorded)
         return replace(self, maps=(self.maps[0], cv2.convertMaps(at_u, at_v, cv2.CV_16SC2)))
 
+    def with_lens_error(self, k1: float) -> WorkingRig:
+        """The same rig with a lens whose k1 is larger by so much than calibrated."""
+        size, intrinsics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
+        ideal = Camera(*size, *intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
+        lens = _bent(self.lens or ideal, k1 - self.lens_error)
+        return replace(self, lens=lens, lens_error=k1)
+
+    @property
+    def corner_px_of_k1(self) -> float:
+        """How far the image's corners are moved by a k1 that is larger by 1, to first order."""
+        radius = np.hypot(0.5 * self.width / self.fx, 0.5 * self.height / self.fy)
+        return float(self.fx * radius**3)
+
     def disparity_error(self, right_u: Floats) -> Floats:
         """What the calibration adds to disparities of points at columns (N,) on the right."""
         growth = ((right_u - self.cx) / self.fx) ** 2 if self.offset_is_yaw else 0.0 * right_u
         return np.asarray(self.disparity_offset_px * (1.0 + growth))
 
-    def ideal_from_image(self, xy: Floats) -> Floats:
+    def ideal_from_image(self, xy: Floats | Floats32) -> Floats:
         """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""
+        at = np.asarray(xy, dtype=np.float64)
         if self.lens is None:
-            return np.asarray(xy, dtype=np.float64)
-        rays = cameras.normalise(self.lens, xy)
+            return at
+        rays = cameras.normalise(self.lens, at)
+        if self.lens_error != 0.0:  # with which it may not reach as far
+            beyond = np.isnan(rays).any(axis=1)
+            rays[beyond] = cameras.normalise(_bent(self.lens, -self.lens_error), at[beyond])
         rays[np.linalg.norm(rays, axis=1) > _MAX_RAY] = np.nan
         return np.asarray(rays * (self.fx, self.fy) + (self.cx, self.cy))
 
@@ -154,6 +173,12 @@ def _single(c: Camera, baseline: float) -> WorkingRig:
     matrix = np.array([[fx, 0.0, c.cx], [0.0, fy, c.cy], [0.0, 0.0, 1.0]])
     maps = (_wide_maps(c, np.eye(3), matrix, (c.width, c.height)), None)
     return WorkingRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), None, maps)
+
+
+def _bent(lens: Camera, k1: float) -> Camera:
+    """A `radtan` lens whose k1 is larger by so much."""
+    first, *others = lens.distortion
+    return replace(lens, distortion=(first + k1, *others))
 
 
 def _is_rectified(rig: Rig) -> bool:

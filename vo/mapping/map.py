@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.geometry.rectification import WorkingRig
 from vo.mapping.lookup import rows_of
 from vo.types import Bools, Bytes, Floats, Ints, Keypoints
 
@@ -50,6 +51,11 @@ class Keyframe:
     image_xy: Floats
     disparity: Floats
     sigma_px: Floats
+
+    def see_through(self, rig: WorkingRig) -> None:
+        """Find the ideal pixels anew, for a lens that bends the image otherwise."""
+        self.xy = rig.ideal_from_image(self.image_xy)
+        self.ideal_xy = rig.ideal_from_image(self.keypoints.xy)
 
     def add_observations(
         self, landmark: Ints, xy: Floats, image_xy: Floats, disparity: Floats, sigma_px: Floats

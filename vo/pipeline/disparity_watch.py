@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.smoothing.disparity_offset import DisparityOffset
+from vo.smoothing.miscalibration import Miscalibration
 
 # Windows of the same recording differ by more than their noise explains: uneven rectification,
 # moving things. Measured on real recordings: 0.1 px.
@@ -30,14 +30,14 @@ class DisparityWatch:
         """The mean over windows so far, 0 before the first."""
         return self._sum / self._weight if self._weight > 0 else 0.0
 
-    def update(self, left_over: DisparityOffset) -> float | None:
+    def update(self, left_over: Miscalibration) -> float | None:
         """Take in a window's estimate; the new offset to apply, or None to leave it.
 
         Windows overlap: one in ten counts for how sure their mean is.
         """
-        sigma = float(np.hypot(left_over.sigma_px, _SYSTEMATIC_PX))
+        sigma = float(np.hypot(left_over.sigma, _SYSTEMATIC_PX))
         self._weight += sigma**-2
-        self._sum += (self.applied_px + left_over.offset_px) * sigma**-2
+        self._sum += (self.applied_px + left_over.value) * sigma**-2
         estimate = self.estimate_px
         self._windows += 1
         sure_px = sigma / np.sqrt(1.0 + (self._windows - 1) / _OVERLAP)

@@ -46,7 +46,7 @@ def essential_step(
     query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
     if len(query) < config.start.min_matches:
         return None
-    first, second = last.frame.ideal_xy[query], frame.ideal_xy[matched[query]]
+    first, second = (rig.ideal_from_image(xy) for xy in (a.xy[query], b.xy[matched[query]]))
     found = epipolar.find_essential(first, second, rig.matrix, config.start.threshold_px)
     if found is None or int(found[1].sum()) < config.start.min_points:
         return None

@@ -17,7 +17,7 @@ from vo.pipeline.depth import disparity_from_depth
 from vo.pipeline.later import Later
 from vo.pipeline.observe import measure_disparity
 from vo.pipeline.patch_search import find_patches
-from vo.pipeline.working_frame import Features, WorkingFrame
+from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Floats, Ints
 
 
@@ -95,12 +95,11 @@ def looks_swapped(frame: WorkingFrame, rig: WorkingRig, config: Config) -> bool:
     if frame.image1 is None or frame.right is None:
         return False
     keypoints, left = frame.right.result(), frame.keypoints
-    features = Features(keypoints, frame.ideal_xy)  # where they lie is of no interest here
     mirrored = replace(
         frame,
         image0=frame.image1,
         image1=frame.image0,
-        left=Later(lambda: features, None),
+        left=Later(lambda: keypoints, None),
         right=Later(lambda: left, None),
     )
     disparity = stereo_disparity(mirrored, np.arange(len(keypoints)), rig, config)
@@ -130,7 +129,7 @@ def _on_surfaces(
     assert frame.image1 is not None
     known = np.flatnonzero(disparity > 0.0)
     xy, guess = frame.keypoints.xy[rows[known]].astype(np.float64), disparity[known]
-    slope = inverse_depth_slopes(frame.ideal_xy[rows[known]], guess, np.arange(len(known)))
+    slope = inverse_depth_slopes(rig.ideal_from_image(xy), guess, np.arange(len(known)))
     again = measure_disparity(
         frame.image0, frame.image1, xy, guess, rig, config.tracking, config.stereo, slope
     )

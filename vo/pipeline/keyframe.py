@@ -6,6 +6,7 @@ import numpy as np
 
 from vo.config import Config
 from vo.geometry.neighbours import far_from
+from vo.geometry.rectification import WorkingRig
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.observe import predicted_octave
 from vo.pipeline.place import Tracked
@@ -33,7 +34,12 @@ def change_since(world: Map, frame: WorkingFrame, tracked: Tracked, config: Conf
 
 
 def add_keyframe(
-    world: Map, frame: WorkingFrame, world_from_cam: Floats, segment: int, free: Bools
+    world: Map,
+    frame: WorkingFrame,
+    world_from_cam: Floats,
+    segment: int,
+    free: Bools,
+    rig: WorkingRig,
 ) -> Keyframe:
     """Store a working frame; `free` (N,) marks its features that have no landmark."""
     return world.add_keyframe(
@@ -43,18 +49,23 @@ def add_keyframe(
         image=frame.image0,
         world_from_cam=world_from_cam,
         keypoints=frame.keypoints,
-        ideal_xy=frame.ideal_xy,
+        ideal_xy=rig.ideal_from_image(frame.keypoints.xy),
         free=free,
     )
 
 
 def add_tracked(
-    world: Map, frame: WorkingFrame, tracked: Tracked, segment: int, config: Config
+    world: Map,
+    frame: WorkingFrame,
+    tracked: Tracked,
+    segment: int,
+    rig: WorkingRig,
+    config: Config,
 ) -> Keyframe:
     """Store a tracked frame with the landmarks that it sees."""
     observed = tracked.observed
     free = far_from(frame.keypoints.xy, observed.image_xy)
-    keyframe = add_keyframe(world, frame, tracked.world_from_cam, segment, free)
+    keyframe = add_keyframe(world, frame, tracked.world_from_cam, segment, free, rig)
     kept = tracked.inlier & (world.rows(tracked.ids) >= 0)
     ids = tracked.ids[kept]
     keyframe.add_observations(

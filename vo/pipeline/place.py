@@ -129,7 +129,7 @@ def _pose_of(
     octave = frame.keypoints.octave[keypoints].astype(np.float64)
     found = observe.pose_from_matches(
         world.xyz[rows],
-        frame.ideal_xy[keypoints],
+        rig.ideal_from_image(frame.keypoints.xy[keypoints]),
         config.features.scale_factor**octave,
         rig,
         config.tracking,

@@ -37,8 +37,7 @@ class FirstPair:
 class MonoStart:
     """Follows the features of a reference frame until there is enough parallax for a map."""
 
-    def __init__(self, rig: WorkingRig, config: Config) -> None:
-        self._rig = rig
+    def __init__(self, config: Config) -> None:
         self._config = config
         self._reference: WorkingFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
@@ -51,19 +50,19 @@ class MonoStart:
         self._reference = None
         self.waiting, self._seen = [], []
 
-    def attempt(self, frame: WorkingFrame) -> FirstPair | str:
+    def attempt(self, frame: WorkingFrame, rig: WorkingRig) -> FirstPair | str:
         """A first map from the reference frame and this one, or why there is none yet."""
         if self._reference is None:
             return self._begin(frame, "this is the reference frame")
-        query, image_xy = self._match(self._reference, frame)
+        query, image_xy = self._match(self._reference, frame, rig)
         if len(query) < self._config.start.min_matches:
             return self._begin(frame, f"{len(query)} matches with the reference frame, too few")
         self._expected_xy[query] = image_xy
-        xy = self._rig.ideal_from_image(image_xy)
-        reference_xy = self._reference.ideal_xy[query]
+        xy = rig.ideal_from_image(image_xy)
+        reference_xy = rig.ideal_from_image(self._reference.keypoints.xy[query])
         asked = np.linspace(0, len(self._seen) - 1, min(_ASKED, len(self._seen)))
         between = [_between(query, *self._seen[int(i)]) for i in asked]
-        result = start_two_view(reference_xy, xy, self._rig.matrix, self._config.start, between)
+        result = start_two_view(reference_xy, xy, rig.matrix, self._config.start, between)
         if isinstance(result, str):
             self.waiting = [*self.waiting[1 - _MOST_WAITING :], frame]
             self._seen = [*self._seen[1 - _MOST_WAITING :], (query, xy)]
@@ -76,11 +75,13 @@ class MonoStart:
         self._expected_xy = frame.keypoints.xy.astype(np.float64)
         return reason
 
-    def _match(self, reference: WorkingFrame, frame: WorkingFrame) -> tuple[Ints, Floats]:
+    def _match(
+        self, reference: WorkingFrame, frame: WorkingFrame, rig: WorkingRig
+    ) -> tuple[Ints, Floats]:
         """Features of the reference found in the frame, and where, to sub-pixel."""
         tracking = self._config.tracking
         a, b = reference.keypoints, frame.keypoints
-        radius = np.full(len(a), 4.0 * tracking.search_share * self._rig.width)
+        radius = np.full(len(a), 4.0 * tracking.search_share * rig.width)
         matched = match_windows(
             self._expected_xy,
             a.octave,
@@ -118,7 +119,13 @@ class MonoStart:
 
 
 def map_from_pair(
-    world: Map, pair: FirstPair, anchor: Floats, median_depth: float, segment: int, sigma_px: float
+    world: Map,
+    pair: FirstPair,
+    anchor: Floats,
+    median_depth: float,
+    segment: int,
+    rig: WorkingRig,
+    sigma_px: float,
 ) -> tuple[Keyframe, Keyframe]:
     """Two keyframes and their landmarks, scaled to a median depth; the first is at `anchor`."""
     good, points = pair.two_view.good, pair.two_view.points
@@ -126,11 +133,12 @@ def map_from_pair(
     motion = pair.two_view.second_from_first.copy()
     motion[:3, 3] *= scale
     query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)
-    first = add_keyframe(world, pair.reference, anchor, segment, _others(pair.reference, query))
+    others = _others(pair.reference, query)
+    first = add_keyframe(world, pair.reference, anchor, segment, others, rig)
     first.covariance = np.zeros((6, 6))  # what comes later is measured against it
     taken = pair.image_xy[good]
     free = far_from(pair.current.keypoints.xy, taken)
-    second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free)
+    second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free, rig)
     keypoints = pair.reference.keypoints
     reference_xy = keypoints.xy[query].astype(np.float64)
     ids = world.add_landmarks(
@@ -143,7 +151,7 @@ def map_from_pair(
         second,
     )
     none, sigma = np.full(len(ids), np.nan), np.full(len(ids), sigma_px)
-    first.add_observations(ids, pair.reference.ideal_xy[query], reference_xy, none, sigma)
+    first.add_observations(ids, first.ideal_xy[query], reference_xy, none, sigma)
     second.add_observations(ids, pair.xy[good], taken, none, sigma)
     return first, second
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,19 +16,7 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.row_errors import RowErrors
 from vo.pipeline.later import Later
 from vo.pipeline.row_alignment import RowAlignment, View
-from vo.types import Bools, Bytes, Floats, Floats32, Frame, Keypoints
-
-
-class Features(NamedTuple):
-    """Features of a left image, all inside the ideal camera's field of view.
-
-    Attributes:
-        keypoints: N of them.
-        ideal_xy: (N, 2) float64 their ideal pinhole pixels.
-    """
-
-    keypoints: Keypoints
-    ideal_xy: Floats
+from vo.types import Bools, Bytes, Floats32, Frame, Keypoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +29,8 @@ class WorkingFrame:
         image0: (H, W) uint8 working image of the left camera.
         image1: the same of the right camera, or None.
         smaller: image0 at 1/2, 1/4 and 1/8 of its size.
-        left: features of image0, found when they are asked for, like those on the right: frames
-            that are no keyframes seldom need them.
+        left: features of image0 inside the ideal camera's field of view, found when they are asked
+            for, like those on the right: frames that are no keyframes seldom need them.
         right: features of image1.
         depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
         path: the file that holds the left image as recorded, or None.
@@ -56,7 +43,7 @@ class WorkingFrame:
     image0: Bytes
     image1: Bytes | None
     smaller: tuple[Bytes, ...]
-    left: Later[Features]
+    left: Later[Keypoints]
     right: Later[Keypoints] | None = None
     depth: Floats32 | None = None
     path: Path | None = None
@@ -66,12 +53,7 @@ class WorkingFrame:
     @property
     def keypoints(self) -> Keypoints:
         """The features of image0."""
-        return self.left.result().keypoints
-
-    @property
-    def ideal_xy(self) -> Floats:
-        """Their ideal pinhole pixels (N, 2)."""
-        return self.left.result().ideal_xy
+        return self.left.result()
 
     @property
     def used_keypoints_xy(self) -> Floats32:
@@ -144,9 +126,9 @@ class Preparation:
             image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
             right = self._right(image1)
             if self._rows.asks():
-                features = self._left(image0, rig)
-                left = Later(lambda: features, None)  # a thread cannot wait for itself
-                one, other = View(image0, features.keypoints), View(image1, right.result())
+                keypoints = self._left(image0, rig)
+                left = Later(lambda: keypoints, None)  # a thread cannot wait for itself
+                one, other = View(image0, keypoints), View(image1, right.result())
                 if self._rows.learn(one, other, rig):
                     image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
                     right = self._right(image1)
@@ -167,13 +149,10 @@ class Preparation:
             working.begin_features()
         return working
 
-    def _left(self, image: Bytes, rig: WorkingRig) -> Features:
+    def _left(self, image: Bytes, rig: WorkingRig) -> Keypoints:
         keypoints = self._detectors[0].detect(image)
-        ideal = rig.ideal_from_image(keypoints.xy.astype(np.float64))
-        inside = np.asarray(np.isfinite(ideal).all(axis=1))
-        if not inside.all():
-            keypoints, ideal = select(keypoints, inside), ideal[inside]
-        return Features(keypoints, ideal)
+        inside = np.asarray(np.isfinite(rig.ideal_from_image(keypoints.xy)).all(axis=1))
+        return keypoints if inside.all() else select(keypoints, inside)
 
     def _right(self, image: Bytes) -> Later[Keypoints]:
         pool = self._pools[1] if self._pools else None

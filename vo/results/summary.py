@@ -12,7 +12,7 @@ from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import Floats, Ints, Light, PlacedFrames, RightCamera, Skipped, State
+from vo.types import Floats, Ints, LensError, Light, PlacedFrames, RightCamera, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -20,6 +20,7 @@ SCHEMA_VERSION = 1
 
 _WORTH_TELLING_PX = 0.05
 _BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
+_BEYOND_LENS_PX = 15.0  # in the image's corners; more is no slightly wrong lens
 _USUAL_OFFSET_PX = 0.1  # of the disparities of a well calibrated pair
 _FAR_PX = 2.0  # median disparity below which that makes lengths 5 % wrong
 _FEW_INLIERS = 50
@@ -89,6 +90,7 @@ class Summary:
     median_disparity_px: float | None
     disparity_offset_px: float
     right_camera: RightCamera | None = None
+    lens_error: LensError | None = None
     profile: Profile | None = None
 
     @property
@@ -110,12 +112,13 @@ class Summary:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
-        profile, right = fields.pop("profile"), fields.pop("right_camera")
+        profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
         return {
             "schema_version": SCHEMA_VERSION,
             **fields,
             **asdict(facts),
             "right_camera": None if right is None else _rounded(right),
+            "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),
             "skipped": [asdict(s) for s in self.skipped],
             "without_pose": [r._asdict() for r in self.without_pose],
@@ -141,6 +144,7 @@ def summarise(
     wall_s: float,
     disparity_offset_px: float = 0.0,
     right_camera: RightCamera | None = None,
+    lens_error: LensError | None = None,
     error: str | None = None,
     profile: Profile | None = None,
 ) -> Summary:
@@ -176,6 +180,7 @@ def summarise(
         median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
         disparity_offset_px=round(disparity_offset_px, 4),
         right_camera=right_camera,
+        lens_error=lens_error,
         profile=profile,
     )
 
@@ -214,8 +219,8 @@ def _path_length(steps: Floats) -> float:
     return float(steps.sum())
 
 
-def _rounded(times: StageTime | RightCamera) -> dict[str, float]:
-    return {name: round(value, 3) for name, value in times._asdict().items()}
+def _rounded(values: StageTime | RightCamera | LensError, digits: int = 3) -> dict[str, float]:
+    return {name: round(value, digits) for name, value in values._asdict().items()}
 
 
 def _warnings(summary: Summary) -> list[str]:
@@ -241,6 +246,8 @@ def _warnings(summary: Summary) -> list[str]:
     explained = summary.right_camera is not None and summary.right_camera.yaw_deg != 0.0
     if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX and not explained:
         warnings.append(_of_offset(summary.disparity_offset_px))
+    if summary.lens_error is not None:
+        warnings.append(_of_lens(summary.lens_error))
     if summary.median_disparity_px is not None and summary.median_disparity_px < _FAR_PX:
         warnings.append(_of_far_scene(summary.median_disparity_px))
     if len(summary.segments) > 1:
@@ -274,6 +281,15 @@ def _of_right_camera(found: RightCamera) -> str:
         f"the right camera is not as calibrated ({found.in_words}); this has been corrected, but "
         "calibrate anew: vo calibrate"
     )
+
+
+def _of_lens(found: LensError) -> str:
+    amount = f"k1 off by {found.k1:+.4f}, {found.corner_px:+.1f} px in the image's corners"
+    if abs(found.corner_px) < _BEYOND_LENS_PX:
+        corrected = "this has been corrected, but calibrate anew"
+    else:
+        corrected = "one coefficient cannot correct all of that; the path is off: calibrate anew"
+    return f"the lens is not as calibrated ({amount}); {corrected}: vo calibrate"
 
 
 def _of_offset(offset_px: float) -> str:

@@ -34,7 +34,7 @@ def reduced(  # type: ignore[no-untyped-def]
     inverse_d,
     huber,
 ):
-    """Normal equations of the poses that may move and of the offset, the points eliminated."""
+    """Normal equations of the poses that may move and of the calibration, the points eliminated."""
     free = slot.max() + 1
     # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
     blocks, gradient = np.zeros((free, free, 6, _LANES)), np.zeros((free + 1, 6))
@@ -42,18 +42,19 @@ def reduced(  # type: ignore[no-untyped-def]
     most = 0
     for m in range(len(starts) - 1):
         most = max(most, starts[m + 1] - starts[m])
-    by_pose, by_point, error = np.zeros((3, _LANES)), np.zeros((3, 3)), np.zeros(3)
+    by_pose, by_point = np.zeros((3, _LANES)), np.zeros((3, 3))
+    by_lens, error = np.zeros(3), np.zeros(3)
     coupling, lifted = np.zeros((most, 3, _LANES)), np.zeros((3, _LANES))
     at = np.zeros(most, dtype=np.int64)
-    normal, inverse, right, offset = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    normal, inverse, right, shared = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for m in range(len(starts) - 1):
         first, last = starts[m], starts[m + 1]
         if last == first:
             continue
         count = 0
-        normal[:], right[:], offset[:] = 0.0, 0.0, 0.0
+        normal[:], right[:], shared[:] = 0.0, 0.0, 0.0
         for a in range(first, last):
-            by_offset = _jacobians(
+            _jacobians(
                 points[m],
                 poses[keyframe[a]],
                 xy[a],
@@ -65,16 +66,18 @@ def reduced(  # type: ignore[no-untyped-def]
                 huber,
                 by_pose,
                 by_point,
+                by_lens,
                 error,
             )
+            lu, lv, ld = by_lens[0], by_lens[1], by_lens[2]
             for p in range(3):
                 u, v, d = by_point[0, p], by_point[1, p], by_point[2, p]
                 right[p] += u * error[0] + v * error[1] + d * error[2]
-                offset[p] += d * by_offset
+                shared[p] += u * lu + v * lv + d * ld
                 for q in range(3):
                     normal[p, q] += u * by_point[0, q] + v * by_point[1, q] + d * by_point[2, q]
-            border[free, 0] += by_offset * by_offset
-            gradient[free, 0] += by_offset * error[2]
+            border[free, 0] += lu * lu + lv * lv + ld * ld
+            gradient[free, 0] += lu * error[0] + lv * error[1] + ld * error[2]
             k = slot[keyframe[a]]
             if k < 0:
                 continue
@@ -84,26 +87,26 @@ def reduced(  # type: ignore[no-untyped-def]
             for c in range(6):
                 u, v, d = by_pose[0, c], by_pose[1, c], by_pose[2, c]
                 gradient[k, c] += u * error[0] + v * error[1] + d * error[2]
-                border[k, c] += d * by_offset
+                border[k, c] += u * lu + v * lv + d * ld
             count += 1
         _invert(normal, inverse)
         _subtract_point(
-            at[:count], coupling, lifted, inverse, right, offset, blocks, gradient, border
+            at[:count], coupling, lifted, inverse, right, shared, blocks, gradient, border
         )
     return _assembled(blocks, gradient, border)
 
 
 @compiled
 def _jacobians(  # type: ignore[no-untyped-def]
-    at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, error
+    at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, by_lens, error
 ):
-    """Fill an observation's derivatives and errors, weighted; gives that by the offset."""
+    """Fill an observation's derivatives and errors, weighted."""
     x = pose[0, 0] * at[0] + pose[0, 1] * at[1] + pose[0, 2] * at[2] + pose[0, 3]
     y = pose[1, 0] * at[0] + pose[1, 1] * at[1] + pose[1, 2] * at[2] + pose[1, 3]
     z = pose[2, 0] * at[0] + pose[2, 1] * at[1] + pose[2, 2] * at[2] + pose[2, 3]
     if z < _NEAREST:
-        by_pose[:], by_point[:], error[:] = 0.0, 0.0, 0.0
-        return 0.0
+        by_pose[:], by_point[:], by_lens[:], error[:] = 0.0, 0.0, 0.0, 0.0
+        return
     eu = s * (intrinsics[0] * x / z + intrinsics[2] - xy[0])
     ev = s * (intrinsics[1] * y / z + intrinsics[3] - xy[1])
     measured = fb > 0.0 and not np.isnan(disparity)
@@ -112,6 +115,13 @@ def _jacobians(  # type: ignore[no-untyped-def]
     length = np.sqrt(eu * eu + ev * ev + ed * ed)
     weight = 1.0 if length <= huber else np.sqrt(huber / length)
     error[0], error[1], error[2] = weight * eu, weight * ev, weight * ed
+    if fb > 0.0:  # a constant error of all disparities
+        by_lens[0], by_lens[1], by_lens[2] = 0.0, 0.0, weight * t
+    else:  # x (1 - k r^2) in place of x
+        # Taken where the point should be: what depends on the errors themselves would not average.
+        stretch = weight * s * (x * x + y * y) / (z * z * z)
+        by_lens[0], by_lens[1] = stretch * intrinsics[0] * x, stretch * intrinsics[1] * y
+        by_lens[2] = 0.0
     du, dv = weight * s * intrinsics[0] / z, weight * s * intrinsics[1] / z
     cu, cv, cd = -du * x / z, -dv * y / z, -weight * t * fb / (z * z)
     for p in range(3):
@@ -127,33 +137,32 @@ def _jacobians(  # type: ignore[no-untyped-def]
     by_pose[2, 5] = -cd
     by_pose[0, 4], by_pose[1, 3] = 0.0, 0.0
     by_pose[2, 2], by_pose[2, 3], by_pose[2, 4] = 0.0, 0.0, 0.0
-    return weight * t
 
 
 @compiled
 def _subtract_point(  # type: ignore[no-untyped-def]
-    at, coupling, lifted, inverse, right, offset, blocks, gradient, border
+    at, coupling, lifted, inverse, right, shared, blocks, gradient, border
 ):
-    """What poses and offset lose because the point may move too; `at` grows."""
+    """What poses and calibration lose because the point may move too; `at` grows."""
     free = len(blocks)
     for p in range(3):
-        shared = inverse[p, 0] * offset[0] + inverse[p, 1] * offset[1] + inverse[p, 2] * offset[2]
-        border[free, 0] -= offset[p] * shared
-        gradient[free, 0] -= right[p] * shared
+        known = inverse[p, 0] * shared[0] + inverse[p, 1] * shared[1] + inverse[p, 2] * shared[2]
+        border[free, 0] -= shared[p] * known
+        gradient[free, 0] -= right[p] * known
     for a in range(len(at)):
         _set_product(lifted, inverse, coupling[a])  # the inverse is symmetric
         to, edge = gradient[at[a]], border[at[a]]
         for c in range(6):
             u, v, w = lifted[0, c], lifted[1, c], lifted[2, c]
             to[c] -= u * right[0] + v * right[1] + w * right[2]
-            edge[c] -= u * offset[0] + v * offset[1] + w * offset[2]
+            edge[c] -= u * shared[0] + v * shared[1] + w * shared[2]
         for b in range(a, len(at)):
             _subtract_product(blocks[at[a], at[b]], lifted, coupling[b])
 
 
 @compiled
 def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
-    """Hessian (6 F + 1, 6 F + 1) and gradient (6 F + 1,), the offset last."""
+    """Hessian (6 F + 1, 6 F + 1) and gradient (6 F + 1,), the calibration last."""
     free = len(blocks)
     size = 6 * free + 1
     hessian, whole = np.zeros((size, size)), np.zeros(size)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.s
 class NormalEquations(NamedTuple):
     """hessian @ step = -gradient for F poses that may move, 6 rows each, and what they cost.
 
-    The last row is that of a constant error of all disparities, which is 0 so far.
+    The last row is that of what the calibration leaves (`Miscalibration`), which is 0 so far.
 
     Attributes:
         hessian: (6 F + 1, 6 F + 1).

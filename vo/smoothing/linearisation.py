@@ -26,7 +26,6 @@ class Linearised(NamedTuple):
         keyframe: (N,) pose of each observation.
         by_pose: (N, 3, 6) derivatives.
         by_point: (N, 3, 3) derivatives.
-        by_offset: (N,) derivatives of the disparity by a constant error of all disparities.
         error: (N, 3) predicted - measured.
     """
 
@@ -35,7 +34,6 @@ class Linearised(NamedTuple):
     keyframe: Ints
     by_pose: Floats
     by_point: Floats
-    by_offset: Floats
     error: Floats
 
     @property
@@ -55,7 +53,7 @@ def linearise(
     residual, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
     used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
     order = used[np.lexsort((problem.keyframe[used], problem.point[used]))]
-    by_pose, by_point, by_offset, error = _linearised(
+    by_pose, by_point, error = _linearised(
         np.ascontiguousarray(world_from_cam),
         np.ascontiguousarray(points),
         order,
@@ -72,7 +70,7 @@ def linearise(
     starts = np.searchsorted(problem.point[order], np.arange(len(points) + 1))
     keyframe = problem.keyframe[order]
     poses = len(world_from_cam)
-    return Linearised(poses, starts, keyframe, by_pose, by_point, by_offset, error)
+    return Linearised(poses, starts, keyframe, by_pose, by_point, error)
 
 
 @compiled
@@ -82,7 +80,7 @@ def _linearised(  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = intrinsics
     count = len(order)
     by_pose, by_point = np.zeros((count, 3, 6)), np.zeros((count, 3, 3))
-    by_offset, error = np.zeros(count), np.zeros((count, 3))
+    error = np.zeros((count, 3))
     for n in range(count):
         i = order[n]
         pose, at = poses[keyframe[i]], points[point[i]]
@@ -93,7 +91,6 @@ def _linearised(  # type: ignore[no-untyped-def]
         s = weight[i] / sigma[i]
         measured = fb > 0.0 and not np.isnan(disparity[i])
         t = weight[i] / sigma_d if measured else 0.0
-        by_offset[n] = t
         error[n, 0] = s * (fx * x / z + cx - xy[i, 0])
         error[n, 1] = s * (fy * y / z + cy - xy[i, 1])
         error[n, 2] = t * (fb / z - disparity[i]) if measured else 0.0
@@ -113,4 +110,4 @@ def _linearised(  # type: ignore[no-untyped-def]
             by_pose[n, r, 1] = c * x - a * z
             by_pose[n, r, 2] = a * y - b * x
             by_pose[n, r, 3], by_pose[n, r, 4], by_pose[n, r, 5] = -a, -b, -c
-    return by_pose, by_point, by_offset, error
+    return by_pose, by_point, error

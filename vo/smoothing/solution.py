@@ -9,9 +9,9 @@ import numpy as np
 
 from vo.smoothing.anchors import anchors
 from vo.smoothing.bundle import Bundle
-from vo.smoothing.disparity_offset import DisparityOffset, disparity_offset
 from vo.smoothing.information import pose_information
 from vo.smoothing.linearisation import linearise
+from vo.smoothing.miscalibration import Miscalibration, miscalibration
 from vo.types import Bools, Floats, WindowProblem
 
 if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.smoothing.process`
@@ -28,7 +28,7 @@ class WindowSolution(NamedTuple):
             frame; 0 for poses that it does not determine.
         points: (M, 3) adjusted.
         point_ok: (M,) False for points that were dropped as degenerate.
-        offset: in stereo what the window says of a constant error of its disparities.
+        left: what the window says that the calibration leaves.
         converged: False if nothing could be adjusted; all is then as it was given.
     """
 
@@ -37,7 +37,7 @@ class WindowSolution(NamedTuple):
     information: Floats
     points: Floats
     point_ok: Bools
-    offset: DisparityOffset | None
+    left: Miscalibration | None
     converged: bool
 
 
@@ -55,12 +55,10 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     if scaled is not None:
         rows = np.arange(6 * scaled, 6 * scaled + 6)
         information[rows, rows] += sigmas**-2.0
-    offset = None
-    if problem.baseline_m > 0.0:
-        only_first = np.arange(len(poses)) == 0
-        bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
-        offset = disparity_offset(bundle.normal_equations(poses))
-    return WindowSolution(poses, held, information, points, ok, offset, True)
+    only_first = np.arange(len(poses)) == 0
+    bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
+    left = miscalibration(bundle.normal_equations(poses))
+    return WindowSolution(poses, held, information, points, ok, left, True)
 
 
 def unsolved(problem: WindowProblem) -> WindowSolution:

@@ -1,0 +1,50 @@
+"""Decides from window to window whether, and by how much, a single camera's lens is corrected."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.geometry.rectification import WorkingRig
+from vo.smoothing.miscalibration import Miscalibration
+
+# In the image's corners: what is too little to tell from uneven patches, and to correct anew.
+_SYSTEMATIC_PX, _LEAST_CHANGE_PX = 0.2, 0.2
+# Windows of lenses that are calibrated right are off by one or two of their standard deviations.
+_NOISE = 2.0
+_SIGNIFICANT = 2.0  # standard deviations of that size
+_LEAST_WINDOWS = 3
+_OVERLAP = 10  # windows from one to the next that shares no keyframe with it
+
+
+class LensWatch:
+    """Averages what the windows say of the total error of k1."""
+
+    def __init__(self, rig: WorkingRig) -> None:
+        self.applied = 0.0
+        self._systematic = _SYSTEMATIC_PX / rig.corner_px_of_k1
+        self._least_change = _LEAST_CHANGE_PX / rig.corner_px_of_k1
+        self._weight = 0.0
+        self._sum = 0.0
+        self._windows = 0
+
+    def update(self, left: Miscalibration) -> float | None:
+        """Take in a window's estimate; the new error to correct, or None to leave it.
+
+        Windows overlap: ten together count for how sure their mean is like one.
+        """
+        sigma = float(np.hypot(_NOISE * left.sigma, self._systematic))
+        self._weight += sigma**-2
+        self._sum += (self.applied + left.value) * sigma**-2
+        self._windows += 1
+        estimate = self._sum / self._weight
+        sure = np.sqrt(min(self._windows, _OVERLAP) / self._weight)
+        if self.applied == 0.0 and (
+            self._windows < _LEAST_WINDOWS or abs(estimate) <= _SIGNIFICANT * sure
+        ):
+            return None
+        # An estimate that has come back to what windows differ by anyway is none.
+        wanted = estimate if abs(estimate) > self._systematic else 0.0
+        if abs(wanted - self.applied) < self._least_change:
+            return None
+        self.applied = wanted
+        return wanted
