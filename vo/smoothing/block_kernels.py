@@ -24,6 +24,7 @@ def reduced(  # type: ignore[no-untyped-def]
     points,
     poses,
     slot,
+    calibrates,
     starts,
     keyframe,
     xy,
@@ -34,19 +35,24 @@ def reduced(  # type: ignore[no-untyped-def]
     inverse_d,
     huber,
 ):
-    """Normal equations of the poses that may move and of the calibration, the points eliminated."""
+    """Normal equations of the poses that may move, the points eliminated.
+
+    With `calibrates` six rows follow, of which the first is that of what the calibration leaves
+    (`Miscalibration`): to the blocks it is one more pose, which all observations share.
+    """
     free = slot.max() + 1
+    size = free + 1 if calibrates else free
     # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
-    blocks, gradient = np.zeros((free, free, 6, _LANES)), np.zeros((free + 1, 6))
-    border = np.zeros((free + 1, 6))
-    most = 0
+    blocks, gradient = np.zeros((size, size, 6, _LANES)), np.zeros((size, 6))
+    most = 1
     for m in range(len(starts) - 1):
-        most = max(most, starts[m + 1] - starts[m])
-    by_pose, by_point = np.zeros((3, _LANES)), np.zeros((3, 3))
-    by_lens, error = np.zeros(3), np.zeros(3)
+        most = max(most, starts[m + 1] - starts[m] + 1)
+    by_pose, by_rest = np.zeros((3, _LANES)), np.zeros((3, _LANES))
+    by_point, error = np.zeros((3, 3)), np.zeros(3)
     coupling, lifted = np.zeros((most, 3, _LANES)), np.zeros((3, _LANES))
+    shared = np.zeros((3, _LANES))
     at = np.zeros(most, dtype=np.int64)
-    normal, inverse, right, shared = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     for m in range(len(starts) - 1):
         first, last = starts[m], starts[m + 1]
         if last == first:
@@ -66,46 +72,66 @@ def reduced(  # type: ignore[no-untyped-def]
                 huber,
                 by_pose,
                 by_point,
-                by_lens,
+                by_rest,
                 error,
             )
-            lu, lv, ld = by_lens[0], by_lens[1], by_lens[2]
             for p in range(3):
                 u, v, d = by_point[0, p], by_point[1, p], by_point[2, p]
                 right[p] += u * error[0] + v * error[1] + d * error[2]
-                shared[p] += u * lu + v * lv + d * ld
                 for q in range(3):
                     normal[p, q] += u * by_point[0, q] + v * by_point[1, q] + d * by_point[2, q]
-            border[free, 0] += lu * lu + lv * lv + ld * ld
-            gradient[free, 0] += lu * error[0] + lv * error[1] + ld * error[2]
             k = slot[keyframe[a]]
+            if calibrates:
+                _set_product(lifted, by_point, by_rest)
+                shared += lifted
+                _add_product(blocks[free, free], by_rest, by_rest)
+                _add_gradient(gradient[free], by_rest, error)
+                if k >= 0:
+                    _add_product(blocks[k, free], by_pose, by_rest)
             if k < 0:
                 continue
             at[count] = k
             _add_product(blocks[k, k], by_pose, by_pose)
             _set_product(coupling[count], by_point, by_pose)
-            for c in range(6):
-                u, v, d = by_pose[0, c], by_pose[1, c], by_pose[2, c]
-                gradient[k, c] += u * error[0] + v * error[1] + d * error[2]
-                border[k, c] += u * lu + v * lv + d * ld
+            _add_gradient(gradient[k], by_pose, error)
+            count += 1
+        if calibrates:
+            at[count] = free
+            coupling[count] = shared
             count += 1
         _invert(normal, inverse)
-        _subtract_point(
-            at[:count], coupling, lifted, inverse, right, shared, blocks, gradient, border
-        )
-    return _assembled(blocks, gradient, border)
+        _subtract_point(at[:count], coupling, lifted, inverse, right, blocks, gradient)
+    return _assembled(blocks, gradient)
+
+
+@compiled
+def _add_gradient(gradient, by, error):  # type: ignore[no-untyped-def]
+    for c in range(6):
+        gradient[c] += by[0, c] * error[0] + by[1, c] * error[1] + by[2, c] * error[2]
 
 
 @compiled
 def _jacobians(  # type: ignore[no-untyped-def]
-    at, pose, xy, disparity, s, intrinsics, fb, inverse_d, huber, by_pose, by_point, by_lens, error
+    at,
+    pose,
+    xy,
+    disparity,
+    s,
+    intrinsics,
+    fb,
+    inverse_d,
+    huber,
+    by_pose,
+    by_point,
+    by_rest,
+    error,
 ):
     """Fill an observation's derivatives and errors, weighted."""
     x = pose[0, 0] * at[0] + pose[0, 1] * at[1] + pose[0, 2] * at[2] + pose[0, 3]
     y = pose[1, 0] * at[0] + pose[1, 1] * at[1] + pose[1, 2] * at[2] + pose[1, 3]
     z = pose[2, 0] * at[0] + pose[2, 1] * at[1] + pose[2, 2] * at[2] + pose[2, 3]
     if z < _NEAREST:
-        by_pose[:], by_point[:], by_lens[:], error[:] = 0.0, 0.0, 0.0, 0.0
+        by_pose[:], by_point[:], by_rest[:], error[:] = 0.0, 0.0, 0.0, 0.0
         return
     eu = s * (intrinsics[0] * x / z + intrinsics[2] - xy[0])
     ev = s * (intrinsics[1] * y / z + intrinsics[3] - xy[1])
@@ -115,13 +141,11 @@ def _jacobians(  # type: ignore[no-untyped-def]
     length = np.sqrt(eu * eu + ev * ev + ed * ed)
     weight = 1.0 if length <= huber else np.sqrt(huber / length)
     error[0], error[1], error[2] = weight * eu, weight * ev, weight * ed
-    if fb > 0.0:  # a constant error of all disparities
-        by_lens[0], by_lens[1], by_lens[2] = 0.0, 0.0, weight * t
-    else:  # x (1 - k r^2) in place of x
-        # Taken where the point should be: what depends on the errors themselves would not average.
+    if fb > 0.0:
+        by_rest[2, 0] = weight * t
+    else:  # taken where the point should be: what depends on the error itself would not average
         stretch = weight * s * (x * x + y * y) / (z * z * z)
-        by_lens[0], by_lens[1] = stretch * intrinsics[0] * x, stretch * intrinsics[1] * y
-        by_lens[2] = 0.0
+        by_rest[0, 0], by_rest[1, 0] = stretch * intrinsics[0] * x, stretch * intrinsics[1] * y
     du, dv = weight * s * intrinsics[0] / z, weight * s * intrinsics[1] / z
     cu, cv, cd = -du * x / z, -dv * y / z, -weight * t * fb / (z * z)
     for p in range(3):
@@ -140,40 +164,28 @@ def _jacobians(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _subtract_point(  # type: ignore[no-untyped-def]
-    at, coupling, lifted, inverse, right, shared, blocks, gradient, border
-):
+def _subtract_point(at, coupling, lifted, inverse, right, blocks, gradient):  # type: ignore[no-untyped-def]
     """What poses and calibration lose because the point may move too; `at` grows."""
-    free = len(blocks)
-    for p in range(3):
-        known = inverse[p, 0] * shared[0] + inverse[p, 1] * shared[1] + inverse[p, 2] * shared[2]
-        border[free, 0] -= shared[p] * known
-        gradient[free, 0] -= right[p] * known
     for a in range(len(at)):
         _set_product(lifted, inverse, coupling[a])  # the inverse is symmetric
-        to, edge = gradient[at[a]], border[at[a]]
+        to = gradient[at[a]]
         for c in range(6):
-            u, v, w = lifted[0, c], lifted[1, c], lifted[2, c]
-            to[c] -= u * right[0] + v * right[1] + w * right[2]
-            edge[c] -= u * shared[0] + v * shared[1] + w * shared[2]
+            to[c] -= lifted[0, c] * right[0] + lifted[1, c] * right[1] + lifted[2, c] * right[2]
         for b in range(a, len(at)):
             _subtract_product(blocks[at[a], at[b]], lifted, coupling[b])
 
 
 @compiled
-def _assembled(blocks, gradient, border):  # type: ignore[no-untyped-def]
-    """Hessian (6 F + 1, 6 F + 1) and gradient (6 F + 1,), the calibration last."""
-    free = len(blocks)
-    size = 6 * free + 1
+def _assembled(blocks, gradient):  # type: ignore[no-untyped-def]
+    """Hessian (6 B, 6 B) and gradient (6 B,) of B blocks."""
+    size = 6 * len(blocks)
     hessian, whole = np.zeros((size, size)), np.zeros(size)
-    for r in range(size - 1):
+    for r in range(size):
         a, c = divmod(r, 6)
         whole[r] = gradient[a, c]
-        hessian[r, size - 1] = hessian[size - 1, r] = border[a, c]
-        for column in range(r, size - 1):
+        for column in range(r, size):
             b, e = divmod(column, 6)
             hessian[r, column] = hessian[column, r] = blocks[a, b, c, e]
-    hessian[size - 1, size - 1], whole[size - 1] = border[free, 0], gradient[free, 0]
     return hessian, whole
 
 

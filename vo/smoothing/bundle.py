@@ -26,11 +26,9 @@ if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.s
 class NormalEquations(NamedTuple):
     """hessian @ step = -gradient for F poses that may move, 6 rows each, and what they cost.
 
-    The last row is that of what the calibration leaves (`Miscalibration`), which is 0 so far.
-
     Attributes:
-        hessian: (6 F + 1, 6 F + 1).
-        gradient: (6 F + 1,).
+        hessian: (6 F, 6 F).
+        gradient: (6 F,).
         cost: half the sum of squares, robust.
     """
 
@@ -60,13 +58,22 @@ class Bundle:
         """(M, 3) points at their best for poses (K, 4, 4)."""
         return self._at(world_from_cam).points
 
-    def normal_equations(self, world_from_cam: Floats) -> NormalEquations:
-        """Linearise at poses (K, 4, 4) and their points; later searches for points start there."""
+    def normal_equations(
+        self, world_from_cam: Floats, *, calibrates: bool = False
+    ) -> NormalEquations:
+        """Linearise at poses (K, 4, 4) and their points; later searches for points start there.
+
+        With `calibrates` another row at the end is that of what the calibration leaves
+        (`Miscalibration`), which is 0 so far.
+        """
         at = self._at(world_from_cam)
         self._points = at.points
         poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
-        hessian, gradient = block_kernels.reduced(at.points, poses, self._slot, *self._views)
-        return NormalEquations(hessian, gradient, at.cost)
+        hessian, gradient = block_kernels.reduced(
+            at.points, poses, self._slot, calibrates, *self._views
+        )
+        size = len(gradient) - 5 if calibrates else len(gradient)  # of a block of 6, one is used
+        return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)
 
     def _at(self, world_from_cam: Floats) -> _Best:
         """Optimisers ask for the same poses' cost first and their derivatives later."""

@@ -35,6 +35,9 @@ def miscalibration(normal: NormalEquations) -> Miscalibration | None:
     """Estimate it together with all poses but one and all points of a smoothed window.
 
     One Gauss-Newton step. None if the window does not determine it.
+
+    Args:
+        normal: the window's, with what the calibration leaves as the last row.
     """
     if not np.isfinite(normal.hessian).all():
         return None

@@ -104,12 +104,12 @@ def _square_root(normal: NormalEquations) -> tuple[Floats, Floats]:
     changes, makes half the sum of squares the cost. By eigenvalues, as mono's hessian leaves the
     scale open.
     """
-    values, vectors = np.linalg.eigh(normal.hessian[:-1, :-1])
+    values, vectors = np.linalg.eigh(normal.hessian)
     determined = values > _UNDETERMINED * values[-1]
     root = np.where(determined, np.sqrt(np.maximum(values, 0.0)), 0.0)
     with np.errstate(divide="ignore"):
         inverse_root = np.where(determined, 1.0 / root, 0.0)
-    error = inverse_root * (vectors.T @ normal.gradient[:-1])
+    error = inverse_root * (vectors.T @ normal.gradient)
     rest = max(2.0 * normal.cost - float(error @ error), 0.0)
     return root[:, None] * vectors.T, np.r_[error, np.sqrt(rest)]
 
