@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from vo.config import Config
+from vo.geometry.lens_error import edge_px
 from vo.geometry.rectification import working_rig
 from vo.geometry.right_camera import right_camera
 from vo.geometry.row_errors import RowErrors
@@ -138,7 +139,7 @@ class Odometry:
     def lens_error(self) -> LensError | None:
         """What was wrong with a single camera's lens and is corrected."""
         k1 = self._rig.lens_error
-        return LensError(k1, k1 * self._rig.corner_px_of_k1) if k1 != 0.0 else None
+        return LensError(k1, edge_px(self._rig, k1)) if k1 != 0.0 else None
 
     @property
     def right_camera(self) -> RightCamera | None:

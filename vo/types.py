@@ -233,11 +233,11 @@ class LensError(NamedTuple):
 
     Attributes:
         k1: what its first radial coefficient is larger by, that of OpenCV's `radtan` model.
-        corner_px: what that moves the image's corners by, outwards.
+        edge_px: what that moves points at the image's edges by, outwards.
     """
 
     k1: float
-    corner_px: float
+    edge_px: float
 
 
 class State(StrEnum):

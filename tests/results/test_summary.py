@@ -157,9 +157,9 @@ def test_a_lens_that_is_not_as_calibrated_is_told_with_what_to_do() -> None:
     summary = summary_of(
         [estimate(0)], placed([0]), mode="mono", lens=LensError(0.012345678, 6.4567)
     )
-    assert summary.to_dict()["lens_error"] == {"k1": 0.01235, "corner_px": 6.4567}
+    assert summary.to_dict()["lens_error"] == {"k1": 0.01235, "edge_px": 6.4567}
     told = summary.warnings[0]
-    assert "k1 off by +0.0123, +6.5 px in the image's corners" in told
+    assert "k1 off by +0.0123, +6.5 px at the image's edges" in told
     assert "has been corrected" in told
     assert "vo calibrate" in told
     wrong = summary_of([estimate(0)], placed([0]), mode="mono", lens=LensError(-0.22, -116.0))

@@ -105,16 +105,14 @@ class WorkingRig:
 
     def with_lens_error(self, k1: float) -> WorkingRig:
         """The same rig with a lens whose k1 is larger by so much than calibrated."""
-        size, intrinsics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
-        ideal = Camera(*size, *intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
-        lens = _bent(self.lens or ideal, k1 - self.lens_error)
-        return replace(self, lens=lens, lens_error=k1)
+        return replace(self, lens=_bent(self.any_lens, k1 - self.lens_error), lens_error=k1)
 
     @property
-    def corner_px_of_k1(self) -> float:
-        """How far the image's corners are moved by a k1 that is larger by 1, to first order."""
-        radius = np.hypot(0.5 * self.width / self.fx, 0.5 * self.height / self.fy)
-        return float(self.fx * radius**3)
+    def any_lens(self) -> Camera:
+        """The lens; one that distorts nothing where there is none."""
+        size, intrinsics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
+        ideal = Camera(*size, *intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
+        return self.lens or ideal
 
     def disparity_error(self, right_u: Floats) -> Floats:
         """What the calibration adds to disparities of points at columns (N,) on the right."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.geometry.lens_error import bend_of_k1, edge_px
 from vo.geometry.rectification import WorkingRig
 from vo.smoothing.miscalibration import Miscalibration
 
-# In the image's corners: what is too little to tell from uneven patches, and to correct anew.
+# At the image's edges: what is too little to tell from uneven patches, and to correct anew.
 _SYSTEMATIC_PX, _LEAST_CHANGE_PX = 0.2, 0.2
 # Windows of lenses that are calibrated right are off by one or two of their standard deviations.
 _NOISE = 2.0
@@ -21,8 +22,10 @@ class LensWatch:
 
     def __init__(self, rig: WorkingRig) -> None:
         self.applied = 0.0
-        self._systematic = _SYSTEMATIC_PX / rig.corner_px_of_k1
-        self._least_change = _LEAST_CHANGE_PX / rig.corner_px_of_k1
+        self._bend = bend_of_k1(rig)
+        k1_of_px = 1.0 / edge_px(rig, 1.0)
+        self._systematic = _SYSTEMATIC_PX * k1_of_px
+        self._least_change = _LEAST_CHANGE_PX * k1_of_px
         self._weight = 0.0
         self._sum = 0.0
         self._windows = 0
@@ -32,9 +35,9 @@ class LensWatch:
 
         Windows overlap: ten together count for how sure their mean is like one.
         """
-        sigma = float(np.hypot(_NOISE * left.sigma, self._systematic))
+        sigma = float(np.hypot(_NOISE * left.sigma / self._bend, self._systematic))
         self._weight += sigma**-2
-        self._sum += (self.applied + left.value) * sigma**-2
+        self._sum += (self.applied + left.value / self._bend) * sigma**-2
         self._windows += 1
         estimate = self._sum / self._weight
         sure = np.sqrt(min(self._windows, _OVERLAP) / self._weight)

@@ -20,7 +20,7 @@ SCHEMA_VERSION = 1
 
 _WORTH_TELLING_PX = 0.05
 _BEYOND_TRUST_PX = 3.0  # more is no slightly wrong rectification
-_BEYOND_LENS_PX = 15.0  # in the image's corners; more is no slightly wrong lens
+_BEYOND_LENS_PX = 15.0  # at the image's edges; more is no slightly wrong lens
 _USUAL_OFFSET_PX = 0.1  # of the disparities of a well calibrated pair
 _FAR_PX = 2.0  # median disparity below which that makes lengths 5 % wrong
 _FEW_INLIERS = 50
@@ -284,8 +284,8 @@ def _of_right_camera(found: RightCamera) -> str:
 
 
 def _of_lens(found: LensError) -> str:
-    amount = f"k1 off by {found.k1:+.4f}, {found.corner_px:+.1f} px in the image's corners"
-    if abs(found.corner_px) < _BEYOND_LENS_PX:
+    amount = f"k1 off by {found.k1:+.4f}, {found.edge_px:+.1f} px at the image's edges"
+    if abs(found.edge_px) < _BEYOND_LENS_PX:
         corrected = "this has been corrected, but calibrate anew"
     else:
         corrected = "one coefficient cannot correct all of that; the path is off: calibrate anew"

@@ -23,8 +23,8 @@ _UNDETERMINED = 1e-10  # eigenvalue, against the greatest, below which poses are
 class Miscalibration(NamedTuple):
     """What is left of an error of the calibration, known to `sigma`.
 
-    In stereo the pixels that all disparities are too large by. In mono what the lens's first
-    radial coefficient k1 has to grow by: ideal points in focal lengths lie at x (1 - k1 r^2).
+    In stereo the pixels that all disparities are too large by. In mono how much ideal points x,
+    in focal lengths, are bent: they should lie at x (1 - value r^2).
     """
 
     value: float
