@@ -19,7 +19,10 @@ from vo.types import Floats
 
 
 def _with_right_camera(source: Path, folder: Path, **change: float) -> Path:
-    """A copy whose calibration is wrong in the right camera's angles (degrees) or focal length."""
+    """A copy whose calibration is wrong in the right camera.
+
+    In its angles (degrees), focal length (a factor) or the centre of its image (pixels).
+    """
     copy = Path(shutil.copytree(source, folder))
     path = copy / "mav0" / "cam1" / "sensor.yaml"
     camera = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -30,6 +33,7 @@ def _with_right_camera(source: Path, folder: Path, **change: float) -> Path:
     camera["T_BS"]["data"] = body_from_camera.ravel().tolist()
     for axis in (0, 1):
         camera["intrinsics"][axis] *= change.get("focal", 1.0)
+    camera["intrinsics"][2] += change.get("centre", 0.0)
     path.write_text(yaml.safe_dump(camera), encoding="utf-8")
     return copy
 
@@ -73,6 +77,25 @@ def test_lengths_stay_right_and_the_fault_is_told(
     (sentence,) = summary["warnings"]
     assert "the right camera is not as calibrated" in sentence
     assert "vo calibrate" in sentence
+
+
+def test_a_camera_that_looks_sideways_behind_a_centre_that_makes_up_for_it(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    # Right in the middle of the image: no offset, but disparities that err towards the sides.
+    yaw_deg = 0.5
+    path = synthetic_stereo / "mav0" / "cam1" / "sensor.yaml"
+    focal = float(yaml.safe_load(path.read_text(encoding="utf-8"))["intrinsics"][0])
+    yaw_px = float(focal * np.tan(np.deg2rad(yaw_deg)))
+    source = _with_right_camera(synthetic_stereo, tmp_path / "wrong", yaw=yaw_deg, centre=yaw_px)
+    summary = _summary(source, tmp_path / "out")
+    assert summary["disparity_offset_px"] == 0.0
+    assert summary["disparity_curve_px"] == pytest.approx(-yaw_px, rel=0.03)
+    (sentence,) = summary["warnings"]
+    assert "towards left and right disparities were off" in sentence
+    assert _scale(tmp_path / "out", source) == pytest.approx(1.0, abs=0.003)
+    _summary(source, tmp_path / "uncorrected", "stereo.offset_correction=false")
+    assert _scale(tmp_path / "uncorrected", source) > 1.03
 
 
 def test_without_the_correction_lengths_would_be_wrong(

@@ -118,7 +118,7 @@ class StereoConfig(Section):
     max_row_offset_px: float = Field(2.5, gt=0, description="most that matched rows may differ")
     min_disparity_px: float = Field(0.3, gt=0, description="least disparity of a new landmark")
     offset_correction: bool = Field(
-        True, description="estimate and correct a constant error of all disparities"
+        True, description="estimate and correct an error of all disparities, constant or curved"
     )
     row_correction: bool = Field(
         True, description="bring rows in line that a wrong calibration has moved apart"

@@ -47,6 +47,7 @@ from vo.pipeline.view import (
     with_matches,
 )
 from vo.pipeline.working_frame import Preparation, WorkingFrame
+from vo.smoothing.miscalibration import Miscalibration
 from vo.smoothing.smoother import make_smoother
 from vo.smoothing.solution import WindowSolution
 from vo.tracking.keyframes import needs_keyframe
@@ -104,11 +105,10 @@ class Odometry:
         self.details = True
         self._config = config
         self._rig = working_rig(rig)
-        is_single = not self._rig.is_stereo
         # Depth cameras have other errors than a wrong rectification.
-        corrects_disparities = config.stereo.offset_correction and not rig.has_depth
-        self._corrects = config.tracking.lens_correction if is_single else corrects_disparities
-        self._calibration_watch = LensWatch(self._rig) if is_single else DisparityWatch()
+        self._corrects_disparities = config.stereo.offset_correction and not rig.has_depth
+        self._disparity_watch = DisparityWatch(self._rig)
+        self._lens_watch = LensWatch(self._rig)
         threads = config.threads or available_cores()
         self._smoother = make_smoother(config.smoothing, threads, smoother_process)
         self._preparation = Preparation(config, threads=threads)
@@ -134,6 +134,11 @@ class Odometry:
     def disparity_offset_px(self) -> float:
         """The constant error of disparities that is corrected, 0 if none was found."""
         return self._rig.disparity_offset_px
+
+    @property
+    def disparity_curve_px(self) -> float:
+        """What of it grows with the square of x: pixels at one focal length from the middle."""
+        return self._rig.disparity_curve_px
 
     @property
     def lens_error(self) -> LensError | None:
@@ -315,9 +320,8 @@ class Odometry:
             solution = self._smoother.answer()
         with clock.stage("window"):
             self._settle(solution)
-            error = self._calibration_watch.update(solution.left) if solution.left else None
-            if error is not None and self._corrects:
-                self._correct(error)
+            if solution.left is not None:
+                self._watch_calibration(solution.left)
             cull(self._map, self._config)
             incline(self._map, self._map.keyframes[-1], self._rig)
         self._motion.carry(newest.world_from_cam @ inverse(before))
@@ -329,21 +333,30 @@ class Odometry:
         self._store(moved)
         self._moved.update(k.id for k in moved)
 
-    def _correct(self, error: float) -> None:
-        """Move the map, and all that follows, to what the calibration should be."""
+    def _watch_calibration(self, left: Miscalibration) -> None:
+        """Move the map, and all that follows, to what the calibration should be, once sure."""
         if self._rig.is_stereo:
-            self._correct_disparities(error)
-        else:
-            self._rig = self._rig.with_lens_error(error)
-            for keyframe in self._map.keyframes:
-                keyframe.see_through(self._rig)
-        self._smooth_map()
+            error = self._disparity_watch.update(left) if self._corrects_disparities else None
+            if error is not None:
+                self._correct_disparities(*error.tolist())
+                self._smooth_map()
+        elif self._config.tracking.lens_correction:
+            k1 = self._lens_watch.update(left)
+            if k1 is not None:
+                self._rig = self._rig.with_lens_error(k1)
+                for keyframe in self._map.keyframes:
+                    keyframe.see_through(self._rig)
+                self._smooth_map()
 
-    def _correct_disparities(self, offset_px: float) -> None:
-        """Move all disparities, past and future, to a new offset."""
-        is_yaw = self._rows is not None and is_from_yaw(offset_px, self._rows.skew_px)
+    def _correct_disparities(self, offset_px: float, curve_px: float) -> None:
+        """Move all disparities, past and future, to a new offset and curve."""
         before = self._rig
-        self._rig = replace(before, disparity_offset_px=offset_px, offset_is_yaw=is_yaw)
+        self._rig = replace(
+            before,
+            disparity_offset_px=offset_px,
+            disparity_curve_px=curve_px,
+            offset_is_yaw=self._rows is not None and is_from_yaw(offset_px, self._rows.skew_px),
+        )
         for keyframe in self._map.keyframes:
             right_u = keyframe.image_xy[:, 0] - keyframe.disparity
             change = self._rig.disparity_error(right_u) - before.disparity_error(right_u)

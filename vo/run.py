@@ -275,6 +275,7 @@ class _Run:
             unpaired=self._source.unpaired,
             wall_s=time.perf_counter() - self._begun,
             disparity_offset_px=self._odometry.disparity_offset_px,
+            disparity_curve_px=self._odometry.disparity_curve_px,
             right_camera=self._odometry.right_camera,
             lens_error=self._odometry.lens_error,
             error=None if error is None else self._named(error),

@@ -3,17 +3,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vo.geometry.rectification import working_rig
 from vo.pipeline.disparity_watch import DisparityWatch
 from vo.smoothing.miscalibration import Miscalibration
+from vo.types import Camera, Rig
+
+RIG = working_rig(Rig(Camera(1240, 376, 720.0, 720.0, 620.0, 188.0)))
+
+
+def _left(offset_px: float, sigma: float, curve_px: float = 0.0) -> Miscalibration:
+    """What a window says that is as sure of the curve as of the offset."""
+    return Miscalibration(np.array([offset_px, curve_px]), np.eye(2) * sigma**-2)
 
 
 def _corrections(offsets: list[float], sigma: float = 0.02) -> list[tuple[int, float]]:
     """Number of the window and offset of each correction; what is corrected is seen no more."""
-    watch, found = DisparityWatch(), []
+    watch, found = DisparityWatch(RIG), []
     for i, offset in enumerate(offsets):
-        wanted = watch.update(Miscalibration(offset - watch.applied_px, sigma))
+        wanted = watch.update(_left(offset - float(watch.applied[0]), sigma))
         if wanted is not None:
-            found.append((i, wanted))
+            assert wanted[1] == 0.0
+            found.append((i, float(wanted[0])))
     return found
 
 
@@ -46,3 +56,44 @@ def test_a_wave_that_passed_for_an_offset_is_taken_back() -> None:
 
 def test_less_than_a_tenth_of_a_pixel_is_never_corrected() -> None:
     assert _corrections([0.09] * 500) == []
+
+
+def test_a_curve_is_corrected_without_an_offset() -> None:
+    watch, found = DisparityWatch(RIG), []
+    for i in range(20):
+        wanted = watch.update(_left(0.04, 0.02, -1.2 - float(watch.applied[1])))
+        if wanted is not None:
+            found.append((i, wanted.tolist()))
+    assert found == [(2, [0.0, pytest.approx(-1.2)])]
+
+
+def test_what_a_curve_is_at_the_sides_of_the_image_counts() -> None:
+    narrow = working_rig(Rig(Camera(1240, 376, 2880.0, 2880.0, 620.0, 188.0)))
+    for rig, corrected in ((RIG, True), (narrow, False)):
+        watch = DisparityWatch(rig)
+        changes = [watch.update(_left(0.0, 0.02, 0.6)) is not None for _ in range(200)]
+        assert any(changes) == corrected
+
+
+@pytest.mark.parametrize("truth_px", [0.5, -0.5, 2.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_real_offset_is_corrected_soon_and_then_left_alone(truth_px: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = _corrections((truth_px + 0.05 * rng.standard_normal(50)).tolist(), sigma=0.05)
+    assert found[0] == (2, pytest.approx(truth_px, abs=0.15))
+    assert found[-1][1] == pytest.approx(truth_px, abs=0.08)
+    assert len(found) <= 5
+
+
+def test_unsure_windows_change_nothing() -> None:
+    noise = 0.1 * np.random.default_rng(0).standard_normal(10)
+    assert _corrections((0.5 + noise).tolist(), sigma=2.0) == []
+
+
+def test_sure_windows_count_more_than_unsure_ones() -> None:
+    watch = DisparityWatch(RIG)
+    watch.update(_left(5.0, 10.0))
+    for _ in range(2):
+        wanted = watch.update(_left(0.4, 0.02))
+    assert wanted is not None
+    assert wanted[0] == pytest.approx(0.4, abs=0.01)

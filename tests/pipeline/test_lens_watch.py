@@ -21,7 +21,9 @@ def _corrections(
     watch, found = LensWatch(rig or _rig()), []
     sigmas = np.broadcast_to(sigma, len(k1)).tolist()
     for i, (value, s) in enumerate(zip(k1, sigmas, strict=True)):
-        wanted = watch.update(Miscalibration(value - watch.applied, s))
+        wanted = watch.update(
+            Miscalibration(np.array([value - watch.applied]), np.array([[s**-2]]))
+        )
         if wanted is not None:
             found.append((i, wanted))
     return found

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from vo.geometry.transforms import se3_exp
-from vo.pipeline.disparity_watch import DisparityWatch
 from vo.pipeline.history import History, Untracked
 from vo.pipeline.stopwatch import Stopwatch
-from vo.smoothing.miscalibration import Miscalibration
 from vo.types import Floats, KeyframePose
 
 # History
@@ -132,71 +130,6 @@ def test_without_frames_the_path_is_empty() -> None:
     trajectory = History().trajectory()
     assert len(trajectory) == 0
     assert trajectory.positions.shape == (0, 3)
-
-
-# Disparity watch
-
-
-def _watch(
-    truth_px: float, *, noise_px: float, sigma_px: float, windows: int, seed: int
-) -> tuple[DisparityWatch, int]:
-    """A watch after some windows, each of which sees what is left of the truth."""
-    rng = np.random.default_rng(seed)
-    watch, changes = DisparityWatch(), 0
-    for _ in range(windows):
-        left = truth_px - watch.applied_px + noise_px * rng.standard_normal()
-        changes += watch.update(Miscalibration(left, sigma_px)) is not None
-    return watch, changes
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_noise_around_zero_is_not_corrected(seed: int) -> None:
-    watch, changes = _watch(0.0, noise_px=0.05, sigma_px=0.05, windows=50, seed=seed)
-    assert changes == 0
-    assert watch.applied_px == 0.0
-
-
-@pytest.mark.parametrize("truth_px", [0.5, -0.5, 2.0])
-@pytest.mark.parametrize("seed", range(5))
-def test_a_real_offset_is_corrected_soon_and_then_left_alone(truth_px: float, seed: int) -> None:
-    early, _ = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=3, seed=seed)
-    assert early.applied_px == pytest.approx(truth_px, abs=0.15)
-    late, changes = _watch(truth_px, noise_px=0.05, sigma_px=0.05, windows=50, seed=seed)
-    assert late.applied_px == pytest.approx(truth_px, abs=0.08)
-    assert changes <= 5
-
-
-def test_the_watch_tells_which_offset_to_apply() -> None:
-    watch = DisparityWatch()
-    assert watch.estimate_px == 0.0
-    for _ in range(2):  # a single window proves nothing
-        assert watch.update(Miscalibration(0.6, 0.01)) is None
-    assert watch.update(Miscalibration(0.6, 0.01)) == pytest.approx(0.6)
-    assert watch.applied_px == pytest.approx(0.6)
-    assert watch.update(Miscalibration(0.0, 0.01)) is None
-    assert watch.estimate_px == pytest.approx(0.6)
-
-
-def test_an_offset_that_comes_back_to_nothing_is_taken_back() -> None:
-    watch = DisparityWatch()
-    for _ in range(3):
-        watch.update(Miscalibration(0.4, 0.01))
-    assert watch.applied_px == pytest.approx(0.4)
-    for _ in range(30):
-        watch.update(Miscalibration(-watch.applied_px, 0.01))
-    assert watch.applied_px == 0.0
-
-
-def test_unsure_windows_change_nothing() -> None:
-    watch, changes = _watch(0.5, noise_px=0.1, sigma_px=2.0, windows=10, seed=0)
-    assert changes == 0
-
-
-def test_sure_windows_count_more_than_unsure_ones() -> None:
-    watch = DisparityWatch()
-    watch.update(Miscalibration(5.0, 10.0))
-    watch.update(Miscalibration(0.4, 0.02))
-    assert watch.estimate_px == pytest.approx(0.4, abs=0.01)
 
 
 # Stopwatch

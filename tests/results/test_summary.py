@@ -70,6 +70,7 @@ def summary_of(
     skipped: Sequence[Skipped] = (),
     mode: str = "stereo",
     offset_px: float = 0.0,
+    curve_px: float = 0.0,
     lens: LensError | None = None,
 ) -> Summary:
     account = Account()
@@ -86,6 +87,7 @@ def summary_of(
         unpaired=0,
         wall_s=2.0,
         disparity_offset_px=offset_px,
+        disparity_curve_px=curve_px,
         lens_error=lens,
     )
 
@@ -167,6 +169,13 @@ def test_a_lens_that_is_not_as_calibrated_is_told_with_what_to_do() -> None:
     right = summary_of([estimate(0)], placed([0]), mode="mono")
     assert right.to_dict()["lens_error"] is None
     assert not any("lens" in sentence for sentence in right.warnings)
+
+
+def test_disparities_that_err_towards_the_sides_are_told() -> None:
+    summary = summary_of([estimate(0)], placed([0]), curve_px=-1.23456)
+    assert summary.to_dict()["disparity_curve_px"] == -1.2346
+    (told,) = summary.warnings
+    assert "off by up to -1.23 px (at one focal length" in told
 
 
 def test_a_scene_that_is_far_for_the_baseline_is_said_to_be() -> None:

@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from windows import Window, drive
 
 from vo.config import SmoothingConfig
-from vo.smoothing.miscalibration import Miscalibration
 from vo.smoothing.solution import smooth
 
 CONFIG = SmoothingConfig()
@@ -25,10 +25,18 @@ def _shifted(offset_px: float, seed: int, noise: float = 0.2) -> Window:
     return replace(window, problem=problem)
 
 
-def _estimate(window: Window) -> Miscalibration:
+class Found(NamedTuple):
+    """The first of what a window tells of, in stereo the offset."""
+
+    value: float
+    sigma: float
+
+
+def _estimate(window: Window, which: int = 0) -> Found:
     found = smooth(window.problem, CONFIG).left
     assert found is not None
-    return found
+    covariance = np.linalg.inv(found.information)
+    return Found(float(found.value[which]), float(np.sqrt(covariance[which, which])))
 
 
 @pytest.mark.parametrize("offset_px", [-1.0, -0.3, 0.0, 0.5, 1.0])
@@ -66,7 +74,20 @@ def test_outliers_do_not_pass_for_an_offset() -> None:
 def test_a_camera_that_stands_still_does_not_determine_it() -> None:
     window = drive(4, 100, stereo=True, fixed=1, step_m=1e-6)
     found = smooth(window.problem, CONFIG).left
-    assert found is None or found.sigma > 0.2
+    assert found is None or found.information[0, 0] < 0.2**-2
+
+
+@pytest.mark.parametrize("curve_px", [-1.5, -0.5, 0.0, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_what_grows_towards_the_sides_is_told_from_an_offset(curve_px: float, seed: int) -> None:
+    window = _shifted(0.3, seed)
+    p = window.problem
+    x = (p.xy[:, 0] - p.disparity - p.intrinsics[2]) / p.intrinsics[0]
+    window = replace(window, problem=replace(p, disparity=p.disparity + curve_px * x**2))
+    assert _estimate(window, 0).value == pytest.approx(0.3, abs=0.1)
+    curve = _estimate(window, 1)
+    assert curve.value == pytest.approx(curve_px, abs=max(0.15, 4.0 * curve.sigma))
+    assert curve.sigma < 0.2
 
 
 # The lens of a single camera

@@ -50,8 +50,9 @@ class WorkingRig:
         maps: OpenCV's rectification maps of each camera, None for images that are used as is.
         lens_error: what k1 of that lens is larger by than calibrated.
         disparity_offset_px: what a slightly wrong calibration adds to every disparity.
-        offset_is_yaw: whether that is because the right camera looks sideways, so that it grows
-            towards the left and right of the image, or the same everywhere.
+        disparity_curve_px: what it adds besides at one focal length from the image's middle, with
+            the square of the distance, left and right.
+        offset_is_yaw: whether the offset is there because the right camera looks sideways.
     """
 
     width: int
@@ -66,6 +67,7 @@ class WorkingRig:
     maps: tuple[_Maps | None, ...] = (None, None)
     lens_error: float = 0.0
     disparity_offset_px: float = 0.0
+    disparity_curve_px: float = 0.0
     offset_is_yaw: bool = False
 
     @property
@@ -116,8 +118,8 @@ class WorkingRig:
 
     def disparity_error(self, right_u: Floats) -> Floats:
         """What the calibration adds to disparities of points at columns (N,) on the right."""
-        growth = ((right_u - self.cx) / self.fx) ** 2 if self.offset_is_yaw else 0.0 * right_u
-        return np.asarray(self.disparity_offset_px * (1.0 + growth))
+        x = (right_u - self.cx) / self.fx
+        return np.asarray(self.disparity_offset_px + self.disparity_curve_px * x**2)
 
     def ideal_from_image(self, xy: Floats | Floats32) -> Floats:
         """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.geometry.rectification import WorkingRig
 from vo.smoothing.miscalibration import Miscalibration
+from vo.types import Floats
 
 # Windows of the same recording differ by more than their noise explains: uneven rectification,
-# moving things. Measured on real recordings: 0.1 px.
+# moving things. Measured on real recordings, of the offset: 0.1 px.
 _SYSTEMATIC_PX = 0.1
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_CHANGE_PX = 0.05
@@ -17,39 +19,42 @@ _OVERLAP = 10  # windows from one to the next that shares no keyframe with it
 
 
 class DisparityWatch:
-    """Averages what the windows say of the total offset."""
+    """Averages what the windows say of the total error.
 
-    def __init__(self) -> None:
-        self.applied_px = 0.0
-        self._weight = 0.0
-        self._sum = 0.0
+    Attributes:
+        applied: (2,) the offset and the curve that are corrected, pixels.
+    """
+
+    def __init__(self, rig: WorkingRig) -> None:
+        self.applied: Floats = np.zeros(2)
+        edge = max(rig.cx, rig.width - rig.cx) / rig.fx
+        self._edge = np.array([1.0, edge**2])  # what each of the two is at the image's sides
+        self._systematic = np.diag((_SYSTEMATIC_PX / self._edge) ** 2)
+        self._information, self._sum = np.zeros((2, 2)), np.zeros(2)
         self._windows = 0
 
-    @property
-    def estimate_px(self) -> float:
-        """The mean over windows so far, 0 before the first."""
-        return self._sum / self._weight if self._weight > 0 else 0.0
-
-    def update(self, left_over: Miscalibration) -> float | None:
-        """Take in a window's estimate; the new offset to apply, or None to leave it.
+    def update(self, left: Miscalibration) -> Floats | None:
+        """Take in a window's estimate; the new offset and curve to apply, or None to leave them.
 
         Windows overlap: one in ten counts for how sure their mean is.
         """
-        sigma = float(np.hypot(left_over.sigma, _SYSTEMATIC_PX))
-        self._weight += sigma**-2
-        self._sum += (self.applied_px + left_over.value) * sigma**-2
-        estimate = self.estimate_px
+        information = np.linalg.inv(np.linalg.inv(left.information) + self._systematic)
+        self._information += information
+        self._sum += information @ (self.applied + left.value)
         self._windows += 1
-        sure_px = sigma / np.sqrt(1.0 + (self._windows - 1) / _OVERLAP)
-        if self.applied_px == 0.0 and (
-            self._windows < _LEAST_WINDOWS or abs(estimate) <= _SIGNIFICANT * sure_px
+        covariance = np.linalg.inv(self._information)
+        estimate = covariance @ self._sum
+        share = self._windows / (1.0 + (self._windows - 1) / _OVERLAP)
+        sure = np.sqrt(share * np.diag(covariance))
+        if not self.applied.any() and (
+            self._windows < _LEAST_WINDOWS or not (np.abs(estimate) > _SIGNIFICANT * sure).any()
         ):
             return None
         # An estimate that has come back to what windows differ by anyway is none.
-        wanted = estimate if abs(estimate) > _SYSTEMATIC_PX else 0.0
-        if abs(wanted - self.applied_px) < _LEAST_CHANGE_PX:
+        wanted = np.where(np.abs(estimate) * self._edge > _SYSTEMATIC_PX, estimate, 0.0)
+        if not (np.abs(wanted - self.applied) * self._edge >= _LEAST_CHANGE_PX).any():
             return None
-        self.applied_px = wanted
+        self.applied = wanted
         return wanted
 
 

@@ -35,9 +35,10 @@ class LensWatch:
 
         Windows overlap: ten together count for how sure their mean is like one.
         """
-        sigma = float(np.hypot(_NOISE * left.sigma / self._bend, self._systematic))
+        value, sigma = left.value[0] / self._bend, left.information[0, 0] ** -0.5 / self._bend
+        sigma = float(np.hypot(_NOISE * sigma, self._systematic))
         self._weight += sigma**-2
-        self._sum += (self.applied + left.value / self._bend) * sigma**-2
+        self._sum += (self.applied + float(value)) * sigma**-2
         self._windows += 1
         estimate = self._sum / self._weight
         sure = np.sqrt(min(self._windows, _OVERLAP) / self._weight)

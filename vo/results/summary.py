@@ -89,6 +89,7 @@ class Summary:
     median_inliers: float | None
     median_disparity_px: float | None
     disparity_offset_px: float
+    disparity_curve_px: float = 0.0
     right_camera: RightCamera | None = None
     lens_error: LensError | None = None
     profile: Profile | None = None
@@ -143,6 +144,7 @@ def summarise(
     unpaired: int,
     wall_s: float,
     disparity_offset_px: float = 0.0,
+    disparity_curve_px: float = 0.0,
     right_camera: RightCamera | None = None,
     lens_error: LensError | None = None,
     error: str | None = None,
@@ -179,6 +181,7 @@ def summarise(
         median_inliers=account.median_inliers,
         median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
         disparity_offset_px=round(disparity_offset_px, 4),
+        disparity_curve_px=round(disparity_curve_px, 4),
         right_camera=right_camera,
         lens_error=lens_error,
         profile=profile,
@@ -246,6 +249,8 @@ def _warnings(summary: Summary) -> list[str]:
     explained = summary.right_camera is not None and summary.right_camera.yaw_deg != 0.0
     if abs(summary.disparity_offset_px) >= _WORTH_TELLING_PX and not explained:
         warnings.append(_of_offset(summary.disparity_offset_px))
+    if abs(summary.disparity_curve_px) >= _WORTH_TELLING_PX and not explained:
+        warnings.append(_of_curve(summary.disparity_curve_px))
     if summary.lens_error is not None:
         warnings.append(_of_lens(summary.lens_error))
     if summary.median_disparity_px is not None and summary.median_disparity_px < _FAR_PX:
@@ -290,6 +295,14 @@ def _of_lens(found: LensError) -> str:
     else:
         corrected = "one coefficient cannot correct all of that; the path is off: calibrate anew"
     return f"the lens is not as calibrated ({amount}); {corrected}: vo calibrate"
+
+
+def _of_curve(curve_px: float) -> str:
+    return (
+        f"towards left and right disparities were off by up to {curve_px:+.2f} px (at one focal "
+        "length from the image's middle, growing with the square) and have been corrected: the "
+        "stereo calibration is slightly wrong"
+    )
 
 
 def _of_offset(offset_px: float) -> str:

@@ -37,7 +37,7 @@ def reduced(  # type: ignore[no-untyped-def]
 ):
     """Normal equations of the poses that may move, the points eliminated.
 
-    With `calibrates` six rows follow, of which the first is that of what the calibration leaves
+    With `calibrates` six rows follow, of which the first are those of what the calibration leaves
     (`Miscalibration`): to the blocks it is one more pose, which all observations share.
     """
     free = slot.max() + 1
@@ -142,7 +142,8 @@ def _jacobians(  # type: ignore[no-untyped-def]
     weight = 1.0 if length <= huber else np.sqrt(huber / length)
     error[0], error[1], error[2] = weight * eu, weight * ev, weight * ed
     if fb > 0.0:
-        by_rest[2, 0] = weight * t
+        right_x = (x - fb / intrinsics[0]) / z
+        by_rest[2, 0], by_rest[2, 1] = weight * t, weight * t * right_x * right_x
     else:  # taken where the point should be: what depends on the error itself would not average
         stretch = weight * s * (x * x + y * y) / (z * z * z)
         by_rest[0, 0], by_rest[1, 0] = stretch * intrinsics[0] * x, stretch * intrinsics[1] * y

@@ -41,6 +41,9 @@ class Bundle:
     """Observations of a window's points, and where the points lay when it was last linearised.
 
     The tangent of a pose is (rx ry rz tx ty tz) in the camera's own frame.
+
+    Attributes:
+        unknowns: how many numbers describe what the calibration leaves.
     """
 
     def __init__(self, problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> None:
@@ -49,6 +52,7 @@ class Bundle:
         self._views = views_of(problem, point_ok, config)
         self._slot = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
         self._config = config
+        self.unknowns = 2 if problem.baseline_m > 0.0 else 1
 
     def cost(self, world_from_cam: Floats) -> float:
         """Half the robust sum of squares for poses (K, 4, 4), every point at its best."""
@@ -63,7 +67,7 @@ class Bundle:
     ) -> NormalEquations:
         """Linearise at poses (K, 4, 4) and their points; later searches for points start there.
 
-        With `calibrates` another row at the end is that of what the calibration leaves
+        With `calibrates` more rows at the end are those of what the calibration leaves
         (`Miscalibration`), which is 0 so far.
         """
         at = self._at(world_from_cam)
@@ -72,7 +76,7 @@ class Bundle:
         hessian, gradient = block_kernels.reduced(
             at.points, poses, self._slot, calibrates, *self._views
         )
-        size = len(gradient) - 5 if calibrates else len(gradient)  # of a block of 6, one is used
+        size = 6 * (self._slot.max() + 1) + (self.unknowns if calibrates else 0)
         return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)
 
     def _at(self, world_from_cam: Floats) -> _Best:

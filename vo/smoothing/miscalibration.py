@@ -16,39 +16,46 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.smoothing.bundle import NormalEquations
+from vo.types import Floats
 
 _UNDETERMINED = 1e-10  # eigenvalue, against the greatest, below which poses are left alone
 
 
 class Miscalibration(NamedTuple):
-    """What is left of an error of the calibration, known to `sigma`.
+    """What is left of an error of the calibration.
 
-    In stereo the pixels that all disparities are too large by. In mono how much ideal points x,
-    in focal lengths, are bent: they should lie at x (1 - value r^2).
+    Attributes:
+        value: in stereo (2,) pixels that all disparities are too large by, and what they are too
+            large by in addition at one focal length to the side of the image's middle, growing
+            with the square of x on the right. In mono (1,) how much ideal points x, in focal
+            lengths, are bent: they should lie at x (1 - value r^2).
+        information: (2, 2) or (1, 1), the inverse of its covariance.
     """
 
-    value: float
-    sigma: float
+    value: Floats
+    information: Floats
 
 
-def miscalibration(normal: NormalEquations) -> Miscalibration | None:
+def miscalibration(normal: NormalEquations, unknowns: int) -> Miscalibration | None:
     """Estimate it together with all poses but one and all points of a smoothed window.
 
     One Gauss-Newton step. None if the window does not determine it.
 
     Args:
-        normal: the window's, with what the calibration leaves as the last row.
+        normal: the window's, with what the calibration leaves as the last rows.
+        unknowns: how many these are.
     """
     if not np.isfinite(normal.hessian).all():
         return None
-    poses, border = normal.hessian[:-1, :-1], normal.hessian[:-1, -1]
+    poses, border = normal.hessian[:-unknowns, :-unknowns], normal.hessian[:-unknowns, -unknowns:]
     values, vectors = np.linalg.eigh(poses)
     determined = values > _UNDETERMINED * values[-1]  # all but the scale in mono
     with np.errstate(divide="ignore"):
         inverse = np.where(determined, 1.0 / values, 0.0)
-    along = inverse * (vectors.T @ border)  # what poses would do about it
-    information = float(normal.hessian[-1, -1] - along @ (vectors.T @ border))
-    gradient = float(normal.gradient[-1] - along @ (vectors.T @ normal.gradient[:-1]))
-    if not np.isfinite(gradient) or not information > 0.0:
+    coupling = vectors.T @ border
+    along = inverse[:, None] * coupling  # what poses would do about it
+    information = normal.hessian[-unknowns:, -unknowns:] - along.T @ coupling
+    gradient = normal.gradient[-unknowns:] - along.T @ (vectors.T @ normal.gradient[:-unknowns])
+    if not (np.linalg.eigvalsh(information) > 0.0).all():
         return None
-    return Miscalibration(-gradient / information, float(information**-0.5))
+    return Miscalibration(np.asarray(-np.linalg.solve(information, gradient)), information)

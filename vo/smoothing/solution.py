@@ -57,7 +57,7 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
         information[rows, rows] += sigmas**-2.0
     only_first = np.arange(len(poses)) == 0
     bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
-    left = miscalibration(bundle.normal_equations(poses, calibrates=True))
+    left = miscalibration(bundle.normal_equations(poses, calibrates=True), bundle.unknowns)
     return WindowSolution(poses, held, information, points, ok, left, True)
 
 
