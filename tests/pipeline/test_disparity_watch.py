@@ -27,10 +27,10 @@ def _corrections(offsets: list[float], sigma: float = 0.02) -> list[tuple[int, f
     return found
 
 
-@pytest.mark.parametrize("offset", [-0.8, -0.22, 0.3])
-def test_a_large_offset_is_corrected_at_the_third_window(offset: float) -> None:
+@pytest.mark.parametrize(("offset", "window"), [(-0.8, 2), (-0.22, 4), (0.3, 2)])
+def test_a_large_offset_is_corrected_after_a_few_windows(offset: float, window: int) -> None:
     (number, wanted), *_ = _corrections([offset] * 20)
-    assert number == 2
+    assert number == window
     assert wanted == pytest.approx(offset, abs=1e-9)
 
 
@@ -97,3 +97,18 @@ def test_sure_windows_count_more_than_unsure_ones() -> None:
         wanted = watch.update(_left(0.4, 0.02))
     assert wanted is not None
     assert wanted[0] == pytest.approx(0.4, abs=0.01)
+
+
+def test_a_trace_of_an_offset_beside_a_curve_is_left_out() -> None:
+    watch = DisparityWatch(RIG)
+    for _ in range(10):
+        watch.update(_left(0.13 - float(watch.applied[0]), 0.02, -1.2 - float(watch.applied[1])))
+    assert watch.applied.tolist() == [0.0, pytest.approx(-1.2)]
+
+
+def test_an_offset_and_a_curve_are_corrected_together() -> None:
+    watch = DisparityWatch(RIG)
+    for _ in range(3):
+        wanted = watch.update(_left(0.6, 0.02, -1.2))
+    assert wanted is not None
+    assert wanted.tolist() == [pytest.approx(0.6), pytest.approx(-1.2)]

@@ -11,7 +11,7 @@ from vo.types import Floats
 # Windows of the same recording differ by more than their noise explains: uneven rectification,
 # moving things. Measured on real recordings, of the offset: 0.1 px.
 _SYSTEMATIC_PX = 0.1
-_SIGNIFICANT = 2.0  # standard deviations
+_SIGNIFICANT = 2.5  # standard deviations
 _LEAST_CHANGE_PX = 0.05
 _LEAST_WINDOWS = 3
 _YAW_PX, _LEAST_YAW, _MOST_YAW = 0.3, 0.5, 1.5
@@ -42,20 +42,31 @@ class DisparityWatch:
         self._information += information
         self._sum += information @ (self.applied + left.value)
         self._windows += 1
-        covariance = np.linalg.inv(self._information)
-        estimate = covariance @ self._sum
-        share = self._windows / (1.0 + (self._windows - 1) / _OVERLAP)
-        sure = np.sqrt(share * np.diag(covariance))
-        if not self.applied.any() and (
-            self._windows < _LEAST_WINDOWS or not (np.abs(estimate) > _SIGNIFICANT * sure).any()
-        ):
+        if self._windows < _LEAST_WINDOWS:
             return None
-        # An estimate that has come back to what windows differ by anyway is none.
-        wanted = np.where(np.abs(estimate) * self._edge > _SYSTEMATIC_PX, estimate, 0.0)
+        # What windows differ by anyway is no error.
+        simplest = self._simplest()
+        wanted = np.where(np.abs(simplest) * self._edge > _SYSTEMATIC_PX, simplest, 0.0)
         if not (np.abs(wanted - self.applied) * self._edge >= _LEAST_CHANGE_PX).any():
             return None
         self.applied = wanted
         return wanted
+
+    def _simplest(self) -> Floats:
+        """What explains the windows with the fewest numbers: nothing, one of the two, or both."""
+        share = (1.0 + (self._windows - 1) / _OVERLAP) / self._windows
+        both: Floats = np.asarray(np.linalg.solve(self._information, self._sum))
+        best, least = both, _SIGNIFICANT
+        for kept in ([], [0], [1]):
+            value = np.zeros(2)
+            value[kept] = self._sum[kept] / self._information[kept, kept]
+            missed = both - value
+            distance = float(np.sqrt(share * missed @ self._information @ missed))
+            if distance < least:
+                best, least = value, distance
+            if not best.any():
+                break
+        return best
 
 
 def is_from_yaw(offset_px: float, skew_px: float) -> bool:
