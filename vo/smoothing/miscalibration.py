@@ -1,8 +1,9 @@
 """What a calibration leaves, seen in how the scene moves.
 
 A stereo calibration that is off by a fraction of a pixel shifts every disparity by the same
-amount: near points are placed almost right, far ones too far or too near. The way points move
-while the camera moves shows their depths up to one common scale, so the two can be told apart.
+amount, or by more towards the sides: near points are placed almost right, far ones too far or too
+near. The way points move while the camera moves shows their depths up to one common scale, so
+these can be told apart.
 
 A lens that bends the image otherwise than its calibration says moves points towards the edges or
 away from them. Seen from several sides no scene fits that: motion and points that agree in the
