@@ -72,6 +72,19 @@ def read_mcap(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
+def test_colmap_gets_the_lens_as_it_was_found_to_be_on_the_way(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    found = replace(orbit.PINHOLE, distortion_model="radtan", distortion=(0.01, 0.0, 0.0, 0.0))
+    recorder = ColmapRecorder(tmp_path)
+    recorder.begin("a name", RIG, None)
+    for frame in range(orbit.FRAMES):
+        recorder.record(orbit.estimate(frame, orbit.PINHOLE if frame < 2 else found))
+    recorder.finish(orbit.smoothed(), orbit.smoothed())
+    (camera,) = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0")).cameras.values()
+    assert camera.model.name == "OPENCV"
+    assert camera.params[4] == pytest.approx(0.01)
+
+
 @pytest.mark.parametrize("lens", orbit.LENSES)
 def test_colmap_reads_an_exact_model(lens: str, tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")

@@ -96,7 +96,8 @@ class ColmapRecorder:
         is_pinhole = self._maps is not None
         write_model(
             folder,
-            camera=self._camera,
+            # Of images as recorded, with what was found to be wrong with their lens on the way.
+            camera=self._camera if is_pinhole else model.camera,
             names=[self._names[int(frame)] for frame in model.frame_index],
             world_from_cam=model.world_from_image0,
             xyz=model.xyz,
