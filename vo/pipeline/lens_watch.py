@@ -12,7 +12,7 @@ from vo.smoothing.miscalibration import Miscalibration
 _SYSTEMATIC_PX, _LEAST_CHANGE_PX = 0.2, 0.2
 # Windows of lenses that are calibrated right are off by one or two of their standard deviations.
 _NOISE = 2.0
-_SIGNIFICANT = 2.0  # standard deviations of that size
+_SIGNIFICANT = 2.5  # standard deviations of that size
 _LEAST_WINDOWS = 3
 _OVERLAP = 10  # windows from one to the next that shares no keyframe with it
 
