@@ -34,7 +34,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "smoothing.fixed": 3,
         "keyframes.min_tracked_share": 0.65,
         "keyframes.min_tracked": 120,
-        "keyframes.min_tracked_mono": 120,
+        "keyframes.min_tracked_mono": 80,
         "smoothing.max_landmarks": 300,
         "smoothing.iterations": 5,
     },

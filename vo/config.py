@@ -59,7 +59,12 @@ class TrackingConfig(Section):
     sigma_px: float = Field(0.5, gt=0, description="standard deviation of an aligned position")
     sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
     gate: float = Field(3.5, gt=0, description="standard deviations from which it is an outlier")
-    min_inliers: int = Field(20, ge=6, description="fewer agreeing landmarks than this is lost")
+    min_inliers: int = Field(
+        20,
+        ge=12,
+        description="fewer agreeing landmarks than this is lost; half as many will do if they are "
+        "half of those in view",
+    )
     min_share: float = Field(
         0.15, ge=0, le=1, description="and a smaller share of the landmarks in view too"
     )
@@ -93,7 +98,7 @@ class KeyframeConfig(Section):
         200, ge=0, description="stereo: fewer tracked landmarks than this ask for one, if moving"
     )
     min_tracked_mono: int = Field(
-        150, ge=0, description="mono: the same; new landmarks need a baseline"
+        100, ge=0, description="mono: the same; new landmarks need a baseline"
     )
     min_parallax_deg: float = Field(
         1.5, gt=0, description="stereo: median parallax with the last keyframe"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.config import Config
@@ -23,7 +25,18 @@ _SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
 # calibration leaves wrong from one side of the image to the other looks like parallax in a turn.
 # One real turn asks for it, recordings with a perfect camera do not (docs/accuracy.md).
 _PARALLAX_SHARE = 0.12
+_THIN = 150  # a keyframe with fewer landmarks takes those of turns too
+# With fewer still, parallax from here on will do: such depths are good to a quarter, and a turn in
+# front of a blank wall is got through.
+_SCARCE, _SCARCE_PARALLAX_DEG = 100, 0.3
 _MOST_MOVED_PX = 3.0  # by knowing the surface
+
+
+class _Parallax(NamedTuple):
+    """Least parallax of a landmark: an angle, and a share of that by which its image moved."""
+
+    least_deg: float
+    share: float
 
 
 def grow_mono(
@@ -31,16 +44,21 @@ def grow_mono(
 ) -> int:
     """Landmarks from features that a keyframe shares with some keyframes before it.
 
-    With so few that another keyframe is wanted, those from a turn are better than none.
+    In a thin map those from a turn are better than none; in one that is about to be lost, those
+    whose depth is hardly known.
     """
     others = world.keyframes[:-1][-config.mapping.neighbours :]
     before, most = len(keyframe.landmark), config.mapping.new_per_keyframe
-    enough = config.keyframes.min_tracked_mono
-    for share, wanted in (_PARALLAX_SHARE, before + most), (0.0, min(enough, before + most)):
+    least_deg = config.mapping.min_parallax_deg
+    for parallax, wanted in (
+        (_Parallax(least_deg, _PARALLAX_SHARE), before + most),
+        (_Parallax(least_deg, 0.0), min(_THIN, before + most)),
+        (_Parallax(_SCARCE_PARALLAX_DEG, 0.0), min(_SCARCE, before + most)),
+    ):
         for other in reversed(others):
             room = wanted - len(keyframe.landmark)
             if room > 0:
-                _grow_between(world, keyframe, other, image, rig, config, room, share)
+                _grow_between(world, keyframe, other, image, rig, config, room, parallax)
     return len(keyframe.landmark) - before
 
 
@@ -52,7 +70,7 @@ def _grow_between(
     rig: WorkingRig,
     config: Config,
     room: int,
-    parallax_share: float,
+    parallax: _Parallax,
 ) -> None:
     """Triangulate free features of `other` that lie on their epipolar lines in `keyframe`.
 
@@ -88,7 +106,7 @@ def _grow_between(
     query, train, image_xy = query[good], train[good], found.xy[good]
     xy = rig.ideal_from_image(image_xy)
     points, good, _ = _points_between(
-        other.ideal_xy[query], xy, now_from_other, rig, config, parallax_share
+        other.ideal_xy[query], xy, now_from_other, rig, config, parallax
     )
     query, train, image_xy = query[good], train[good], image_xy[good]
     found = _on_surfaces(world, keyframe, other, image, query, image_xy, points[good], rig, config)
@@ -96,12 +114,12 @@ def _grow_between(
     good &= np.linalg.norm(found.xy - image_xy, axis=1) <= _MOST_MOVED_PX
     query, train, image_xy = query[good], train[good], found.xy[good]
     xy = rig.ideal_from_image(image_xy)
-    points, good, parallax = _points_between(
-        other.ideal_xy[query], xy, now_from_other, rig, config, parallax_share
+    points, good, angle = _points_between(
+        other.ideal_xy[query], xy, now_from_other, rig, config, parallax
     )
     chosen = np.flatnonzero(good)
     if len(chosen) > room:
-        chosen = np.sort(chosen[np.argsort(-parallax[chosen], kind="stable")[:room]])
+        chosen = np.sort(chosen[np.argsort(-angle[chosen], kind="stable")[:room]])
     query, train = query[chosen], train[chosen]
     xy, image_xy, points = xy[chosen], image_xy[chosen], points[chosen]
     in_world = transform_points(other.world_from_cam, points)
@@ -232,17 +250,16 @@ def _points_between(
     now_from_other: Floats,
     rig: WorkingRig,
     config: Config,
-    parallax_share: float,
+    parallax: _Parallax,
 ) -> tuple[Floats, Bools, Floats]:
-    """Points (n, 3) in the other view's frame, which of them are sound, and parallax (n,), rad."""
+    """Points (n, 3) in the other view's frame, which are sound, and their parallax (n,), rad."""
     focal, centre = np.array([rig.fx, rig.fy]), np.array([rig.cx, rig.cy])
     points, angle = triangulate(
         now_from_other, (xy_other - centre) / focal, (xy_now - centre) / focal
     )
     good = in_front(points, now_from_other)
     moved_rad = np.linalg.norm((xy_now - xy_other) / focal, axis=1)
-    least = np.deg2rad(config.mapping.min_parallax_deg)
-    good &= angle >= np.maximum(least, parallax_share * moved_rad)
+    good &= angle >= np.maximum(np.deg2rad(parallax.least_deg), parallax.share * moved_rad)
     limit = config.tracking.gate * config.tracking.sigma_px
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = transform_points(now_from_other, points)

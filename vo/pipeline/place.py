@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vo.config import Config
+from vo.config import Config, TrackingConfig
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse
 from vo.mapping.map import Keyframe, Map
@@ -94,11 +94,16 @@ def refine(
     fit = observe.fit_pose(world, observed, pose, rig, config.tracking)
     world.visible[visible.rows] += 1
     world.found[observed.rows[fit.inlier]] += 1
-    needed = max(config.tracking.min_inliers, config.tracking.min_share * len(visible.rows))
-    if int(fit.inlier.sum()) < needed:
+    if int(fit.inlier.sum()) < _needed(len(visible.rows), config.tracking):
         return None
     ids = world.id[observed.rows]
     return Tracked(inverse(fit.cam_from_world), ids, observed, fit.inlier)
+
+
+def _needed(visible: int, config: TrackingConfig) -> float:
+    """How many landmarks have to agree: half as many do where they are most of those in view."""
+    sure = config.min_inliers
+    return max(min(sure, max(sure, visible) / 2), config.min_share * visible)
 
 
 def as_tracked(world: Map, keyframe: Keyframe) -> Tracked:
