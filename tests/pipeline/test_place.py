@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,6 +35,14 @@ class Scene:
 
     def refine(self, pose: Floats, config: Config = CONFIG) -> Tracked | None:
         return refine(self.map, self.frame, pose, self.rig, config)
+
+    def with_landmarks(self, count: int) -> Scene:
+        world = deepcopy(self.map)
+        tracked = self.refine(self.pose)
+        assert tracked is not None
+        chosen = tracked.ids[tracked.inlier]
+        world.keep_landmarks(np.isin(world.id, chosen[:: len(chosen) // count][:count]))
+        return replace(self, map=world)
 
     def with_dark_rows(self, count: int) -> Scene:
         image = self.frame.image0.copy()
@@ -89,6 +98,25 @@ def test_a_pose_that_few_of_the_landmarks_in_view_confirm_is_refused(scene: Scen
     tracked = dark.refine(dark.pose, CONFIG.model_copy(update={"tracking": tracking}))
     assert tracked is not None  # so there were enough of them, only their share was small
     assert tracked.inliers >= CONFIG.tracking.min_inliers
+
+
+@pytest.mark.parametrize(("count", "placed"), [(9, False), (15, True)])
+def test_few_landmarks_are_enough_if_they_agree(scene: Scene, count: int, placed: bool) -> None:
+    tracked = scene.with_landmarks(count).refine(scene.pose)
+    assert (tracked is not None) == placed
+    if tracked is not None:
+        assert tracked.inliers < CONFIG.tracking.min_inliers
+        away = inverse(scene.pose) @ tracked.world_from_cam
+        assert np.linalg.norm(away[:3, 3]) < 0.02
+
+
+def test_few_that_agree_are_not_enough_among_many(scene: Scene) -> None:
+    few = scene.with_landmarks(60).with_dark_rows(150)
+    tracking = CONFIG.tracking.model_copy(update={"min_inliers": 12})
+    tracked = few.refine(few.pose, CONFIG.model_copy(update={"tracking": tracking}))
+    assert tracked is not None
+    assert 12 <= tracked.inliers < CONFIG.tracking.min_inliers
+    assert few.refine(few.pose) is None
 
 
 def test_half_an_image_confirms_a_pose(scene: Scene) -> None:
