@@ -217,49 +217,42 @@ def test_a_map_grows_from_a_keyframe_far_behind(texture: Bytes) -> None:
 
 
 TURNED = make_transform(cv2.Rodrigues(np.array([0.0, 0.3, 0.0]))[0], np.array([0.14, 0.0, 0.0]))
+NEARBY = make_transform(np.eye(3), np.array([0.05, 0.0, 0.0]))
+
+
+def _grown(texture: Bytes, pose: Floats, known: int) -> tuple[int, Floats]:
+    """New landmarks of a second keyframe that knows some already, and their depth errors."""
+    scene = Scene(texture, Rig(CAMERA))
+    _seed(scene, scene.keyframe(scene.frame(np.eye(4)), np.eye(4)))
+    frame = scene.frame(pose)
+    second = scene.keyframe(frame, pose)
+    if known:
+        _seed(scene, second, known)
+    before = len(scene.map)
+    added = grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG)
+    return added, scene.depth_errors()[before:]
 
 
 def test_what_a_turn_shows_with_little_parallax_is_left_alone(texture: Bytes) -> None:
     """1.6 degrees of parallax, while the image moves by 17: its calibration matters as much."""
-    scene = Scene(texture, Rig(CAMERA))
-    _seed(scene, scene.keyframe(scene.frame(np.eye(4)), np.eye(4)))
-    frame = scene.frame(TURNED)
-    second = scene.keyframe(frame, TURNED)
-    _seed(scene, second, 150)
-    assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) == 0
+    assert _grown(texture, TURNED, known=150)[0] == 0
 
 
 def test_but_in_a_thin_map_it_is_better_than_nothing(texture: Bytes) -> None:
-    scene = Scene(texture, Rig(CAMERA))
-    _seed(scene, scene.keyframe(scene.frame(np.eye(4)), np.eye(4)))
-    frame = scene.frame(TURNED)
-    second = scene.keyframe(frame, TURNED)
-    before = len(scene.map)
-    added = grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG)
+    added, errors = _grown(texture, TURNED, known=0)
     assert 50 < added <= 150
-    assert np.median(np.abs(scene.depth_errors()[before:])) < 0.02
+    assert np.median(np.abs(errors)) < 0.02
 
 
 def test_a_map_about_to_be_lost_takes_what_hardly_shows_its_depth(texture: Bytes) -> None:
     """0.6 degrees of parallax: half of what a landmark needs otherwise."""
-    scene = Scene(texture, Rig(CAMERA))
-    _seed(scene, scene.keyframe(scene.frame(np.eye(4)), np.eye(4)))
-    pose = make_transform(np.eye(3), np.array([0.05, 0.0, 0.0]))
-    frame = scene.frame(pose)
-    second = scene.keyframe(frame, pose)
-    before = len(scene.map)
-    assert 50 < grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) <= 100
-    assert np.median(np.abs(scene.depth_errors()[before:])) < 0.05
+    added, errors = _grown(texture, NEARBY, known=0)
+    assert 50 < added <= 100
+    assert np.median(np.abs(errors)) < 0.05
 
 
 def test_but_not_one_with_a_hundred_landmarks(texture: Bytes) -> None:
-    scene = Scene(texture, Rig(CAMERA))
-    _seed(scene, scene.keyframe(scene.frame(np.eye(4)), np.eye(4)))
-    pose = make_transform(np.eye(3), np.array([0.05, 0.0, 0.0]))
-    frame = scene.frame(pose)
-    second = scene.keyframe(frame, pose)
-    _seed(scene, second, 100)
-    assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) == 0
+    assert _grown(texture, NEARBY, known=100)[0] == 0
 
 
 def test_no_feature_makes_two_landmarks(texture: Bytes) -> None:
