@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-BASE = {"vo.errors", "vo.types", "vo.config", "vo.settings"}
+BASE = {"vo.errors", "vo.types", "vo.config", "vo.settings", "vo.scheduling"}
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
 THINKING = {f"vo.{name}" for name in ("features", "tracking", "mapping", "smoothing")}
 ROOMS = THINKING | {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results")}
@@ -23,6 +23,7 @@ ALLOWED = {
     "vo.types": BASE,
     "vo.config": BASE,
     "vo.settings": BASE,
+    "vo.scheduling": set(),
     "vo.progress": BASE,
     "vo.interrupts": BASE,
     "vo.compiling": set(),

@@ -66,9 +66,8 @@ from vo.types import (
 
 # Frames after which the smoother's answer is taken in, unless a keyframe comes before: always the
 # same, so that the path does not depend on how fast the smoother is. A stereo map can do without
-# it for a while; in mono the landmarks' depth hangs on the poses, and tracking on them before
-# they are smoothed cost a quarter of the accuracy, or the map.
-_ANSWER_AFTER_STEREO, _ANSWER_AFTER_MONO = 2, 0
+# it for longer: in mono the landmarks' depth hangs on the poses.
+_ANSWER_AFTER_STEREO, _ANSWER_AFTER_MONO = 2, 1
 # Share of the last frame's landmarks that must agree for a pose to be taken without descriptors.
 _CLEAR = 0.5
 _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 import pytest
@@ -45,6 +47,15 @@ def test_the_same_image_gives_the_same_features() -> None:
     first, again = _detect(image), _detect(image.copy())
     for name in ("xy", "octave", "angle", "response", "descriptor"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+
+
+def test_a_helper_for_the_smaller_levels_changes_no_feature() -> None:
+    image = shapes(300, 480)
+    alone = _detect(image)
+    with ThreadPoolExecutor(1) as helper:
+        shared = OrbDetector(CONFIG).detect(image, helper)
+    for name in ("xy", "octave", "angle", "response", "descriptor"):
+        np.testing.assert_array_equal(getattr(alone, name), getattr(shared, name))
 
 
 def test_descriptors_are_those_of_opencv() -> None:

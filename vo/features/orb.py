@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from pathlib import Path
 
 import cv2
@@ -35,12 +36,21 @@ class OrbDetector:
         self._moments = _moment_weights()
         self._pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
 
-    def detect(self, image: Bytes) -> Keypoints:
-        """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order."""
-        levels = [
-            self._detect_level(level_image, octave, quota, image.shape)
-            for octave, (level_image, quota) in enumerate(self._pyramid(image))
-        ]
+    def detect(self, image: Bytes, helper: Executor | None = None) -> Keypoints:
+        """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order.
+
+        Args:
+            image: where to look.
+            helper: works on the smaller levels, which are half of the work, at the same time.
+        """
+        full, *smaller = self._pyramid(image)
+
+        def detect_smaller() -> list[Keypoints]:
+            return [self._detect_level(*s, o, image.shape) for o, s in enumerate(smaller, 1)]
+
+        others = None if helper is None else helper.submit(detect_smaller)
+        largest = self._detect_level(*full, 0, image.shape)
+        levels = [largest, *(detect_smaller() if others is None else others.result())]
         return Keypoints(
             xy=np.concatenate([k.xy for k in levels]),
             octave=np.concatenate([k.octave for k in levels]),
@@ -64,7 +74,7 @@ class OrbDetector:
         return levels
 
     def _detect_level(
-        self, image: Bytes, octave: int, quota: int, full_shape: tuple[int, ...]
+        self, image: Bytes, quota: int, octave: int, full_shape: tuple[int, ...]
     ) -> Keypoints:
         xy, scores = self._fast.detect(image, quota)
         angle = _orientation(image, xy, *self._moments)

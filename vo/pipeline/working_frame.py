@@ -16,6 +16,7 @@ from vo.geometry.rectification import WorkingRig
 from vo.geometry.row_errors import RowErrors
 from vo.pipeline.later import Later
 from vo.pipeline.row_alignment import RowAlignment, View
+from vo.scheduling import give_way
 from vo.types import Bools, Bytes, Floats32, Frame, Keypoints
 
 
@@ -87,7 +88,9 @@ class Preparation:
         self._rows = RowAlignment(config)
         self._detectors = (OrbDetector(config.features), OrbDetector(config.features))
         names = ("left", "right") if threads > 1 else ()
-        self._pools = [ThreadPoolExecutor(1, thread_name_prefix=name) for name in names]
+        self._pools = [
+            ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
+        ]
 
     def later(self, frame: Frame, rig: WorkingRig) -> Later[WorkingFrame]:
         """A frame that will be made ready."""
@@ -119,8 +122,7 @@ class Preparation:
     def _prepare(self, frame: Frame, rig: WorkingRig) -> WorkingFrame:
         """Rectify a frame; have its features looked for."""
         image0 = rig.rectify(frame.image0, 0)
-        pool = self._pools[0] if self._pools else None
-        left = Later(lambda: self._left(image0, rig), pool)
+        left = Later(lambda: self._left(image0, rig), self._pool_of_left(rig))
         image1, right = None, None
         if rig.is_stereo and frame.image1 is not None:
             image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
@@ -149,8 +151,17 @@ class Preparation:
             working.begin_features()
         return working
 
+    def _pool_of_left(self, rig: WorkingRig) -> ThreadPoolExecutor | None:
+        """Where features of left images are looked for: beside the next frame, if that is free."""
+        if not self._pools:
+            return None
+        return self._pools[0 if rig.is_stereo else 1]
+
     def _left(self, image: Bytes, rig: WorkingRig) -> Keypoints:
-        keypoints = self._detectors[0].detect(image)
+        # Nothing in the left images' thread waits for features of a single camera, so that these
+        # may wait for it.
+        helper = self._pools[0] if self._pools and not rig.is_stereo else None
+        keypoints = self._detectors[0].detect(image, helper)
         inside = np.asarray(np.isfinite(rig.ideal_from_image(keypoints.xy)).all(axis=1))
         return keypoints if inside.all() else select(keypoints, inside)
 

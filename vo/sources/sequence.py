@@ -16,6 +16,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from vo.errors import SourceError
+from vo.scheduling import give_way
 from vo.sources.depth import DepthImages, read_depth
 from vo.sources.images import ImageFile, ImageKind, Pixels, StoredImage, read_image
 from vo.sources.imu import Imu
@@ -210,7 +211,7 @@ class ImageSequence:
 
 def _reader(camera: str) -> ThreadPoolExecutor:
     """A thread of its own for a camera, so that containers that run one way are read in order."""
-    return ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"read-{camera}")
+    return ThreadPoolExecutor(1, thread_name_prefix=f"read-{camera}", initializer=give_way)
 
 
 def _check_size(stored: StoredImage, shape: tuple[int, ...], camera: Camera) -> None:

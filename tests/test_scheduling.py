@@ -1,0 +1,49 @@
+"""Helpers give way to the thread that tracks."""
+
+from __future__ import annotations
+
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from vo.config import Config
+from vo.geometry.rectification import working_rig
+from vo.pipeline.working_frame import Preparation
+from vo.scheduling import give_way
+from vo.types import Camera, Frame, Rig
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems have no SCHED_BATCH")
+
+
+def test_only_the_thread_that_asks_gives_way() -> None:
+    before = os.sched_getscheduler(0)
+    with ThreadPoolExecutor(1, initializer=give_way) as pool:
+        assert pool.submit(os.sched_getscheduler, 0).result() == os.SCHED_BATCH
+    assert os.sched_getscheduler(0) == before
+
+
+def test_frames_are_made_ready_by_threads_that_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    policies: list[int] = []
+    rig = working_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
+    image = np.random.default_rng(0).integers(0, 255, (120, 200), dtype=np.uint8)
+    preparation = Preparation(Config(), threads=2)
+    monkeypatch.setattr(
+        "vo.pipeline.working_frame.smaller_images",
+        lambda image: policies.append(os.sched_getscheduler(0)) or (),
+    )
+    try:
+        preparation.later(Frame(0, 0, image), rig).result()
+    finally:
+        preparation.close()
+    assert policies == [os.SCHED_BATCH]
+
+
+def test_a_system_that_forbids_it_costs_nothing_but_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError("not in this container")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    give_way()
