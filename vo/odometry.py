@@ -238,10 +238,10 @@ class Odometry:
         The prediction as it is comes between these; mono's last resort are two views.
         """
         world, rig, config = self._map, self._rig, self._config
-        predicted = self._motion.predict(frame.stamp_ns)
         if self._last is not None and step is not None:
             looked = self._motion.last @ step
             yield FirstPose(looked, enough=_CLEAR * int(self._last.inlier.sum()))
+        predicted = self._motion.predict(frame.stamp_ns)
         near = place_near(world, frame, predicted, rig, config)
         if near is not None:
             yield FirstPose(near)

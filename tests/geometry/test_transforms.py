@@ -109,6 +109,16 @@ def test_interpolation_is_even() -> None:
     assert tf.rotation_angle(quarter[:3, :3]) == pytest.approx(0.1, abs=1e-12)
 
 
+@pytest.mark.parametrize("size", [1e-15, 1e-12, 1e-9, 1e-7, 1e-3])
+def test_orthonormalised_gives_the_nearest_rotation(size: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        near = tf.se3_exp(rng.normal(size=6))
+        near[:3, :3] += size * rng.standard_normal((3, 3))
+        u, _, vt = np.linalg.svd(near[:3, :3])
+        np.testing.assert_allclose(tf.orthonormalised(near)[:3, :3], u @ vt, atol=1e-14)
+
+
 def test_orthonormalised_mends_rounded_rotations() -> None:
     exact = tf.se3_exp(np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0]))
     mended = tf.orthonormalised(np.round(exact, 4))

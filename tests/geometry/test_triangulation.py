@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vo.geometry.transforms import make_transform, se3_exp, transform_points
-from vo.geometry.triangulation import in_front, triangulate
+from vo.geometry.triangulation import in_front, sound_points, triangulate
 from vo.types import Floats
 
 SECOND_FROM_FIRST = se3_exp(np.array([0.05, -0.1, 0.02, -0.8, 0.1, 0.3]))
@@ -86,3 +86,60 @@ def test_few_points_keep_their_shapes(count: int) -> None:
     moved = transform_points(SECOND_FROM_FIRST, points)
     found, angle = triangulate(SECOND_FROM_FIRST, _rays(points), _rays(moved))
     assert found.shape == (count, 3) and angle.shape == (count,)
+
+
+INTRINSICS = (500.0, 480.0, 320.0, 200.0)
+
+
+def _pixels(points: np.ndarray) -> np.ndarray:
+    fx, fy, cx, cy = INTRINSICS
+    return np.asarray(_rays(points) * (fx, fy) + (cx, cy))
+
+
+def _judged(second: np.ndarray, points: np.ndarray, **limits: float) -> tuple[Floats, list[bool]]:
+    found = sound_points(
+        second,
+        _pixels(points),
+        _pixels(transform_points(second, points)),
+        INTRINSICS,
+        **{"least_rad": 0.01, "share": 0.0, "limit_px": 1.75, **limits},
+    )
+    return found.xyz, found.sound.tolist()
+
+
+def test_points_with_parallax_enough_are_sound_and_exact() -> None:
+    points = np.array([[0.3, -0.2, 4.0], [1.0, 0.5, 12.0], [-0.4, 0.1, 400.0]])
+    sideways = se3_exp(np.array([0.0, 0.0, 0.0, -0.3, 0.0, 0.0]))
+    found, sound = _judged(sideways, points)
+    assert sound == [True, True, False]  # 0.3 m in 400 m are less than 0.01 rad
+    np.testing.assert_allclose(found[:2], points[:2], rtol=1e-9)
+
+
+def test_in_a_turn_parallax_must_be_a_share_of_the_motion_in_the_image() -> None:
+    turn = se3_exp(np.array([0.0, 0.2, 0.0, -0.1, 0.0, 0.0]))  # 0.2 rad, of which 0.025 parallax
+    points = np.array([[0.3, -0.2, 4.0]])
+    assert _judged(turn, points, share=0.05)[1] == [True]
+    assert _judged(turn, points, share=0.3)[1] == [False]
+
+
+def test_points_behind_a_camera_are_not_sound() -> None:
+    ahead = se3_exp(np.array([0.0, 0.0, 0.0, -0.2, 0.0, -5.0]))  # 5 m ahead
+    points = np.array([[0.5, 0.2, 4.0], [0.5, 0.2, 9.0]])
+    assert _judged(ahead, points)[1] == [False, True]
+
+
+def test_pixels_off_each_other_s_epipolar_lines_make_no_sound_point() -> None:
+    sideways = se3_exp(np.array([0.0, 0.0, 0.0, -0.3, 0.0, 0.0]))
+    first = _pixels(np.array([[0.3, -0.2, 4.0]]))
+    second = _pixels(transform_points(sideways, np.array([[0.3, -0.2, 4.0]])))
+    for off_px, expected in ((1.0, True), (8.0, False)):
+        found = sound_points(
+            sideways,
+            first,
+            second + (0.0, off_px),
+            INTRINSICS,
+            least_rad=0.01,
+            share=0.0,
+            limit_px=1.75,
+        )
+        assert found.sound.tolist() == [expected]

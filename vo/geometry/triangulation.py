@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.compiling.function import compiled
@@ -69,3 +71,79 @@ def in_front(points: Floats, second_from_first: Floats) -> Bools:
     with np.errstate(invalid="ignore"):
         depth_second = points @ second_from_first[2, :3] + second_from_first[2, 3]
         return np.asarray((points[:, 2] > 0) & (depth_second > 0) & np.isfinite(depth_second))
+
+
+class SoundPoints(NamedTuple):
+    """Points from pixels that two views of one camera share.
+
+    Attributes:
+        xyz: (N, 3) in the first view's frame.
+        sound: (N,) whether they are in front of both, where both see them, with parallax enough.
+        angle: (N,) between their rays, rad.
+    """
+
+    xyz: Floats
+    sound: Bools
+    angle: Floats
+
+
+def sound_points(
+    second_from_first: Floats,
+    xy_first: Floats,
+    xy_second: Floats,
+    intrinsics: tuple[float, float, float, float],
+    *,
+    least_rad: float,
+    share: float,
+    limit_px: float,
+) -> SoundPoints:
+    """Triangulate pixels, and judge what comes of it.
+
+    Args:
+        second_from_first: (4, 4).
+        xy_first: (N, 2) ideal pixels.
+        xy_second: (N, 2) the same in the second view.
+        intrinsics: fx, fy, cx, cy of both views.
+        least_rad: least parallax.
+        share: least parallax as a share of the angle by which the image of a point has moved.
+        limit_px: from which distance to its pixels on a point is not sound.
+    """
+    fx, fy, cx, cy = intrinsics
+    focal, centre = np.array([fx, fy]), np.array([cx, cy])
+    xyz, angle = triangulate(
+        second_from_first, (xy_first - centre) / focal, (xy_second - centre) / focal
+    )
+    sound = _sound(
+        np.ascontiguousarray(second_from_first),
+        xyz,
+        angle,
+        np.ascontiguousarray(xy_first),
+        np.ascontiguousarray(xy_second),
+        intrinsics,
+        least_rad,
+        share,
+        limit_px,
+    )
+    return SoundPoints(xyz, sound, angle)
+
+
+@compiled
+def _sound(motion, points, angle, first, second, intrinsics, least_rad, share, limit):  # type: ignore[no-untyped-def]
+    fx, fy, cx, cy = intrinsics
+    sound = np.zeros(len(points), dtype=np.bool_)
+    for n in range(len(points)):
+        x, y, z = points[n]
+        moved_rad = np.hypot((second[n, 0] - first[n, 0]) / fx, (second[n, 1] - first[n, 1]) / fy)
+        if not (0.0 < z < np.inf and angle[n] >= max(least_rad, share * moved_rad)):
+            continue
+        if np.hypot(fx * x / z + cx - first[n, 0], fy * y / z + cy - first[n, 1]) >= limit:
+            continue
+        x, y, z = (
+            motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3],
+            motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3],
+            motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3],
+        )
+        if z > 0.0:
+            off = np.hypot(fx * x / z + cx - second[n, 0], fy * y / z + cy - second[n, 1])
+            sound[n] = off < limit
+    return sound

@@ -61,6 +61,8 @@ def direct_step(
 
 def _image_from_ideal(xy: Floats, rig: WorkingRig) -> Floats:
     """What the lens does to pixels near xy (N, 2), as affine maps (N, 2, 3)."""
+    if rig.lens is None:
+        return np.tile(np.eye(2, 3), (len(xy), 1, 1))
     at = rig.image_from_ideal(xy)
     right, down = (rig.image_from_ideal(xy + step) - at for step in ((1.0, 0.0), (0.0, 1.0)))
     linear = np.stack([right, down], axis=2)

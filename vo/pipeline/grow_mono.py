@@ -14,10 +14,10 @@ from vo.geometry.patch_prediction import predict_patches
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.surfaces import surface_normals
 from vo.geometry.transforms import inverse, transform_points
-from vo.geometry.triangulation import in_front, triangulate
+from vo.geometry.triangulation import SoundPoints, sound_points
 from vo.mapping.map import Keyframe, Map
 from vo.pipeline.grow import add_new
-from vo.types import Bools, Bytes, Floats, Ints
+from vo.types import Bytes, Floats, Ints
 
 _NEAREST, _FARTHEST = 0.15, 100.0  # depths where features are looked for, of the median depth
 _SMALLEST = 0.75  # of a feature's depth is left when the camera has come nearer
@@ -83,9 +83,7 @@ def _grow_between(
     if depth is None or baseline < 0.005 * depth:
         return
     query, train = np.flatnonzero(other.free), np.flatnonzero(keyframe.free)
-    nearest = _not_too_near(other.ideal_xy[query], now_from_other, rig)
-    nearest = np.maximum(nearest, _NEAREST * depth)
-    query, start, end = _segments(other, query, now_from_other, nearest, _FARTHEST * depth, rig)
+    query, start, end = _segments(other, query, now_from_other, depth, rig)
     query, train = _match_between(keyframe, other, query, train, start, end, config)
     if len(query) == 0:
         return
@@ -217,31 +215,18 @@ def _match_between(
 
 
 def _segments(
-    other: Keyframe,
-    query: Ints,
-    now_from_other: Floats,
-    nearest: Floats,
-    farthest: float,
-    rig: WorkingRig,
+    other: Keyframe, query: Ints, now_from_other: Floats, depth: float, rig: WorkingRig
 ) -> tuple[Ints, Floats, Floats]:
-    """Features whose depths are all in front of both cameras, and where their segments end now.
-
-    When the camera has moved on by more than the nearest (n,) depth there are none.
-    """
+    """Features whose depths are all in front of both cameras, and where their segments end now."""
     start, end, possible = epipolar_segments(
-        other.ideal_xy[query], now_from_other, nearest, farthest, (rig.fx, rig.fy, rig.cx, rig.cy)
+        other.ideal_xy[query],
+        now_from_other,
+        _NEAREST * depth,
+        _FARTHEST * depth,
+        _SMALLEST,
+        (rig.fx, rig.fy, rig.cx, rig.cy),
     )
     return query[possible], start[possible], end[possible]
-
-
-def _not_too_near(xy: Floats, now_from_other: Floats, rig: WorkingRig) -> Floats:
-    """Depths (n,) of features from which their depth now is at least `_SMALLEST` of it, or 0."""
-    rays = rig.back_project(xy, np.ones(len(xy)))
-    # A point at depth d is at slope * d + shift now.
-    slope, shift = rays @ now_from_other[2, :3], now_from_other[2, 3]
-    margin = slope - _SMALLEST
-    usable = (margin > 0.05) & (shift < 0)
-    return np.where(usable, -shift / np.where(usable, margin, 1.0), 0.0)
 
 
 def _points_between(
@@ -251,22 +236,17 @@ def _points_between(
     rig: WorkingRig,
     config: Config,
     parallax: _Parallax,
-) -> tuple[Floats, Bools, Floats]:
-    """Points (n, 3) in the other view's frame, which are sound, and their parallax (n,), rad."""
-    focal, centre = np.array([rig.fx, rig.fy]), np.array([rig.cx, rig.cy])
-    points, angle = triangulate(
-        now_from_other, (xy_other - centre) / focal, (xy_now - centre) / focal
+) -> SoundPoints:
+    """Points in the other view's frame."""
+    return sound_points(
+        now_from_other,
+        xy_other,
+        xy_now,
+        (rig.fx, rig.fy, rig.cx, rig.cy),
+        least_rad=float(np.deg2rad(parallax.least_deg)),
+        share=parallax.share,
+        limit_px=config.tracking.gate * config.tracking.sigma_px,
     )
-    good = in_front(points, now_from_other)
-    moved_rad = np.linalg.norm((xy_now - xy_other) / focal, axis=1)
-    good &= angle >= np.maximum(np.deg2rad(parallax.least_deg), parallax.share * moved_rad)
-    limit = config.tracking.gate * config.tracking.sigma_px
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = transform_points(now_from_other, points)
-        error_other = np.linalg.norm(rig.project(points) - xy_other, axis=1)
-        error_now = np.linalg.norm(rig.project(moved) - xy_now, axis=1)
-        good &= (error_other < limit) & (error_now < limit)
-    return points, good, angle
 
 
 def _median_depth(world: Map, keyframe: Keyframe) -> float | None:
