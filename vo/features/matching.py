@@ -134,7 +134,7 @@ def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
     """
     if len(query_angle) == 0:
         return np.zeros(0, dtype=bool)
-    return np.asarray(_agree(np.asarray(query_angle), np.asarray(train_angle)))
+    return np.asarray(_agree(query_angle, train_angle))
 
 
 @compiled
