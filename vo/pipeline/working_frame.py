@@ -152,7 +152,7 @@ class Preparation:
         return working
 
     def _pool_of_left(self, rig: WorkingRig) -> ThreadPoolExecutor | None:
-        """The thread for features of left images; of a single camera the other one, which is idle."""
+        """The thread for features of left images; of a single camera the other, which is idle."""
         if not self._pools:
             return None
         return self._pools[0 if rig.is_stereo else 1]
