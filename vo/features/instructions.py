@@ -96,6 +96,20 @@ def blend_16(
 
 
 @intrinsic
+def pair(typing_context: Any, image: Any, at: Any) -> Any:
+    """Pixels `at` (the lower eight bits) and `at + 1` of a flat image, in one load."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pixels = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        place = builder.gep(pixels, [arguments[1]])
+        loaded = builder.load(builder.bitcast(place, ir.IntType(16).as_pointer()))
+        loaded.align = 1
+        return loaded
+
+    return types.uint16(image, types.int64), generate
+
+
+@intrinsic
 def prefetch(typing_context: Any, image: Any, at: Any) -> Any:
     """Begin to fetch the bytes around `at` of a flat image from memory."""
 

@@ -20,6 +20,7 @@ _HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 _SETTLED, _NEARLY = 4e-6, 1e-4
 
 _blend_16 = WrittenOut("vo.features.instructions", "blend_16")
+_pair = WrittenOut("vo.features.instructions", "pair")
 _prefetch = WrittenOut("vo.features.instructions", "prefetch")
 
 
@@ -31,6 +32,7 @@ def align(  # type: ignore[no-untyped-def]
     count, side = len(reference_xy), 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work = _workspace(half, stride)
+    pixels = np.empty((3, (2 * half + 3) * stride), dtype=np.int32)
     xy = start_xy.copy()
     score = np.full(count, -1.0)
     converged, nearly = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
@@ -46,7 +48,7 @@ def align(  # type: ignore[no-untyped-def]
         if len(inverses) == 0:
             inside = _cut(image, x, y, half, stride, work)
         else:
-            inside = _cut_stretched(image, x, y, inverses[n], half, stride, work)
+            inside = _cut_stretched(image, x, y, inverses[n], half, stride, work, pixels)
         if not inside:
             continue
         sums = _template(side, stride, work)
@@ -108,17 +110,20 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _cut_stretched(image, x, y, inverse, half, stride, work):  # type: ignore[no-untyped-def]
+def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: ignore[no-untyped-def]
     """The same for the patch as it looks after the stretch."""
     height, width = image.shape
-    reach = half + 1
+    reach, left, top = half + 1, np.inf, np.inf
     for sy in (-reach, reach):
         for sx in (-reach, reach):
             px = x + inverse[0, 0] * sx + inverse[0, 1] * sy
             py = y + inverse[1, 0] * sx + inverse[1, 1] * sy
             if not (0 <= px < width - 1.0001 and 0 <= py < height - 1.0001):
                 return False
-    _stretch(image.reshape(-1), width, x, y, inverse, (2 * half + 3) * stride, work)
+            left, top = min(left, px), min(top, py)
+    at = int(top) * width + int(left)
+    x, y, size = x - int(left), y - int(top), (2 * half + 3) * stride
+    _stretch(image.reshape(-1)[at:], width, x, y, inverse, size, work, pixels)
     return True
 
 
@@ -139,25 +144,30 @@ def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath={"contract"})
-def _stretch(flat, width, x, y, inverse, size, work):  # type: ignore[no-untyped-def]
-    """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors."""
+def _stretch(flat, width, x, y, inverse, size, work, pixels):  # type: ignore[no-untyped-def]
+    """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors.
+
+    The centre (x, y) is told from the top left corner of what is needed, so that single precision
+    holds places to 1e-5 px and no place is negative.
+    """
     wide, share_x, share_y, across, down = work[0], work[2], work[3], work[6], work[7]
-    place = np.empty(size, dtype=np.int64)
-    corners = np.empty((4, size), dtype=np.uint8)
-    count, below = np.uintp(size), np.uintp(width)
+    place, above, below = pixels[0], pixels[1], pixels[2]
+    count, row = np.uintp(size), np.int32(width)
+    x, y = np.float32(x), np.float32(y)
+    xx, xy = np.float32(inverse[0, 0]), np.float32(inverse[0, 1])
+    yx, yy = np.float32(inverse[1, 0]), np.float32(inverse[1, 1])
     for k in range(count):
-        px = x + inverse[0, 0] * across[k] + inverse[0, 1] * down[k]
-        py = y + inverse[1, 0] * across[k] + inverse[1, 1] * down[k]
+        px = max(x + xx * across[k] + xy * down[k], np.float32(0))
+        py = max(y + yx * across[k] + yy * down[k], np.float32(0))
         x0, y0 = np.int32(px), np.int32(py)
-        share_x[k], share_y[k] = px - x0, py - y0
-        place[k] = y0 * width + x0
+        share_x[k], share_y[k] = px - np.float32(x0), py - np.float32(y0)
+        place[k] = y0 * row + x0
     for k in range(count):
-        p = np.uintp(place[k])
-        corners[0, k], corners[1, k] = flat[p], flat[p + np.uintp(1)]
-        corners[2, k], corners[3, k] = flat[p + below], flat[p + below + np.uintp(1)]
+        above[k] = _pair(flat, place[k])
+        below[k] = _pair(flat, place[k] + width)
     for k in range(count):
-        a, b = np.float32(corners[0, k]), np.float32(corners[1, k])
-        c, d = np.float32(corners[2, k]), np.float32(corners[3, k])
+        a, b = np.float32(above[k] & 255), np.float32(above[k] >> 8)
+        c, d = np.float32(below[k] & 255), np.float32(below[k] >> 8)
         top, low = a + share_x[k] * (b - a), c + share_x[k] * (d - c)
         wide[k] = top + share_y[k] * (low - top)
 

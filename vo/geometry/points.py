@@ -127,7 +127,7 @@ def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
     return starts, order
 
 
-@compiled
+@compiled(fastmath={"contract"})
 def _refined(  # type: ignore[no-untyped-def]
     points,
     poses,
@@ -177,7 +177,7 @@ def _refined(  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled
+@compiled(fastmath={"contract"})
 def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     """A point's robust cost, inf if behind, its normal matrix (00 11 22 10 20 21) and gradient."""
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
@@ -195,11 +195,12 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
         z = p20 * at[0] + p21 * at[1] + p22 * at[2] + pose[2, 3]
         if z < _NEAREST:
             return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        # Predicted - measured u, v, disparity in standard deviations.
-        s, t, ed = inverse_sigma[a], 0.0, 0.0
-        eu, ev = s * (fx * x / z + cx - xy[a, 0]), s * (fy * y / z + cy - xy[a, 1])
+        # Predicted - measured u, v, disparity in standard deviations. One division serves all.
+        s, t, ed, near = inverse_sigma[a], 0.0, 0.0, 1.0 / z
+        x, y = x * near, y * near
+        eu, ev = s * (fx * x + cx - xy[a, 0]), s * (fy * y + cy - xy[a, 1])
         if fb > 0.0 and not np.isnan(disparity[a]):
-            t, ed = inverse_d, inverse_d * (fb / z - disparity[a])
+            t, ed = inverse_d, inverse_d * (fb * near - disparity[a])
         length = np.sqrt(eu * eu + ev * ev + ed * ed)
         weight = 1.0
         if length <= huber:
@@ -207,8 +208,8 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
         else:
             cost += huber * (length - 0.5 * huber)
             weight = huber / length
-        du, dv = s * fx / z, s * fy / z
-        cu, cv, cd = -du * x / z, -dv * y / z, -t * fb / (z * z)
+        du, dv = s * fx * near, s * fy * near
+        cu, cv, cd = -du * x, -dv * y, -t * fb * near * near
         u0, v0, d0 = du * p00 + cu * p20, dv * p10 + cv * p20, cd * p20
         u1, v1, d1 = du * p01 + cu * p21, dv * p11 + cv * p21, cd * p21
         u2, v2, d2 = du * p02 + cu * p22, dv * p12 + cv * p22, cd * p22
@@ -224,7 +225,7 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     return cost, (n00, n11, n22, n10, n20, n21), (r0, r1, r2)
 
 
-@compiled
+@compiled(fastmath={"contract"})
 def _stepped(at, normal, right, damping):  # type: ignore[no-untyped-def]
     """Whether the damped normal matrix is regular, and where its step, by cofactors, leads."""
     xx, yy, zz, xy, xz, yz = normal

@@ -8,51 +8,65 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+_FUSED = ("contract",)  # products and sums in one instruction
 _LANES = 8  # numbers of 64 bits in a vector register
-_INDEX, _NUMBER = ir.IntType(64), ir.DoubleType()
-_NUMBERS = ir.VectorType(_NUMBER, _LANES)
+_INDEX, _NUMBERS = ir.IntType(64), ir.VectorType(ir.DoubleType(), _LANES)
 
 
 def _product(rows: int, join: str | None) -> Any:
-    """Compiled: the first `rows` of `to` become left^T right, of left (3, any) and right (3, 8).
+    """Compiled: the first `rows` of a block become left^T right, of left (3, any) and right (3, 8).
 
-    With `join` ("fadd", "fsub") that is added to them or taken off. Written out because loops of
-    six are not turned into vector instructions by themselves.
+    With `join` ("fadd", "fsub") that is added to them or taken off. All three stand in flat arrays
+    of float64 from a place on, row after row: views would be counted, each of them twice. Written
+    out because loops of six are not turned into vector instructions by themselves.
+
+    The compiled function takes the array and place of the block, of left, how long a row of left
+    is, and array and place of right.
     """
 
     @intrinsic
-    def product(typing_context: Any, to: Any, left: Any, right: Any) -> Any:
+    def product(
+        typing_context: Any,
+        to: Any,
+        to_place: Any,
+        left: Any,
+        left_place: Any,
+        left_row: Any,
+        right: Any,
+        right_place: Any,
+    ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            to, left, right = (
-                context.make_array(kind)(context, builder, array)
-                for kind, array in zip(signature.args, arguments, strict=True)
-            )
-            factors = [
-                builder.load(_place(builder, right, k, 0, _NUMBERS), align=8) for k in range(3)
-            ]
+            def data(argument: int) -> Any:
+                array = context.make_array(signature.args[argument])
+                return array(context, builder, arguments[argument]).data
+
+            def row_of(begin: Any, row: int) -> Any:
+                at = builder.gep(begin, [_INDEX(_LANES * row)])
+                return builder.bitcast(at, _NUMBERS.as_pointer())
+
+            block = builder.gep(data(0), [arguments[1]])
+            begin, length = builder.gep(data(2), [arguments[3]]), arguments[4]
+            lefts = [builder.gep(begin, [builder.mul(length, _INDEX(k))]) for k in range(3)]
+            begin = builder.gep(data(5), [arguments[6]])
+            factors = [builder.load(row_of(begin, k), align=8) for k in range(3)]
             for row in range(rows):
-                total = None
+                place = row_of(block, row)
+                total = None if join is None else builder.load(place, align=8)
                 for k in range(3):
-                    number = builder.load(_place(builder, left, k, row, _NUMBER))
-                    term = builder.fmul(_everywhere(builder, number), factors[k])
-                    total = term if total is None else builder.fadd(total, term)
-                place = _place(builder, to, row, 0, _NUMBERS)
-                if join is not None:
-                    total = getattr(builder, join)(builder.load(place, align=8), total)
+                    number = builder.load(builder.gep(lefts[k], [_INDEX(row)]))
+                    term = builder.fmul(_everywhere(builder, number), factors[k], flags=_FUSED)
+                    if total is None:
+                        total = term
+                    else:
+                        total = getattr(builder, join or "fadd")(total, term, flags=_FUSED)
                 builder.store(total, place, align=8)
             return context.get_dummy_value()
 
-        return types.void(to, left, right), generate
+        place = types.int64
+        signature = types.void(to, place, left, place, place, right, place)
+        return signature, generate
 
     return product
-
-
-def _place(builder: Any, array: Any, row: int, column: int, kind: Any) -> Any:
-    """Where entries of a matrix begin whose columns lie side by side."""
-    stride = builder.extract_value(array.strides, 0)
-    shift = builder.add(builder.mul(_INDEX(row), stride), _INDEX(8 * column))
-    data = builder.bitcast(array.data, ir.IntType(8).as_pointer())
-    return builder.bitcast(builder.gep(data, [shift]), kind.as_pointer())
 
 
 def _everywhere(builder: Any, number: Any) -> Any:
@@ -65,3 +79,5 @@ def _everywhere(builder: Any, number: Any) -> Any:
 set_product = _product(3, None)
 add_product = _product(6, "fadd")
 subtract_product = _product(6, "fsub")
+add_row = _product(1, "fadd")
+subtract_row = _product(1, "fsub")
