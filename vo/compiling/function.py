@@ -22,6 +22,11 @@ R = TypeVar("R")
 
 _compiling = threading.RLock()
 
+# For functions that are only called by compiled ones, and neither make nor return an array. Numba
+# counts users of an array, up and down by atomic instructions, for every view and every call; here
+# the caller holds them.
+UNCOUNTED: dict[str, Any] = {"_nrt": False}
+
 
 class WrittenOut(NamedTuple):
     """A `numba.extending.intrinsic` in a module that is imported when something is compiled."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import WrittenOut, compiled
+from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
 
 _LANES = 16
 # A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
@@ -37,6 +37,43 @@ def align(  # type: ignore[no-untyped-def]
     score = np.full(count, -1.0)
     converged, nearly = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     sigma = np.full(count, np.inf)
+    found = xy, score, converged, nearly, sigma
+    _align_each(
+        references,
+        reference,
+        reference_xy,
+        inverses,
+        targets,
+        target,
+        start_xy,
+        half,
+        iterations,
+        stride,
+        work,
+        pixels,
+        found,
+    )
+    return found
+
+
+@compiled(**UNCOUNTED)
+def _align_each(  # type: ignore[no-untyped-def]
+    references,
+    reference,
+    reference_xy,
+    inverses,
+    targets,
+    target,
+    start_xy,
+    half,
+    iterations,
+    stride,
+    work,
+    pixels,
+    found,
+):
+    xy, score, converged, nearly, sigma = found
+    count, side = len(reference_xy), 2 * half + 1
     for n in range(count):
         if n + 1 < count:
             x, y = reference_xy[n + 1, 0], reference_xy[n + 1, 1]
@@ -64,10 +101,9 @@ def align(  # type: ignore[no-untyped-def]
         xy[n, 0], xy[n, 1] = x, y
         left_over = 2.0 * variance * max(1.0 - score[n], 0.0) / (side * side)
         sigma[n] = np.sqrt(left_over * 0.5 * (hxx + hyy) / determinant)
-    return xy, score, converged, nearly, sigma
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _prefetch_patch(image, x, y, reach):  # type: ignore[no-untyped-def]
     """Ask for the rows of the next patch: a third of the time went into waiting for them."""
     height, width = image.shape
@@ -92,7 +128,7 @@ def _workspace(half, stride):  # type: ignore[no-untyped-def]
     return work
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     """The patch, one pixel wider on each side; False if that is outside of the image."""
     height, width = image.shape
@@ -109,7 +145,7 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: ignore[no-untyped-def]
     """The same for the patch as it looks after the stretch."""
     height, width = image.shape
@@ -127,7 +163,7 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
     return True
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
     rows = work[4]
     for i in range(count):
@@ -136,14 +172,14 @@ def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignor
             _blend_16(flat, first, ax, shift, rows, to)
 
 
-@compiled(fastmath={"contract"})
+@compiled(fastmath={"contract"}, **UNCOUNTED)
 def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
     wide, rows = work[0], work[4]
     for k in range(np.uintp(size)):
         wide[k] = rows[k] + ay * (rows[k + np.uintp(stride)] - rows[k])
 
 
-@compiled(fastmath={"contract"})
+@compiled(fastmath={"contract"}, **UNCOUNTED)
 def _stretch(flat, width, x, y, inverse, size, work, pixels):  # type: ignore[no-untyped-def]
     """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors.
 
@@ -172,7 +208,7 @@ def _stretch(flat, width, x, y, inverse, size, work, pixels):  # type: ignore[no
         wide[k] = top + share_y[k] * (low - top)
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"}, **UNCOUNTED)
 def _template(side, stride, work):  # type: ignore[no-untyped-def]
     """Template and gradients of the wide patch, their means taken off; their sums of products."""
     wide, template, gx, gy, weight = work[0], work[1], work[2], work[3], work[5]
@@ -205,7 +241,7 @@ def _template(side, stride, work):  # type: ignore[no-untyped-def]
     return mean_t, hxx, hxy, hyy, variance, bx, by
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps from (x, y): where they end, correlation there, squared last step."""
     height, width = image.shape
@@ -223,7 +259,7 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
         ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
         # Grey levels less the mean of the step before: small numbers lose no digits in squares.
         _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
-        total, squares, cross, cx, cy = _compare(side * stride, stride, ay, work)
+        total, squares, cross, cx, cy = _compare(side * stride, stride, ay, work, work[1:4])
         change = total / area
         mean += change
         variance_now = max(squares - total * change, np.float32(1e-6))
@@ -242,10 +278,13 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
     return x, y, score, length
 
 
-@compiled(fastmath={"reassoc", "contract"})
-def _compare(size, stride, ay, work):  # type: ignore[no-untyped-def]
-    """Sum and squares of the patch in the target, and its products with template and gradients."""
-    template, gx, gy, rows, weight = work[1], work[2], work[3], work[4], work[5]
+@compiled(fastmath={"reassoc", "contract"}, **UNCOUNTED)
+def _compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
+    """Sum and squares of the patch in the target, and its products with template and gradients.
+
+    These are the rows of `patch` (3, size or more).
+    """
+    template, gx, gy, rows, weight = patch[0], patch[1], patch[2], work[4], work[5]
     total, squares = np.float32(0), np.float32(0)
     cross, cx, cy = np.float32(0), np.float32(0), np.float32(0)
     for k in range(np.uintp(size)):
@@ -290,9 +329,9 @@ def step_together(  # type: ignore[no-untyped-def]
     side = 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work, area = _workspace(half, stride), np.float32(side * side)
-    flat = image.reshape(-1)
     h, b, per_pixel, j = np.zeros((6, 6)), np.zeros(6), 1e-12, np.empty((2, 6))
     score = np.full(len(points), -1.0)
+    flat = image.reshape(-1)
     fx, fy, cx, cy = camera
     for n in range(len(points)):
         p, a = points[n], pixel_from_ideal[n]
@@ -311,13 +350,10 @@ def step_together(  # type: ignore[no-untyped-def]
         at = int(top) * width + int(left)
         if at + side * width + stride >= len(flat):
             continue
-        for m in range(3):
-            for k in range(side * stride):
-                work[1 + m, k] = templates[n, m, k]
         mean, hxx, hxy, hyy, variance, bx, by = sums[n]
         ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
         _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
-        total, squares, cross, gx, gy = _compare(side * stride, stride, ay, work)
+        total, squares, cross, gx, gy = _compare(side * stride, stride, ay, work, templates[n])
         variance_now = max(squares - total * total / area, np.float32(1e-6))
         gain = np.sqrt(variance / variance_now)
         ex, ey = gx * gain - bx, gy * gain - by

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.compiling.function import compiled
+from vo.compiling.function import UNCOUNTED, compiled
 from vo.types import Floats, Ints
 
 _NEAREST = 1e-3  # depth in distances of the reference camera below which nothing is predicted
@@ -69,12 +69,20 @@ def predict_patches(
 @compiled
 def _predict(points, normals, reference, point, camera, poses, intrinsics):  # type: ignore[no-untyped-def]
     count = len(point)
-    fx, fy, cx, cy = intrinsics
     xy = np.full((count, 2), np.nan)
     scale = np.zeros(count)
     back = np.zeros((count, 2, 2))
     slope = np.zeros((count, 2))
-    for n in range(count):
+    found = xy, scale, back, slope
+    _predict_each(points, normals, reference, point, camera, poses, intrinsics, found)
+    return found
+
+
+@compiled(**UNCOUNTED)
+def _predict_each(points, normals, reference, point, camera, poses, intrinsics, found):  # type: ignore[no-untyped-def]
+    xy, scale, back, slope = found
+    fx, fy, cx, cy = intrinsics
+    for n in range(len(point)):
         at, normal = points[point[n]], normals[point[n]]
         there, here = poses[reference[point[n]]], poses[camera[n]]
         x, y, z = _seen_from(here, at[0], at[1], at[2])
@@ -98,10 +106,9 @@ def _predict(points, normals, reference, point, camera, poses, intrinsics):  # t
             back[n, 1, 0], back[n, 1, 1] = -c / determinant, a / determinant
         else:  # seen from the side, or from behind: as it was is as good a guess as any
             back[n, 0, 0] = back[n, 1, 1] = 1.0
-    return xy, scale, back, slope
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
     """A point of the world in a camera's frame."""
     x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
@@ -112,13 +119,13 @@ def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _distance(pose, at):  # type: ignore[no-untyped-def]
     x, y, z = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
     return np.sqrt(x * x + y * y + z * z)
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
     """Pixel, less the principal point, of a point moved along its surface.
 
@@ -138,7 +145,7 @@ def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-unty
     return fx * x / z, fy * y / z
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _along(normal, pose, at):  # type: ignore[no-untyped-def]
     """How far a point is from a camera, along a normal."""
     return (
@@ -148,6 +155,6 @@ def _along(normal, pose, at):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import compiled
+from vo.compiling.function import UNCOUNTED, compiled
 from vo.types import Floats, Ints
 
 _REACH_PX = 100.0  # points farther away tell nothing
@@ -99,7 +99,9 @@ def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
     return slopes
 
 
-@compiled(fastmath={"reassoc", "contract"}, error_model="numpy")  # in vector instructions
+@compiled(
+    fastmath={"reassoc", "contract"}, error_model="numpy", **UNCOUNTED
+)  # in vector instructions
 def _fitted(dx, dy, more):  # type: ignore[no-untyped-def]
     gx = gy = 0.0
     for number in range(_PASSES):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import WrittenOut, compiled
+from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
 
 _LANES = 8
 _UNSEEN = 1e-12  # information on a point in every direction, against all it has
@@ -125,7 +125,7 @@ def reduced(  # type: ignore[no-untyped-def]
     return _assembled(blocks, size), whole
 
 
-@compiled(fastmath={"contract"})
+@compiled(fastmath={"contract"}, **UNCOUNTED)
 def _differentiate(  # type: ignore[no-untyped-def]
     points,
     m,
@@ -226,7 +226,7 @@ def _assembled(blocks, count):  # type: ignore[no-untyped-def]
     return matrix
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _invert(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a point's (3, 3) normal matrix.
 
@@ -242,7 +242,7 @@ def _invert(m, inverse):  # type: ignore[no-untyped-def]
     _divide(inverse, _cofactors(m, inverse))
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a symmetric (3, 3); False if it is singular."""
     determinant, trace = _cofactors(m, inverse), m[0, 0] + m[1, 1] + m[2, 2]
@@ -252,7 +252,7 @@ def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(fastmath={"contract"})
+@compiled(fastmath={"contract"}, **UNCOUNTED)
 def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
     """Fill those on and above the diagonal of a symmetric (3, 3); gives the determinant."""
     c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
@@ -265,7 +265,7 @@ def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
     return m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
     """Make an inverse of cofactors on and above the diagonal."""
     for p in range(3):
@@ -317,7 +317,7 @@ def eliminated(  # type: ignore[no-untyped-def]
     return _assembled(blocks, poses)
 
 
-@compiled(fastmath={"contract"})
+@compiled(fastmath={"contract"}, **UNCOUNTED)
 def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore[no-untyped-def]
     """Inverse of white I + creep (keyframes since the first, of the earlier one), in place."""
     for a in range(n):
@@ -337,7 +337,7 @@ def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore
                     weight[r, c] -= factor * weight[k, c]
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _disparity_weights(by_point, first, n, disparity, bias, weight):  # type: ignore[no-untyped-def]
     """Inverse of disparity I + bias 1 1^T over those that were measured (Sherman-Morrison)."""
     measured = 0
@@ -352,12 +352,12 @@ def _disparity_weights(by_point, first, n, disparity, bias, weight):  # type: ig
             weight[a, b] = (own if a == b else 0.0) - shared if both else 0.0
 
 
-@compiled
+@compiled(**UNCOUNTED)
 def _is_measured(by_point, n):  # type: ignore[no-untyped-def]
     return by_point[n, 2, 0] != 0.0 or by_point[n, 2, 1] != 0.0 or by_point[n, 2, 2] != 0.0
 
 
-@compiled(fastmath={"contract"})
+@compiled(fastmath={"contract"}, **UNCOUNTED)
 def _add_point_normal(by_point, first, n, weight, weight_d, lifted, normal):  # type: ignore[no-untyped-def]
     """Fill `lifted`, the weights times the derivatives by the point, and their square."""
     normal[:] = 0.0

@@ -73,7 +73,7 @@ def linearise(
     return Linearised(poses, starts, keyframe, by_pose, by_point, error)
 
 
-@compiled
+@compiled(fastmath={"contract"})
 def _linearised(  # type: ignore[no-untyped-def]
     poses, points, order, keyframe, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
 ):
@@ -83,31 +83,32 @@ def _linearised(  # type: ignore[no-untyped-def]
     error = np.zeros((count, 3))
     for n in range(count):
         i = order[n]
-        pose, at = poses[keyframe[i]], points[point[i]]
-        d0, d1, d2 = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
-        x = pose[0, 0] * d0 + pose[1, 0] * d1 + pose[2, 0] * d2
-        y = pose[0, 1] * d0 + pose[1, 1] * d1 + pose[2, 1] * d2
-        z = pose[0, 2] * d0 + pose[1, 2] * d1 + pose[2, 2] * d2
-        s = weight[i] / sigma[i]
+        j, m = keyframe[i], point[i]
+        d0, d1, d2 = (
+            points[m, 0] - poses[j, 0, 3],
+            points[m, 1] - poses[j, 1, 3],
+            points[m, 2] - poses[j, 2, 3],
+        )
+        x = poses[j, 0, 0] * d0 + poses[j, 1, 0] * d1 + poses[j, 2, 0] * d2
+        y = poses[j, 0, 1] * d0 + poses[j, 1, 1] * d1 + poses[j, 2, 1] * d2
+        z = poses[j, 0, 2] * d0 + poses[j, 1, 2] * d1 + poses[j, 2, 2] * d2
+        s, near = weight[i] / sigma[i], 1.0 / z  # one division serves all
         measured = fb > 0.0 and not np.isnan(disparity[i])
         t = weight[i] / sigma_d if measured else 0.0
-        error[n, 0] = s * (fx * x / z + cx - xy[i, 0])
-        error[n, 1] = s * (fy * y / z + cy - xy[i, 1])
-        error[n, 2] = t * (fb / z - disparity[i]) if measured else 0.0
-        for r in range(3):
-            a = s * fx / z if r == 0 else 0.0
-            b = s * fy / z if r == 1 else 0.0
-            if r == 0:
-                c = -s * fx * x / (z * z)
-            elif r == 1:
-                c = -s * fy * y / (z * z)
-            else:
-                c = -t * fb / (z * z)
-            for k in range(3):
-                by_point[n, r, k] = a * pose[k, 0] + b * pose[k, 1] + c * pose[k, 2]
-            # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
-            by_pose[n, r, 0] = b * z - c * y
-            by_pose[n, r, 1] = c * x - a * z
-            by_pose[n, r, 2] = a * y - b * x
-            by_pose[n, r, 3], by_pose[n, r, 4], by_pose[n, r, 5] = -a, -b, -c
+        error[n, 0] = s * (fx * x * near + cx - xy[i, 0])
+        error[n, 1] = s * (fy * y * near + cy - xy[i, 1])
+        error[n, 2] = t * (fb * near - disparity[i]) if measured else 0.0
+        du, dv = s * fx * near, s * fy * near
+        cu, cv, cd = -du * x * near, -dv * y * near, -t * fb * near * near
+        for k in range(3):
+            by_point[n, 0, k] = du * poses[j, k, 0] + cu * poses[j, k, 2]
+            by_point[n, 1, k] = dv * poses[j, k, 1] + cv * poses[j, k, 2]
+            by_point[n, 2, k] = cd * poses[j, k, 2]
+        # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
+        by_pose[n, 0, 0], by_pose[n, 0, 1], by_pose[n, 0, 2] = -cu * y, cu * x - du * z, du * y
+        by_pose[n, 1, 0], by_pose[n, 1, 1], by_pose[n, 1, 2] = dv * z - cv * y, cv * x, -dv * x
+        by_pose[n, 2, 0], by_pose[n, 2, 1] = -cd * y, cd * x
+        by_pose[n, 0, 3], by_pose[n, 0, 5] = -du, -cu
+        by_pose[n, 1, 4], by_pose[n, 1, 5] = -dv, -cv
+        by_pose[n, 2, 5] = -cd
     return by_pose, by_point, error

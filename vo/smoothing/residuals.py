@@ -36,15 +36,20 @@ def _residuals(  # type: ignore[no-untyped-def]
 ):
     residual, depth = np.empty(len(xy)), np.empty(len(xy))
     for n in range(len(xy)):
-        pose, at = poses[keyframe[n]], points[point[n]]
-        d0, d1, d2 = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
-        x = pose[0, 0] * d0 + pose[1, 0] * d1 + pose[2, 0] * d2
-        y = pose[0, 1] * d0 + pose[1, 1] * d1 + pose[2, 1] * d2
-        z = pose[0, 2] * d0 + pose[1, 2] * d1 + pose[2, 2] * d2
+        k, m = keyframe[n], point[n]
+        d0, d1, d2 = (
+            points[m, 0] - poses[k, 0, 3],
+            points[m, 1] - poses[k, 1, 3],
+            points[m, 2] - poses[k, 2, 3],
+        )
+        x = poses[k, 0, 0] * d0 + poses[k, 1, 0] * d1 + poses[k, 2, 0] * d2
+        y = poses[k, 0, 1] * d0 + poses[k, 1, 1] * d1 + poses[k, 2, 1] * d2
+        z = poses[k, 0, 2] * d0 + poses[k, 1, 2] * d1 + poses[k, 2, 2] * d2
         depth[n], residual[n] = z, np.inf
         if z > 0.0:
-            u = (intrinsics[0] * x / z + intrinsics[2] - xy[n, 0]) / sigma[n]
-            v = (intrinsics[1] * y / z + intrinsics[3] - xy[n, 1]) / sigma[n]
-            d = 0.0 if np.isnan(disparity[n]) else (fb / z - disparity[n]) / sigma_d
+            near = 1.0 / z
+            u = (intrinsics[0] * x * near + intrinsics[2] - xy[n, 0]) / sigma[n]
+            v = (intrinsics[1] * y * near + intrinsics[3] - xy[n, 1]) / sigma[n]
+            d = 0.0 if np.isnan(disparity[n]) else (fb * near - disparity[n]) / sigma_d
             residual[n] = np.sqrt(u * u + v * v + d * d)
     return residual, depth
