@@ -25,6 +25,8 @@ if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.s
     from vo.config import SmoothingConfig
 
 _UNDETERMINED = 1e-13  # eigenvalue, against the greatest, below which a direction is left alone
+# Pivot of the hessian's root, against the greatest, from which on every direction is determined.
+_LEAST_PIVOT = 1e-5
 
 
 class AdjustedWindow(NamedTuple):
@@ -101,17 +103,35 @@ def _square_root(normal: NormalEquations) -> tuple[Floats, Floats]:
     """Jacobian J (6 F, 6 F) and errors e (6 F + 1,) of least squares with these normal equations.
 
     J^T J is the hessian of the poses, J^T e[:-1] their gradient; the last error, which no pose
-    changes, makes half the sum of squares the cost. By eigenvalues, as mono's hessian leaves the
-    scale open.
+    changes, makes half the sum of squares the cost. By eigenvalues where the hessian leaves a
+    direction open, as mono's leaves the scale.
     """
+    factor = _triangular(normal.hessian)
+    if factor is not None:
+        error = np.asarray(np.linalg.solve(factor, normal.gradient), dtype=np.float64)
+        return factor.T, np.r_[error, _rest(normal, error)]
     values, vectors = np.linalg.eigh(normal.hessian)
     determined = values > _UNDETERMINED * values[-1]
     root = np.where(determined, np.sqrt(np.maximum(values, 0.0)), 0.0)
     with np.errstate(divide="ignore"):
         inverse_root = np.where(determined, 1.0 / root, 0.0)
-    error = inverse_root * (vectors.T @ normal.gradient)
-    rest = max(2.0 * normal.cost - float(error @ error), 0.0)
-    return root[:, None] * vectors.T, np.r_[error, np.sqrt(rest)]
+    error = np.asarray(inverse_root * (vectors.T @ normal.gradient), dtype=np.float64)
+    return root[:, None] * vectors.T, np.r_[error, _rest(normal, error)]
+
+
+def _triangular(hessian: Floats) -> Floats | None:
+    """The lower triangle L with L L^T = hessian; None if that hardly determines a direction."""
+    try:
+        factor = np.asarray(np.linalg.cholesky(hessian), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
+    pivots = np.diag(factor)
+    return factor if pivots.min() > _LEAST_PIVOT * pivots.max() else None
+
+
+def _rest(normal: NormalEquations, error: Floats) -> float:
+    """What no pose changes of the error's length."""
+    return float(np.sqrt(max(2.0 * normal.cost - float(error @ error), 0.0)))
 
 
 def _poses(world_from_cam: Floats, free: list[int], values: gtsam.Values) -> Floats:
