@@ -13,7 +13,7 @@ from subprocess import Popen
 
 from vo.config import Config, dump_config
 from vo.errors import ConfigError, OutputError, SourceError
-from vo.formats.trajectory import tum_line
+from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.interrupts import interrupts_between_frames
 from vo.odometry import Odometry
 from vo.pipeline.history import Untracked
@@ -32,7 +32,7 @@ from vo.results.profile import Profile, make_profile
 from vo.results.summary import RunFacts, Status, Summary, summarise
 from vo.sources.registry import open_source
 from vo.sources.source import Source
-from vo.types import Estimate, Frame, Mode, Trajectory
+from vo.types import Estimate, Frame, Mode
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0
@@ -249,8 +249,10 @@ class _Run:
         history = self._odometry.history
         row, keyframe_row = history.take_changes()
         path = history.path(row)
-        self._folder.trajectory.replace_from(row, _tum_lines(path.trajectory))
-        self._folder.poses.replace_from(row, pose_lines(path))
+        fields = [pose_fields(pose) for pose in path.trajectory.world_from_cam]
+        stamps_ns = path.trajectory.stamps_ns.tolist()
+        self._folder.trajectory.replace_from(row, map(tum_line_of_fields, stamps_ns, fields))
+        self._folder.poses.replace_from(row, pose_lines(path, fields))
         keyframes = history.keyframes(keyframe_row)
         self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
 
@@ -347,11 +349,6 @@ def _nothing_readable(source: Source) -> SourceError:
     return SourceError(
         f"{source.name}: none of the {len(source.skipped)} frames asked for can be read{reason}"
     )
-
-
-def _tum_lines(trajectory: Trajectory) -> Iterator[str]:
-    pairs = zip(trajectory.stamps_ns.tolist(), trajectory.world_from_cam, strict=True)
-    return (tum_line(stamp_ns, pose) for stamp_ns, pose in pairs)
 
 
 def _one_line(error: BaseException) -> str:

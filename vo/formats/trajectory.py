@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Literal
@@ -11,7 +12,7 @@ import numpy as np
 
 from vo.errors import OutputError, SourceError
 from vo.formats.rows import Row, need_columns, numbers, read_rows
-from vo.geometry.transforms import quat_xyzw_from_rotation, rotation_from_quat_xyzw
+from vo.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
 from vo.types import Floats, Ints, Trajectory
 
 TrajectoryFormat = Literal["tum", "kitti", "euroc"]
@@ -158,18 +159,23 @@ def stamp_ns_from_seconds(text: str) -> int:
 
 def tum_line(stamp_ns: int, world_from_cam: Floats) -> str:
     """One line `stamp tx ty tz qx qy qz qw`, without line end, the stamp to the nanosecond."""
+    return tum_line_of_fields(stamp_ns, pose_fields(world_from_cam))
+
+
+def tum_line_of_fields(stamp_ns: int, fields: Sequence[str]) -> str:
+    """The same of what `pose_fields` made of the pose."""
     seconds, nanoseconds = divmod(abs(int(stamp_ns)), _NS_PER_S)
     sign = "-" if stamp_ns < 0 else ""
-    return f"{sign}{seconds}.{nanoseconds:09d} {' '.join(pose_fields(world_from_cam))}"
+    return f"{sign}{seconds}.{nanoseconds:09d} {' '.join(fields)}"
 
 
 def pose_fields(world_from_cam: Floats) -> list[str]:
     """The digits of `tx ty tz qx qy qz qw`."""
-    quat_xyzw = quat_xyzw_from_rotation(world_from_cam[:3, :3])
+    rows = world_from_cam[:3].tolist()
+    quat_xyzw = quat_xyzw_of_rows(rows)
     if quat_xyzw[3] < 0:
-        quat_xyzw = -quat_xyzw
-    numbers = (*world_from_cam[:3, 3].tolist(), *quat_xyzw.tolist())
-    return [f"{value:z.9f}" for value in numbers]
+        quat_xyzw = [-q for q in quat_xyzw]
+    return [f"{value:z.9f}" for value in (*(row[3] for row in rows), *quat_xyzw)]
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from vo.formats.trajectory import pose_fields
 from vo.types import PlacedFrames
 
 POSES_HEADING = "frame,stamp_ns,segment,keyframe,interpolated,tx,ty,tz,qx,qy,qz,qw"
 
 
-def pose_lines(placed: PlacedFrames) -> Iterator[str]:
-    """Rows under `POSES_HEADING`; flags are 0 or 1, poses have the digits of a TUM line."""
+def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Rows under `POSES_HEADING`; flags are 0 or 1.
+
+    Args:
+        placed: the frames.
+        fields: of each pose, the digits as in a line of TUM (`vo.formats.trajectory.pose_fields`).
+    """
     columns = (
         placed.frame_index.tolist(),
         placed.trajectory.stamps_ns.tolist(),
@@ -19,5 +23,5 @@ def pose_lines(placed: PlacedFrames) -> Iterator[str]:
         placed.is_keyframe.astype(int).tolist(),
         placed.interpolated.astype(int).tolist(),
     )
-    for *marks, pose in zip(*columns, placed.trajectory.world_from_cam, strict=True):
-        yield ",".join((*map(str, marks), *pose_fields(pose)))
+    for *marks, digits in zip(*columns, fields, strict=True):
+        yield ",".join((*map(str, marks), *digits))
