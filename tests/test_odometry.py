@@ -14,11 +14,12 @@ import pytest
 from data_synth.film import film
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
-from vo.config import Config, FeaturesConfig
+from vo.config import Config, FeaturesConfig, KeyframeConfig
 from vo.geometry.similarity import Similarity, umeyama
 from vo.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.odometry import Odometry
-from vo.types import Estimate, Floats, Frame, Rig, State
+from vo.smoothing.smoother import SmootherHere
+from vo.types import Estimate, Floats, Frame, Rig, State, WindowProblem
 
 FPS, FIRST, COUNT = 15.0, 15, 40  # a second after the start, when the walk is under way
 CONFIG = Config(threads=1, features=FeaturesConfig(count=800))  # enough for small images
@@ -292,6 +293,46 @@ def test_a_disparity_offset_is_left_alone_where_that_is_asked_for(recording: Rec
     assert run.odometry.disparity_offset_px == 0.0
     _, fit = _fit(run, recording, with_scale=True)
     assert abs(fit.scale - 1.0) > 0.01  # so the shift is one that matters
+
+
+def test_the_calibration_is_asked_for_each_of_ten_windows_and_then_every_third_time(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = _asked(monkeypatch)
+    often = KeyframeConfig(max_gap_s=1e-3, min_parallax_deg=0.05)  # so that there are enough
+    _run(recording.rig, recording.frames, CONFIG.model_copy(update={"keyframes": often}))
+    assert len(asked) > 20
+    assert asked[:10] == [True] * 10
+    assert asked[10:] == [number % 3 == 0 for number in range(10, len(asked))]
+
+
+@pytest.mark.parametrize(
+    ("mode", "section", "setting"),
+    [("stereo", "stereo", "offset_correction"), ("mono", "tracking", "lens_correction")],
+)
+def test_the_calibration_is_not_asked_for_where_it_is_to_be_left_alone(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, mode: str, section: str, setting: str
+) -> None:
+    asked = _asked(monkeypatch)
+    changed = getattr(CONFIG, section).model_copy(update={setting: False})
+    rig = recording.rig if mode == "stereo" else recording.mono_rig
+    frames = recording.frames[:15] if mode == "stereo" else recording.mono()[:25]
+    _run(rig, frames, CONFIG.model_copy(update={section: changed}))
+    assert asked
+    assert not any(asked)
+
+
+def _asked(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Whether each window that is handed in from here on is to tell of the calibration."""
+    asked: list[bool] = []
+    ask = SmootherHere.ask
+
+    def noted(self: SmootherHere, problem: WindowProblem) -> None:
+        asked.append(problem.calibrates)
+        ask(self, problem)
+
+    monkeypatch.setattr(SmootherHere, "ask", noted)
+    return asked
 
 
 # Lens

@@ -68,6 +68,9 @@ from vo.types import (
 # same, so that the path does not depend on how fast the smoother is. A stereo map can do without
 # it for longer: in mono the landmarks' depth hangs on the poses.
 _ANSWER_AFTER_STEREO, _ANSWER_AFTER_MONO = 2, 1
+# Windows share most of their keyframes with those before: of the first of a run each is asked what
+# the calibration leaves, later one of so many for all of them.
+_ALL_ASKED, _SPEAKS_FOR = 10, 3
 # Share of the last frame's landmarks that must agree for a pose to be taken without descriptors.
 _CLEAR = 0.5
 _MEDIAN_DEPTH = 1.0  # of a first mono map, whose scale is free, in every segment anew
@@ -122,6 +125,7 @@ class Odometry:
         self._lost: list[WorkingFrame] = []  # the newest frames, since the map was lost
         self._last: Seen | None = None
         self._window: Window | None = None  # that the smoother works on
+        self._windows = 0  # handed in so far
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
         self._frames_since_asked = 0
         self._keyframes = config.keyframes if rig.is_metric else config.keyframes.in_mono()
@@ -305,22 +309,36 @@ class Odometry:
             self._ask()
 
     def _ask(self, *, whole_map: bool = False) -> None:
-        window = make_window(self._map, self._rig, self._config, whole_map=whole_map)
+        speaks_for = 0 if whole_map else self._windows_spoken_for()
+        window = make_window(
+            self._map, self._rig, self._config, whole_map=whole_map, speaks_for=speaks_for
+        )
         if window is not None:
             self._smoother.ask(window.problem)
+            self._windows += not whole_map
         self._window, self._frames_since_asked = window, 0
+
+    def _windows_spoken_for(self) -> int:
+        """For how many windows the next one tells what the calibration leaves."""
+        is_stereo, lens = self._rig.is_stereo, self._config.tracking.lens_correction
+        if not (self._corrects_disparities if is_stereo else lens):
+            return 0
+        if self._windows < _ALL_ASKED:
+            return 1
+        return _SPEAKS_FOR if self._windows % _SPEAKS_FOR == 0 else 0
 
     def _take_in(self, clock: Stopwatch) -> None:
         """Wait for the smoother's answer, if there is to be one, and bring the map in line."""
         if self._window is None:
             return
         newest, before = self._window.keyframes[-1], self._window.problem.world_from_cam[-1]
+        speaks_for = self._window.speaks_for
         with clock.stage("smooth"):
             solution = self._smoother.answer()
         with clock.stage("window"):
             self._settle(solution)
             if solution.left is not None:
-                self._watch_calibration(solution.left)
+                self._watch_calibration(solution.left, speaks_for)
             cull(self._map, self._config)
             incline(self._map, self._map.keyframes[-1], self._rig)
         self._motion.carry(newest.world_from_cam @ inverse(before))
@@ -332,15 +350,15 @@ class Odometry:
         self._store(moved)
         self._moved.update(k.id for k in moved)
 
-    def _watch_calibration(self, left: Miscalibration) -> None:
+    def _watch_calibration(self, left: Miscalibration, windows: int) -> None:
         """Move the map, and all that follows, to what the calibration should be, once sure."""
         if self._rig.is_stereo:
-            error = self._disparity_watch.update(left) if self._corrects_disparities else None
+            error = self._disparity_watch.update(left, windows)
             if error is not None:
                 self._correct_disparities(*error.tolist())
                 self._smooth_map()
-        elif self._config.tracking.lens_correction:
-            k1 = self._lens_watch.update(left)
+        else:
+            k1 = self._lens_watch.update(left, windows)
             if k1 is not None:
                 self._rig = self._rig.with_lens_error(k1)
                 for keyframe in self._map.keyframes:

@@ -413,6 +413,7 @@ class WindowProblem:
         xy: (N, 2) ideal pixels.
         disparity: (N,) pixels, NaN where the right camera has no match.
         sigma_px: (N,) standard deviation of xy.
+        calibrates: whether the answer is to tell what the calibration leaves.
     """
 
     intrinsics: tuple[float, float, float, float]
@@ -425,3 +426,4 @@ class WindowProblem:
     xy: Floats
     disparity: Floats
     sigma_px: Floats
+    calibrates: bool = True

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from vo.compiling import machine_code, store
-from vo.compiling.function import WrittenOut, compiled
+from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
 from vo.compiling.kinds import describe
 
 HELPER = """
@@ -263,6 +263,30 @@ def test_what_may_change_unnoticed_is_refused(kept: Path) -> None:
 
 
 _A_LIST = [1, 2, 3]
+
+
+@compiled(**UNCOUNTED)
+def _filled(rows: Any, result: Any) -> Any:
+    for i in range(len(rows)):
+        row = rows[i]
+        result[i] = row[0] + row[-1]
+
+
+def test_what_does_not_count_users_neither_frees_nor_keeps_arrays(kept: Path) -> None:
+    @compiled
+    def sums(rows: Any) -> Any:
+        doubled = 2.0 * rows
+        result = np.zeros(len(rows))
+        for _ in range(3):
+            _filled(doubled[1:], result[1:])
+        return result
+
+    rows = np.arange(12.0).reshape(4, 3)
+    users = sys.getrefcount(rows)
+    results = [sums(rows) for _ in range(1000)]
+    assert sys.getrefcount(rows) == users
+    assert all(r.tolist() == [0.0, 16.0, 28.0, 40.0] for r in results)
+    assert len({sys.getrefcount(r) for r in results}) == 1
 
 
 def test_a_run_does_without_numba(synthetic_stereo: Path, tmp_path: Path) -> None:

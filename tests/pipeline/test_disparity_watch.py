@@ -112,3 +112,11 @@ def test_an_offset_and_a_curve_are_corrected_together() -> None:
         wanted = watch.update(_left(0.6, 0.02, -1.2))
     assert wanted is not None
     assert wanted.tolist() == [pytest.approx(0.6), pytest.approx(-1.2)]
+
+
+def test_a_window_may_speak_for_several() -> None:
+    one, other = DisparityWatch(RIG), DisparityWatch(RIG)
+    left = _left(0.6, 0.02, -1.2)
+    assert [one.update(left) is None for _ in range(3)] == [True, True, False]
+    assert other.update(left, 3) is not None
+    assert other.applied == pytest.approx(one.applied, rel=1e-12)

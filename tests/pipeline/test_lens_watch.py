@@ -77,3 +77,11 @@ def test_what_a_lens_hides_at_its_edges_is_reckoned_with() -> None:
     assert 1.7 < bend < 1.9
     ((_, wanted), *_) = _corrections([0.005 * bend] * 3, rig=rig)
     assert wanted == pytest.approx(0.005)
+
+
+def test_a_window_may_speak_for_several() -> None:
+    one, other = LensWatch(_rig()), LensWatch(_rig())
+    left = Miscalibration(np.array([0.006]), np.array([[1e6]]))
+    assert [one.update(left) is None for _ in range(3)] == [True, True, False]
+    assert other.update(left, 3) is not None
+    assert other.applied == pytest.approx(one.applied, rel=1e-12)

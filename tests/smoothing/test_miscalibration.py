@@ -129,3 +129,14 @@ def test_the_first_pose_s_missing_disparities_are_no_problem() -> None:
     disparity = np.where(window.problem.keyframe == 0, np.nan, window.problem.disparity)
     found = _estimate(replace(window, problem=replace(window.problem, disparity=disparity)))
     assert found.value == pytest.approx(0.5, abs=0.08)
+
+
+def test_a_window_that_is_not_asked_says_nothing_and_is_adjusted_the_same() -> None:
+    problem = _shifted(0.5, 0).problem
+    asked = smooth(problem, CONFIG)
+    found = smooth(replace(problem, calibrates=False), CONFIG)
+    assert asked.left is not None
+    assert found.left is None
+    np.testing.assert_array_equal(found.world_from_cam, asked.world_from_cam)
+    np.testing.assert_array_equal(found.points, asked.points)
+    np.testing.assert_array_equal(found.information, asked.information)

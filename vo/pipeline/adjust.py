@@ -27,15 +27,23 @@ class Window:
         problem: the window.
         keyframes: of each of its poses, the newest last.
         landmarks: (M,) ids of its points.
+        speaks_for: how many windows there are for each that tells of the calibration, 0 if it is
+            not asked.
     """
 
     problem: WindowProblem
     keyframes: tuple[Keyframe, ...]
     landmarks: Ints
+    speaks_for: int
 
 
 def make_window(
-    world: Map, rig: WorkingRig, config: Config, *, whole_map: bool = False
+    world: Map,
+    rig: WorkingRig,
+    config: Config,
+    *,
+    whole_map: bool = False,
+    speaks_for: int = 1,
 ) -> Window | None:
     """The map's newest keyframes and the landmarks that hold them best; None of one keyframe.
 
@@ -49,7 +57,8 @@ def make_window(
     everything = _everything(world, rig, fixed)
     chosen = choose_landmarks(everything, config.smoothing.max_landmarks)
     problem, rows = _restricted(everything, chosen)
-    return Window(problem, tuple(keyframes), world.id[rows])
+    problem = replace(problem, calibrates=speaks_for > 0)
+    return Window(problem, tuple(keyframes), world.id[rows], speaks_for)
 
 
 def take_in(

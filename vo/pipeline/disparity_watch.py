@@ -33,15 +33,18 @@ class DisparityWatch:
         self._information, self._sum = np.zeros((2, 2)), np.zeros(2)
         self._windows = 0
 
-    def update(self, left: Miscalibration) -> Floats | None:
-        """Take in a window's estimate; the new offset and curve to apply, or None to leave them.
+    def update(self, left: Miscalibration, windows: int = 1) -> Floats | None:
+        """Take in the estimate of a window that speaks for so many.
 
         Windows overlap: one in ten counts for how sure their mean is.
+
+        Returns:
+            The new offset and curve to apply, or None to leave them.
         """
         information = np.linalg.inv(np.linalg.inv(left.information) + self._systematic)
-        self._information += information
-        self._sum += information @ (self.applied + left.value)
-        self._windows += 1
+        self._information += windows * information
+        self._sum += windows * information @ (self.applied + left.value)
+        self._windows += windows
         if self._windows < _LEAST_WINDOWS:
             return None
         # What windows differ by anyway is no error.

@@ -30,16 +30,19 @@ class LensWatch:
         self._sum = 0.0
         self._windows = 0
 
-    def update(self, left: Miscalibration) -> float | None:
-        """Take in a window's estimate; the new error to correct, or None to leave it.
+    def update(self, left: Miscalibration, windows: int = 1) -> float | None:
+        """Take in the estimate of a window that speaks for so many.
 
         Windows overlap: ten together count for how sure their mean is like one.
+
+        Returns:
+            The new error to correct, or None to leave it.
         """
         value, sigma = left.value[0] / self._bend, left.information[0, 0] ** -0.5 / self._bend
         sigma = float(np.hypot(_NOISE * sigma, self._systematic))
-        self._weight += sigma**-2
-        self._sum += (self.applied + float(value)) * sigma**-2
-        self._windows += 1
+        self._weight += windows * sigma**-2
+        self._sum += windows * (self.applied + float(value)) * sigma**-2
+        self._windows += windows
         estimate = self._sum / self._weight
         sure = np.sqrt(min(self._windows, _OVERLAP) / self._weight)
         if self.applied == 0.0 and (

@@ -28,7 +28,8 @@ class WindowSolution(NamedTuple):
             frame; 0 for poses that it does not determine.
         points: (M, 3) adjusted.
         point_ok: (M,) False for points that were dropped as degenerate.
-        left: what the window says that the calibration leaves.
+        left: what the window says that the calibration leaves; None if it does not, or was not
+            asked.
         converged: False if nothing could be adjusted; all is then as it was given.
     """
 
@@ -55,9 +56,11 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     if scaled is not None:
         rows = np.arange(6 * scaled, 6 * scaled + 6)
         information[rows, rows] += sigmas**-2.0
-    only_first = np.arange(len(poses)) == 0
-    bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
-    left = miscalibration(bundle.normal_equations(poses, calibrates=True), bundle.unknowns)
+    left = None
+    if problem.calibrates:
+        only_first = np.arange(len(poses)) == 0
+        bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
+        left = miscalibration(bundle.normal_equations(poses, calibrates=True), bundle.unknowns)
     return WindowSolution(poses, held, information, points, ok, left, True)
 
 
