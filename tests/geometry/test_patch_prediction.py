@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from vo.geometry.neighbours import median_of_nearest
-from vo.geometry.patch_prediction import PatchPrediction, predict_patches
+from vo.geometry.patch_prediction import PatchPrediction, points_in_view, predict_patches
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.types import Floats
 
@@ -49,6 +49,29 @@ def test_points_are_projected_and_their_size_follows_the_distance() -> None:
     then = np.linalg.norm(points - reference[:3, 3], axis=1)
     now = np.linalg.norm(points - target[:3, 3], axis=1)
     np.testing.assert_allclose(seen.scale, then / now)
+
+
+def test_points_in_view_are_those_inside_the_corners_at_a_size_like_their_patch_s() -> None:
+    reference = _pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    target = _pose((-0.05, 0.1, 0.3), (-0.4, 0.2, 3.0))
+    points = np.random.default_rng(1).uniform((-6, -6, -6), (6, 6, 12), (500, 3))
+    corners, most_scale = (8.0, 8.0, 632.0, 472.0), 1.5
+    found = points_in_view(
+        points,
+        np.zeros(len(points), np.int64),
+        np.stack([reference, target]),
+        (FX, FY, CX, CY),
+        most_scale,
+        corners,
+    )
+    seen = _predict(points, reference, target)
+    inside = ((seen.xy >= corners[:2]) & (seen.xy < corners[2:])).all(axis=1)
+    alike = (seen.scale < most_scale) & (seen.scale > 1.0 / most_scale)
+    assert found.rows.tolist() == np.flatnonzero(inside & alike).tolist()
+    assert 5 < len(found.rows) < np.count_nonzero(inside)  # so that both conditions matter
+    np.testing.assert_array_equal(found.xy, seen.xy[found.rows])
+    depth = transform_points(inverse(target), points[found.rows])[:, 2]
+    assert (depth > 0).all()
 
 
 def test_the_stretch_takes_steps_back_on_a_wall_that_faces_the_reference() -> None:

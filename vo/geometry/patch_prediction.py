@@ -66,6 +66,74 @@ def predict_patches(
     )
 
 
+class PointsInView(NamedTuple):
+    """Points that a camera sees, and at a size like that of their patch.
+
+    Attributes:
+        rows: (n,) which.
+        xy: (n, 2) ideal pixels.
+    """
+
+    rows: Ints
+    xy: Floats
+
+
+def points_in_view(
+    points: Floats,
+    reference: Ints,
+    world_from_cam: Floats,
+    intrinsics: tuple[float, float, float, float],
+    most_scale: float,
+    corners: tuple[float, float, float, float],
+) -> PointsInView:
+    """The points that the last of some cameras sees, without what takes time for each.
+
+    Args:
+        points: (M, 3) in the world.
+        reference: (M,) row in world_from_cam of the camera that holds each point's patch.
+        world_from_cam: (K, 4, 4).
+        intrinsics: fx, fy, cx, cy.
+        most_scale: times that a patch may be larger or smaller than its reference, less than that.
+        corners: least u, least v (inclusive), and what u and v are below, in ideal pixels.
+    """
+    return PointsInView(
+        *_in_view(
+            np.ascontiguousarray(points),
+            reference,
+            np.ascontiguousarray(world_from_cam),
+            intrinsics,
+            most_scale,
+            corners,
+        )
+    )
+
+
+@compiled
+def _in_view(points, reference, poses, intrinsics, most_scale, corners):  # type: ignore[no-untyped-def]
+    rows, xy = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
+    count = _add_in_view(points, reference, poses, intrinsics, most_scale, corners, rows, xy)
+    return rows[:count].copy(), xy[:count].copy()
+
+
+@compiled(**UNCOUNTED)
+def _add_in_view(points, reference, poses, intrinsics, most_scale, corners, rows, xy):  # type: ignore[no-untyped-def]
+    count = 0
+    fx, fy, cx, cy = intrinsics
+    left, top, right, bottom = corners
+    here = poses[-1]
+    for n in range(len(points)):
+        at, there = points[n], poses[reference[n]]
+        x, y, z = _seen_from(here, at[0], at[1], at[2])
+        then, now = _distance(there, at), _distance(here, at)
+        if not z > _NEAREST * then:
+            continue
+        u, v, scale = fx * x / z + cx, fy * y / z + cy, then / now
+        if left <= u < right and top <= v < bottom and 1.0 / most_scale < scale < most_scale:
+            rows[count], xy[count, 0], xy[count, 1] = n, u, v
+            count += 1
+    return count
+
+
 @compiled
 def _predict(points, normals, reference, point, camera, poses, intrinsics):  # type: ignore[no-untyped-def]
     count = len(point)

@@ -63,8 +63,8 @@ def _image_from_ideal(xy: Floats, rig: WorkingRig) -> Floats:
     """What the lens does to pixels near xy (N, 2), as affine maps (N, 2, 3)."""
     if rig.lens is None:
         return np.tile(np.eye(2, 3), (len(xy), 1, 1))
-    at = rig.image_from_ideal(xy)
-    right, down = (rig.image_from_ideal(xy + step) - at for step in ((1.0, 0.0), (0.0, 1.0)))
-    linear = np.stack([right, down], axis=2)
+    beside = np.concatenate([xy, xy + (1.0, 0.0), xy + (0.0, 1.0)])
+    at, right, down = rig.image_from_ideal(beside).reshape(3, -1, 2)
+    linear = np.stack([right - at, down - at], axis=2)
     shift = at - np.einsum("nij,nj->ni", linear, xy)
     return np.concatenate([linear, shift[:, :, None]], axis=2)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vo.config import StereoConfig, TrackingConfig
 from vo.features.alignment import align_between
 from vo.features.matching import agree_in_rotation, match_everywhere, match_windows
-from vo.geometry.patch_prediction import predict_patches
+from vo.geometry.patch_prediction import points_in_view, predict_patches
 from vo.geometry.pnp import PoseFit, refine_pose
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.surfaces import left_from_right
@@ -80,52 +80,35 @@ class Observed:
         return len(self.rows)
 
 
-def visible_landmarks(world: Map, rig: WorkingRig, world_from_cam: Floats) -> Visible:
-    """The landmarks that a camera at this pose should see."""
+def visible_landmarks(
+    world: Map, rig: WorkingRig, world_from_cam: Floats, most: int | None = None
+) -> Visible:
+    """The landmarks that a camera at this pose should see.
+
+    Of more than `most` those found most often, then the newest.
+    """
     poses = np.stack([*(k.world_from_cam for k in world.keyframes), world_from_cam])
     first = world.keyframes[0].id if world.keyframes else 0
-    seen = predict_patches(
-        world.xyz,
-        world.normal,
-        world.reference - first,
-        np.arange(len(world)),
-        np.full(len(world), len(poses) - 1),
-        poses,
-        (rig.fx, rig.fy, rig.cx, rig.cy),
-    )
-    rows = np.flatnonzero((seen.scale < _SCALE_RANGE) & (seen.scale > 1.0 / _SCALE_RANGE))
-    xy = seen.xy[rows]
+    intrinsics = (rig.fx, rig.fy, rig.cx, rig.cy)
+    reference = world.reference - first
+    inside = (_BORDER_PX, _BORDER_PX, rig.width - _BORDER_PX, rig.height - _BORDER_PX)
+    everywhere = (-np.inf, -np.inf, np.inf, np.inf)
+    corners = inside if rig.lens is None else everywhere
+    rows, xy = points_in_view(world.xyz, reference, poses, intrinsics, _SCALE_RANGE, corners)
     image_xy = rig.image_from_ideal(xy)
-    farthest = (rig.width - _BORDER_PX, rig.height - _BORDER_PX)
-    inside = ((image_xy >= _BORDER_PX) & (image_xy < farthest)).all(axis=1)
-    rows = rows[inside]
-    return Visible(
-        rows,
-        xy[inside],
-        image_xy[inside],
-        seen.scale[rows],
-        seen.reference_from_target[rows],
-        seen.slope[rows],
-    )
-
-
-def most_promising(world: Map, visible: Visible, count: int) -> Visible:
-    """At most `count` of the landmarks: those found most often, then the newest."""
-    if len(visible.rows) <= count:
-        return visible
-    found = np.minimum(world.found[visible.rows], 20)
-    return _some(visible, np.sort(np.lexsort((-visible.rows, -found))[:count]))
-
-
-def _some(visible: Visible, kept: Ints) -> Visible:
-    return Visible(
-        visible.rows[kept],
-        visible.xy[kept],
-        visible.image_xy[kept],
-        visible.scale[kept],
-        visible.reference_from_image[kept],
-        visible.slope[kept],
-    )
+    if rig.lens is not None:
+        u, v = image_xy[:, 0], image_xy[:, 1]
+        left, top, right, bottom = inside
+        kept = np.flatnonzero((u >= left) & (u < right) & (v >= top) & (v < bottom))
+        rows, xy, image_xy = rows.take(kept), xy.take(kept, axis=0), image_xy.take(kept, axis=0)
+    if most is not None and len(rows) > most:
+        found = np.minimum(world.found.take(rows), 20)
+        rank = found * len(world) + rows  # rows are in order of their landmarks' ids
+        kept = np.sort(np.argpartition(rank, len(rank) - most)[len(rank) - most :])
+        rows, xy, image_xy = rows.take(kept), xy.take(kept, axis=0), image_xy.take(kept, axis=0)
+    here = np.full(len(rows), len(poses) - 1)
+    seen = predict_patches(world.xyz, world.normal, reference, rows, here, poses, intrinsics)
+    return Visible(rows, xy, image_xy, seen.scale, seen.reference_from_target, seen.slope)
 
 
 def match_by_descriptor(
@@ -224,22 +207,24 @@ def align_landmarks(
         visible.image_xy,
         half_px=config.patch_half_px,
     )
-    shift = np.linalg.norm(found.xy - visible.image_xy, axis=1)
+    x, y = (found.xy - visible.image_xy).T
     ideal = rig.ideal_from_image(found.xy)
     kept = found.nearly & (found.score >= config.min_patch_score)
-    kept &= (shift <= config.max_shift_px) & np.isfinite(ideal).all(axis=1)
+    kept &= x * x + y * y <= config.max_shift_px**2
+    kept &= np.isfinite(ideal[:, 0]) & np.isfinite(ideal[:, 1])
     sure = kept & found.converged
     if np.count_nonzero(sure) >= _ENOUGH * config.min_inliers:
         kept = sure
+    at = np.flatnonzero(kept)  # taking rows is several times as fast as masking them
     return Observed(
-        rows=rows[kept],
-        image_xy=found.xy[kept],
-        xy=ideal[kept],
-        disparity=np.full(int(kept.sum()), np.nan),
-        sigma_px=config.sigma_px * _uncertainty(found.sigma_px[kept]),
-        score=found.score[kept],
-        scale=visible.scale[kept],
-        slope=visible.slope[kept],
+        rows=rows.take(at),
+        image_xy=found.xy.take(at, axis=0),
+        xy=ideal.take(at, axis=0),
+        disparity=np.full(len(at), np.nan),
+        sigma_px=config.sigma_px * _uncertainty(found.sigma_px.take(at)),
+        score=found.score.take(at),
+        scale=visible.scale.take(at),
+        slope=visible.slope.take(at, axis=0),
     )
 
 

@@ -85,8 +85,7 @@ def refine(
 
     None if too few of them agree.
     """
-    visible = observe.visible_landmarks(world, rig, pose)
-    visible = observe.most_promising(world, visible, config.tracking.max_landmarks)
+    visible = observe.visible_landmarks(world, rig, pose, config.tracking.max_landmarks)
     observed = observe.align_landmarks(world, visible, frame.image0, rig, config.tracking)
     observed = observe.with_disparity(
         observed, world, pose, frame, rig, config.tracking, config.stereo
