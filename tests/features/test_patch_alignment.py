@@ -182,3 +182,19 @@ def test_patches_larger_than_supported_are_an_error() -> None:
         align_patches(
             reference[None], np.zeros(1, np.int64), at, np.eye(2)[None], target, at, half_px=11
         )
+
+
+def test_stretched_patches_reach_to_the_last_pixel() -> None:
+    scene, xy, shift = Waves(), pixels(HEIGHT, WIDTH), np.array([-30.0, -20.0])
+    reference, target = as_image(scene.at(xy)), as_image(scene.at(xy - shift))
+    stretch = np.array([[1.2, 0.1], [-0.05, 0.9]])
+    back = np.linalg.inv(stretch)
+    # So that of the patch, with a pixel around it, nothing is left to the right and below.
+    reach = 7.0 * np.abs(back).sum(axis=1)
+    centre = np.array([[WIDTH - 1.01, HEIGHT - 1.01]]) - reach
+    stretched = as_image(scene.at((xy - centre[0] - shift) @ back.T + centre[0]))
+    found = _align(reference, stretched, centre, centre + shift + 0.4, stretch)
+    assert found.converged.all()
+    assert _errors(found, centre + shift).max() < 0.03
+    beyond = centre + 0.02
+    assert not _align(reference, target, beyond, beyond + shift, stretch).converged.any()

@@ -37,41 +37,18 @@ def align(  # type: ignore[no-untyped-def]
     score = np.full(count, -1.0)
     converged, nearly = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     sigma = np.full(count, np.inf)
+    patches = references, reference, reference_xy, inverses
+    looked_in = targets, target, start_xy
     found = xy, score, converged, nearly, sigma
-    _align_each(
-        references,
-        reference,
-        reference_xy,
-        inverses,
-        targets,
-        target,
-        start_xy,
-        half,
-        iterations,
-        stride,
-        work,
-        pixels,
-        found,
-    )
+    _align_each(patches, looked_in, half, iterations, stride, work, pixels, found)
     return found
 
 
 @compiled(**UNCOUNTED)
-def _align_each(  # type: ignore[no-untyped-def]
-    references,
-    reference,
-    reference_xy,
-    inverses,
-    targets,
-    target,
-    start_xy,
-    half,
-    iterations,
-    stride,
-    work,
-    pixels,
-    found,
-):
+def _align_each(patches, looked_in, half, iterations, stride, work, pixels, found):  # type: ignore[no-untyped-def]
+    """Fill what was found; buffers are a workspace and whole numbers for a stretched patch."""
+    references, reference, reference_xy, inverses = patches
+    targets, target, start_xy = looked_in
     xy, score, converged, nearly, sigma = found
     count, side = len(reference_xy), 2 * half + 1
     for n in range(count):
@@ -159,7 +136,9 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
             left, top = min(left, px), min(top, py)
     at = int(top) * width + int(left)
     x, y, size = x - int(left), y - int(top), (2 * half + 3) * stride
-    _stretch(image.reshape(-1)[at:], width, x, y, inverse, size, work, pixels)
+    # Rounding must not lead beyond the last pixel where a patch is stretched over much of an image.
+    farthest = width - 2 - int(left), height - 2 - int(top)
+    _stretch(image.reshape(-1)[at:], width, x, y, inverse, farthest, size, work, pixels)
     return True
 
 
@@ -180,22 +159,23 @@ def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath={"contract"}, **UNCOUNTED)
-def _stretch(flat, width, x, y, inverse, size, work, pixels):  # type: ignore[no-untyped-def]
+def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type: ignore[no-untyped-def]
     """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors.
 
     The centre (x, y) is told from the top left corner of what is needed, so that single precision
-    holds places to 1e-5 px and no place is negative.
+    holds places to 1e-5 px and none is negative but for rounding, which becomes 0.
     """
     wide, share_x, share_y, across, down = work[0], work[2], work[3], work[6], work[7]
     place, above, below = pixels[0], pixels[1], pixels[2]
     count, row = np.uintp(size), np.int32(width)
     x, y = np.float32(x), np.float32(y)
+    right, bottom = np.int32(farthest[0]), np.int32(farthest[1])
     xx, xy = np.float32(inverse[0, 0]), np.float32(inverse[0, 1])
     yx, yy = np.float32(inverse[1, 0]), np.float32(inverse[1, 1])
     for k in range(count):
-        px = max(x + xx * across[k] + xy * down[k], np.float32(0))
-        py = max(y + yx * across[k] + yy * down[k], np.float32(0))
-        x0, y0 = np.int32(px), np.int32(py)
+        px = x + xx * across[k] + xy * down[k]
+        py = y + yx * across[k] + yy * down[k]
+        x0, y0 = min(np.int32(px), right), min(np.int32(py), bottom)
         share_x[k], share_y[k] = px - np.float32(x0), py - np.float32(y0)
         place[k] = y0 * row + x0
     for k in range(count):
@@ -329,9 +309,9 @@ def step_together(  # type: ignore[no-untyped-def]
     side = 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work, area = _workspace(half, stride), np.float32(side * side)
+    flat = image.reshape(-1)
     h, b, per_pixel, j = np.zeros((6, 6)), np.zeros(6), 1e-12, np.empty((2, 6))
     score = np.full(len(points), -1.0)
-    flat = image.reshape(-1)
     fx, fy, cx, cy = camera
     for n in range(len(points)):
         p, a = points[n], pixel_from_ideal[n]

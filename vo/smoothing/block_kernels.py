@@ -58,6 +58,7 @@ def reduced(  # type: ignore[no-untyped-def]
     at = np.zeros(most, dtype=np.int64)
     normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     flat_inverse = inverse.reshape(-1)
+    views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
     for m in range(len(starts) - 1):
         first, count = starts[m], starts[m + 1] - starts[m]
         if count == 0:
@@ -65,25 +66,7 @@ def reduced(  # type: ignore[no-untyped-def]
         # First all derivatives, then their products: a register of what was just written number
         # by number would have to wait for it.
         _differentiate(
-            points,
-            m,
-            poses,
-            first,
-            count,
-            keyframe,
-            xy,
-            disparity,
-            inverse_sigma,
-            intrinsics,
-            fb,
-            inverse_d,
-            huber,
-            by_pose,
-            by_point,
-            by_rest,
-            error,
-            normal,
-            right,
+            points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
         )
         shared[:] = 0.0
         tied = 0
@@ -127,27 +110,10 @@ def reduced(  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **UNCOUNTED)
 def _differentiate(  # type: ignore[no-untyped-def]
-    points,
-    m,
-    poses,
-    first,
-    count,
-    keyframe,
-    xy,
-    disparity,
-    inverse_sigma,
-    intrinsics,
-    fb,
-    inverse_d,
-    huber,
-    by_pose,
-    by_point,
-    by_rest,
-    error,
-    normal,
-    right,
+    points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
 ):
     """Fill derivatives and errors of a point's observations, weighted, and the point's share."""
+    poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     p0, p1, p2 = points[m, 0], points[m, 1], points[m, 2]
     n00 = n01 = n02 = n11 = n12 = n22 = 0.0
