@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from vo.cli.app import app
+
 VO = Path(sys.executable).with_name("vo")
 
 # Read by Python as it starts: presses Ctrl-C when a module is first asked for, or at the very end.
@@ -62,3 +64,13 @@ def test_ctrl_c_after_the_last_line_changes_nothing(tmp_path: Path) -> None:
     result = vo(tmp_path, AS_IT_ENDS, "--version")
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.startswith("vo ")
+
+
+@pytest.mark.parametrize("command", [c.name for c in app.registered_commands])
+def test_a_command_alone_helps_as_it_does_among_the_others(tmp_path: Path, command: str) -> None:
+    alone = vo(tmp_path, "", command, "--help")
+    program = "import sys; from vo.cli.app import app; sys.argv[0] = 'vo'; app()"
+    words = [sys.executable, "-c", program, command, "--help"]
+    among = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert alone.returncode == 0
+    assert alone.stdout == among.stdout

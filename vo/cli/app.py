@@ -114,3 +114,10 @@ app.command("view")(view_command)
 app.command("report")(report_command)
 app.command("demo")(demo_command)
 app.command("synth", epilog=EPILOG)(synth_command)
+
+
+def keep_only(words: list[str]) -> None:
+    """Of all commands leave the one that is called: Typer would make all of them ready."""
+    called = [c for c in app.registered_commands if [c.name] == words]
+    if called:
+        app.registered_commands = called

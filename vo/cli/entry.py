@@ -30,7 +30,9 @@ def main() -> None:
     # Others' plugins for pydantic are not wanted: it would look through all packages for them.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     with loading():
-        from vo.cli.app import app
+        from vo.cli.app import app, keep_only
+
+        keep_only(sys.argv[1:2])
 
     atexit.register(gc.freeze)  # as the program ends there is nothing to be gained by a search
     if answers:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.geometry.quantiles import median
 from vo.types import Bools, Floats
 
 _ROUNDS = 20
@@ -74,10 +75,10 @@ class RowFit:
         Iteratively reweighted least squares with Cauchy weights, from the median on.
         """
         terms, usual = _terms(x, y), np.diag(_USUAL_PX**-2.0)
-        found = np.array([np.median(rows_px), 0.0, 0.0, 0.0, 0.0])
+        found = np.array([median(rows_px), 0.0, 0.0, 0.0, 0.0])
         for _ in range(_ROUNDS):
             left = rows_px - terms @ found
-            sigma = max(_NOISE_PX, 1.4826 * float(np.median(np.abs(left))))
+            sigma = max(_NOISE_PX, 1.4826 * median(np.abs(left)))
             weight = 1.0 / (_TOGETHER * sigma**2 * (1.0 + (left / (2.0 * sigma)) ** 2))
             information, vector = (terms * weight[:, None]).T @ terms, terms.T @ (weight * rows_px)
             found = np.linalg.solve(information + usual, vector)

@@ -11,6 +11,7 @@ from vo.features.alignment import Alignment, align_between
 from vo.features.matching import agree_in_rotation, match_segments
 from vo.geometry.epipolar_segments import epipolar_segments
 from vo.geometry.patch_prediction import predict_patches
+from vo.geometry.quantiles import median
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.surfaces import surface_normals
 from vo.geometry.transforms import inverse, transform_points
@@ -255,4 +256,4 @@ def _median_depth(world: Map, keyframe: Keyframe) -> float | None:
     if len(rows) < 8:
         return None
     cam_from_world = inverse(keyframe.world_from_cam)
-    return float(np.median(world.xyz[rows] @ cam_from_world[2, :3] + cam_from_world[2, 3]))
+    return median(world.xyz[rows] @ cam_from_world[2, :3] + cam_from_world[2, 3])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from vo.geometry.quantiles import percentiles
 from vo.pipeline.working_frame import WorkingFrame
 from vo.types import Bytes, Light
 
@@ -22,7 +21,7 @@ def fault_of(frame: WorkingFrame) -> str:
 
 
 def _light(image: Bytes) -> Light | None:
-    low, middle, high = np.percentile(image[::_STEP, ::_STEP], (5, 50, 95))
+    low, middle, high = percentiles(image[::_STEP, ::_STEP], (5, 50, 95))
     if high < _BLACK:
         return Light.BLACK
     if middle > _WHITE:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vo.config import Config, TrackingConfig
+from vo.geometry.quantiles import median
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse
 from vo.mapping.map import Keyframe, Map
@@ -42,7 +43,7 @@ class Tracked:
         """Of the landmarks that agree with the pose; None where no disparity was measured."""
         disparity = self.observed.disparity[self.inlier]
         measured = disparity[~np.isnan(disparity)]
-        return float(np.median(measured)) if len(measured) else None
+        return median(measured) if len(measured) else None
 
 
 def place_near(

@@ -10,6 +10,7 @@ from vo.config import Config
 from vo.features.alignment import align_patches
 from vo.features.matching import agree_in_rotation, match_everywhere, match_windows
 from vo.geometry.neighbours import far_from
+from vo.geometry.quantiles import median
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.map import Keyframe, Map
@@ -129,7 +130,7 @@ def map_from_pair(
 ) -> tuple[Keyframe, Keyframe]:
     """Two keyframes and their landmarks, scaled to a median depth; the first is at `anchor`."""
     good, points = pair.two_view.good, pair.two_view.points
-    scale = median_depth / float(np.median(points[good, 2]))
+    scale = median_depth / median(points[good, 2])
     motion = pair.two_view.second_from_first.copy()
     motion[:3, 3] *= scale
     query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import rerun as rr
 
+from vo.geometry.quantiles import median
 from vo.geometry.transforms import quat_xyzw_from_rotation
 from vo.recording import entities
 from vo.recording.scene import GrowingMap, GrowingPath, KeyframeGraph, Points, SmoothedPath
@@ -128,7 +129,7 @@ class MapLayer:
             self._add_points(moment, entities.SETTLED_LANDMARKS, settled)
         if len(landmarks.xyz):
             distances = np.linalg.norm(landmarks.xyz - pose[:3, 3], axis=1)
-            self._grow_frustum(moment, _FRUSTUM_SHARE_OF_DEPTH * float(np.median(distances)))
+            self._grow_frustum(moment, _FRUSTUM_SHARE_OF_DEPTH * median(distances))
 
     def _add_points(self, moment: Moment, entity: str, points: Points) -> None:
         self._tape.add(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from vo.geometry.quantiles import median
 from vo.types import Estimate, Floats, Rig, State
 
 
@@ -55,7 +56,7 @@ class Tally:
             "segments": str(len(self.segments)),
             "keyframes": str(len(self.keyframes) + untold),
             "path": f"{path_length:.2f} {unit}",
-            "inliers, median": f"{np.median(self.inliers):.0f}" if self.inliers else "-",
+            "inliers, median": f"{median(self.inliers):.0f}" if self.inliers else "-",
         }
         if self.rig.is_stereo:
             rows["disparity offset"] = f"{self.offset_px:+.2f} px"

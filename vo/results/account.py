@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.geometry.quantiles import median, percentiles
 from vo.types import Estimate, State
 
 
@@ -63,17 +64,17 @@ class Account:
     @property
     def median_inliers(self) -> float | None:
         """Of the tracked frames; None if there is none."""
-        return float(np.median(self._inliers)) if self._inliers else None
+        return median(self._inliers) if self._inliers else None
 
     @property
     def median_disparity_px(self) -> float | None:
         """Median over tracked frames of the median of each; None without disparities."""
-        return float(np.median(self._disparities_px)) if self._disparities_px else None
+        return median(self._disparities_px) if self._disparities_px else None
 
     def stages(self) -> dict[str, StageTime]:
         """Median and 95th percentile of each stage."""
         return {
-            stage: StageTime(*(float(p) for p in np.percentile(spent, (50, 95))))
+            stage: StageTime(*percentiles(spent, (50, 95)))
             for stage, spent in self._stage_ms.items()
         }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.geometry.quantiles import median
 from vo.types import Floats
 
 
@@ -30,7 +31,7 @@ def scale_from_points(
     if not usable.any():
         return 0.0, 0
     scales = np.sum(slope * offset, axis=1)[usable] / weight[usable]
-    median = float(np.median(scales))
-    if median <= 0:
-        return median, 0
-    return median, int(np.sum(np.abs(scales - median) <= agreement * median))
+    scale = median(scales)
+    if scale <= 0:
+        return scale, 0
+    return scale, int(np.sum(np.abs(scales - scale) <= agreement * scale))

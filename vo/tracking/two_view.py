@@ -11,6 +11,7 @@ import numpy as np
 from vo.config import StartConfig
 from vo.geometry import epipolar
 from vo.geometry.pnp import refine_pose
+from vo.geometry.quantiles import median
 from vo.geometry.triangulation import in_front, triangulate
 from vo.types import Bools, Floats, Ints
 
@@ -73,7 +74,7 @@ def start_two_view(
     """
     if len(first) < config.min_matches:
         return f"{len(first)} matches with the reference frame, {config.min_matches} needed"
-    if float(np.median(np.linalg.norm(second - first, axis=1))) < config.min_motion_px:
+    if median(np.linalg.norm(second - first, axis=1)) < config.min_motion_px:
         return "the image hardly moves"
     essential = epipolar.find_essential(first, second, matrix, config.threshold_px)
     homography = epipolar.find_homography(first, second, config.threshold_px)
@@ -163,7 +164,7 @@ def _squared_error(
             continue
         none, sigma = np.full(len(rows), np.nan), np.ones(len(rows))
         fit = refine_pose(pose, points[rows], xy, none, sigma, 1.0, intrinsics, 0.0)
-        errors.append(float(np.median(fit.residual**2)))
+        errors.append(median(fit.residual**2))
         pose = fit.cam_from_world  # where the next one begins
     return float(np.mean(errors)) if errors else float("nan")
 
