@@ -101,7 +101,7 @@ class KeyframeConfig(Section):
         100, ge=0, description="mono: the same; new landmarks need a baseline"
     )
     min_parallax_deg: float = Field(
-        1.5, gt=0, description="stereo: median parallax with the last keyframe"
+        3.0, gt=0, description="stereo: median parallax with the last keyframe"
     )
     min_parallax_mono_deg: float = Field(
         2.5, gt=0, description="mono: the same; new landmarks need a baseline"
