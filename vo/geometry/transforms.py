@@ -30,7 +30,7 @@ def whole_transforms(rows: Floats) -> Floats:
 
 def inverse(a_from_b: Floats) -> Floats:
     """b_from_a of one (4, 4) or many (..., 4, 4) transforms."""
-    if a_from_b.ndim == 2:  # in half the time
+    if a_from_b.ndim == 2:  # in two thirds of the time
         rotation = a_from_b[:3, :3].T
         return make_transform(rotation, -(rotation @ a_from_b[:3, 3]))
     result = np.zeros_like(a_from_b)
