@@ -1,0 +1,176 @@
+"""Compares the results of `vo run` in two checkouts, byte for byte, and their CPU time.
+
+Each checkout runs on the real recordings and the synthetic suite, in stereo and mono, with every
+preset. Results of the old checkout can be kept (--keep) and are then reused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
+PRESETS = ("default", "fast", "accurate")
+MODES = ("stereo", "mono")
+# A stereo and a mono recording, a pair that is not rectified, and one that tracking loses.
+QUICK = (
+    ("kitti06_stereo_000-050", "stereo", "default"),
+    ("kitti07_mono_000-099", "mono", "default"),
+    ("kitti_raw_stereo_000-099", "stereo", "default"),
+    ("rendered_hall_stereo", "stereo", "fast"),
+    ("rendered_hall_stereo", "mono", "accurate"),
+    ("tum_fr3_cabinet_58_lowtexture", "mono", "default"),
+)
+TUM_CALIBRATION = """\
+cam0:
+  resolution: [640, 480]
+  intrinsics: [535.4, 539.2, 320.1, 247.6]
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: a recording, a mode and a preset."""
+
+    recording: Path
+    mode: str
+    preset: str
+
+    @property
+    def name(self) -> str:
+        """Unique name, also of its folder."""
+        return f"{self.recording.name}-{self.mode}-{self.preset}"
+
+
+@dataclass(frozen=True)
+class Run:
+    """Result of one run.
+
+    Attributes:
+        folder: its output.
+        status: exit status.
+        cpu_s: CPU time of the command and of its child processes.
+    """
+
+    folder: Path
+    status: int
+    cpu_s: float
+
+
+def main() -> None:
+    """Run, compare, print a line for each case; exit status 1 if any file differs."""
+    options = _options()
+    with tempfile.TemporaryDirectory(prefix="vo-same-bits-") as name:
+        work = Path(name)
+        calibration = work / "tum.yaml"
+        calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
+        kept = options.keep or work / "old"
+        cases = [case for case in _cases(options) if options.only in case.name]
+        if not cases:
+            raise SystemExit("error: no recording to compare; check --data and --only")
+
+        def compare(case: Case) -> tuple[Case, list[str], float]:
+            old = _old_run(options.old, case, kept / case.name, calibration)
+            new = _run(options.new, case, work / "new" / case.name, calibration)
+            return case, _differences(old, new), new.cpu_s / old.cpu_s
+
+        with ThreadPoolExecutor(options.jobs) as pool:
+            results = [_printed(*result) for result in pool.map(compare, cases)]
+    differing = [name for name, same in results if not same]
+    print(f"{len(results) - len(differing)} of {len(results)} runs are byte-identical")
+    if differing:
+        raise SystemExit(1)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="scripts/same_bits",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("old", type=Path, help="checkout with the expected results (after its scripts/setup)")
+    add("new", type=Path, help="checkout to compare with it")
+    add("--quick", action="store_true", help="six runs only, on real recordings")
+    add("--only", default="", metavar="TEXT", help="only runs whose name contains this")
+    add("--keep", type=Path, metavar="DIR", help="keep the old results here, or reuse them")
+    add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="real recordings")
+    add("--cache", type=Path, default=ROOT / "out" / "synth", help="synthetic recordings")
+    add("--jobs", type=int, default=1, metavar="N", help="runs at the same time")
+    return parser.parse_args()
+
+
+def _cases(options: argparse.Namespace) -> Iterator[Case]:
+    if options.quick:
+        for name, mode, preset in QUICK:
+            if (options.data / name).is_dir():
+                yield Case(options.data / name, mode, preset)
+        return
+    real = sorted(p for p in options.data.glob("*_*") if _is_recording(p))
+    for folder, mode, preset in product([*real, *_suite(options.cache)], MODES, PRESETS):
+        yield Case(folder, mode, preset)
+
+
+def _is_recording(folder: Path) -> bool:
+    return folder.is_dir() and folder.name != "eval_reference"
+
+
+def _suite(cache: Path) -> list[Path]:
+    """The synthetic suite, made where it is not in the cache yet."""
+    from data_synth.cache import cached_sequence
+    from data_synth.recipe import load_recipe, recipe_folder
+
+    recipes = sorted((recipe_folder() / "suite").glob("*.yaml"))
+    return [cached_sequence(load_recipe(path), cache, path.stem) for path in recipes]
+
+
+def _old_run(checkout: Path, case: Case, folder: Path, calibration: Path) -> Run:
+    record = folder / "run.json"
+    if record.is_file():
+        return Run(folder, **json.loads(record.read_text(encoding="utf-8")))
+    run = _run(checkout, case, folder, calibration)
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {"status": run.status, "cpu_s": run.cpu_s}
+    record.write_text(json.dumps(content), encoding="utf-8")
+    return run
+
+
+def _run(checkout: Path, case: Case, folder: Path, calibration: Path) -> Run:
+    command = [str(checkout.resolve() / ".venv" / "bin" / "vo"), "run", str(case.recording)]
+    command += ["--output", str(folder), "--mode", case.mode, "--config", case.preset, "--quiet"]
+    if case.recording.name.startswith("tum_"):
+        command += ["--calibration", str(calibration)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return Run(folder, process.returncode, usage.ru_utime + usage.ru_stime)
+
+
+def _differences(old: Run, new: Run) -> list[str]:
+    """What differs: names of files, or the exit status."""
+    if old.status != new.status:
+        return [f"exit status {old.status} -> {new.status}"]
+    return [name for name in FILES if _content(old.folder / name) != _content(new.folder / name)]
+
+
+def _content(path: Path) -> bytes | None:
+    return path.read_bytes() if path.is_file() else None
+
+
+def _printed(case: Case, differences: list[str], cpu_ratio: float) -> tuple[str, bool]:
+    verdict = "DIFFERS: " + ", ".join(differences) if differences else "same"
+    print(f"{case.name:58} CPU x{cpu_ratio:.2f}  {verdict}", flush=True)
+    return case.name, not differences
+
+
+if __name__ == "__main__":
+    main()
