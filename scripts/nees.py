@@ -19,14 +19,14 @@ import numpy as np
 from scipy.stats import chi2
 
 from vo import odometry
+from vo.backend.covariance import propagated
+from vo.backend.sliding_window import Window, take_in
+from vo.backend.solution import WindowSolution
 from vo.config import Config, load_config
 from vo.evaluation.association import associate
 from vo.geometry.rectification import WorkingRig
 from vo.geometry.transforms import adjoint, inverse, se3_log
-from vo.mapping.map import Keyframe, Map
-from vo.pipeline.adjust import Window, take_in
-from vo.smoothing.covariance import propagated
-from vo.smoothing.solution import WindowSolution
+from vo.mapping.local_map import Keyframe, Map
 from vo.sources.registry import open_source
 from vo.types import Floats, Ints, KeyframePose, Mode, Trajectory
 

@@ -14,11 +14,11 @@ import pytest
 from data_synth.film import film
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
+from vo.backend.optimizer import SmootherHere
 from vo.config import Config, FeaturesConfig, KeyframeConfig
 from vo.geometry.similarity import Similarity, umeyama
 from vo.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.odometry import Odometry
-from vo.smoothing.smoother import SmootherHere
 from vo.types import Estimate, Floats, Frame, Rig, State, WindowProblem
 
 FPS, FIRST, COUNT = 15.0, 15, 40  # a second after the start, when the walk is under way

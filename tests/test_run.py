@@ -17,10 +17,10 @@ import pytest
 from vo.config import Config, load_config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import read_tum
+from vo.frontend.lazy_future import Later
+from vo.frontend.preprocessing import WorkingFrame
 from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
-from vo.pipeline.later import Later
-from vo.pipeline.working_frame import WorkingFrame
 from vo.results.summary import Summary
 from vo.run import run
 from vo.types import Estimate, Rig, Trajectory

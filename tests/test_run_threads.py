@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from vo.backend.process import SmootherProcess
 from vo.config import load_config
 from vo.run import run
-from vo.smoothing.process import SmootherProcess
 from vo.types import Estimate, WindowProblem
 
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")

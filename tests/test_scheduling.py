@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vo.config import Config
+from vo.frontend.preprocessing import Preparation
 from vo.geometry.rectification import working_rig
-from vo.pipeline.working_frame import Preparation
 from vo.scheduling import give_way
 from vo.types import Camera, Frame, Rig
 
@@ -31,7 +31,7 @@ def test_frames_are_made_ready_by_threads_that_give_way(monkeypatch: pytest.Monk
     image = np.random.default_rng(0).integers(0, 255, (120, 200), dtype=np.uint8)
     preparation = Preparation(Config(), threads=2)
     monkeypatch.setattr(
-        "vo.pipeline.working_frame.smaller_images",
+        "vo.frontend.preprocessing.smaller_images",
         lambda image: policies.append(os.sched_getscheduler(0)) or (),
     )
     try:

@@ -15,30 +15,27 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from vo.backend.calibration_residual import Miscalibration
+from vo.backend.optimizer import make_smoother
+from vo.backend.sliding_window import Window, cull, make_window, take_in
+from vo.backend.solution import WindowSolution
 from vo.config import Config
+from vo.cores import available_cores
+from vo.frontend.exposure import fault_of
+from vo.frontend.lazy_future import Later
+from vo.frontend.preprocessing import Preparation, WorkingFrame
 from vo.geometry.lens_error import edge_px
 from vo.geometry.rectification import working_rig
 from vo.geometry.right_camera import right_camera
 from vo.geometry.row_errors import RowErrors
 from vo.geometry.transforms import adjoint, inverse
-from vo.mapping.map import Keyframe, Map
-from vo.pipeline.adjust import Window, cull, make_window, take_in
-from vo.pipeline.cores import available_cores
-from vo.pipeline.direct_step import direct_step
-from vo.pipeline.disparity_watch import DisparityWatch, is_from_yaw
-from vo.pipeline.essential_step import essential_step
-from vo.pipeline.forecast import KeyframeForecast
-from vo.pipeline.grow import grow_stereo, incline, look_back, looks_swapped
-from vo.pipeline.grow_mono import grow_mono
-from vo.pipeline.history import History
-from vo.pipeline.keyframe import add_keyframe, add_tracked, change_since
-from vo.pipeline.later import Later
-from vo.pipeline.lens_watch import LensWatch
-from vo.pipeline.light import fault_of
-from vo.pipeline.place import Tracked, as_tracked, place_anywhere, place_near, refine
-from vo.pipeline.start import MonoStart, map_from_pair
-from vo.pipeline.stopwatch import Stopwatch
-from vo.pipeline.view import (
+from vo.mapping.keyframes import add_keyframe, add_tracked, change_since
+from vo.mapping.local_map import Keyframe, Map
+from vo.mapping.triangulate_mono import grow_mono
+from vo.mapping.triangulate_stereo import grow_stereo, incline, look_back, looks_swapped
+from vo.refinement.disparity_bias import DisparityWatch, is_from_yaw
+from vo.refinement.radial_distortion import LensWatch
+from vo.snapshot import (
     Seen,
     landmarks_of,
     make_view,
@@ -46,12 +43,15 @@ from vo.pipeline.view import (
     points_of,
     with_matches,
 )
-from vo.pipeline.working_frame import Preparation, WorkingFrame
-from vo.smoothing.miscalibration import Miscalibration
-from vo.smoothing.smoother import make_smoother
-from vo.smoothing.solution import WindowSolution
-from vo.tracking.keyframes import needs_keyframe
-from vo.tracking.motion import ConstantVelocity
+from vo.stopwatch import Stopwatch
+from vo.tracking.essential_matrix import essential_step
+from vo.tracking.keyframe_forecast import KeyframeForecast
+from vo.tracking.keyframe_policy import needs_keyframe
+from vo.tracking.monocular_initializer import MonoStart, map_from_pair
+from vo.tracking.motion_model import ConstantVelocity
+from vo.tracking.sparse_image_alignment import direct_step
+from vo.tracking.tracker import Tracked, as_tracked, place_anywhere, place_near, refine
+from vo.trajectory.store import History
 from vo.types import (
     Estimate,
     Floats,
@@ -96,7 +96,7 @@ class Odometry:
     Args:
         rig: the cameras, as recorded.
         config: all settings.
-        smoother_process: that of the smoother (`vo.smoothing.child`), if it was started already.
+        smoother_process: that of the smoother (`vo.backend.launch`), if it was started already.
     """
 
     def __init__(

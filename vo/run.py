@@ -16,9 +16,6 @@ from vo.errors import ConfigError, OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.interrupts import interrupts_between_frames
 from vo.odometry import Odometry
-from vo.pipeline.history import Untracked
-from vo.pipeline.pose_log import PoseLog
-from vo.pipeline.stopwatch import Stopwatch
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
 from vo.recording.recorder import ImageChoice, NullRecorder, Recorder
@@ -32,6 +29,9 @@ from vo.results.profile import Profile, make_profile
 from vo.results.summary import RunFacts, Status, Summary, summarise
 from vo.sources.registry import open_source
 from vo.sources.source import Source
+from vo.stopwatch import Stopwatch
+from vo.trajectory.pose_log import PoseLog
+from vo.trajectory.store import Untracked
 from vo.types import Estimate, Frame, Mode
 
 _log = logging.getLogger(__name__)
@@ -89,7 +89,7 @@ def run(
         exports: files for other programs.
         progress: what watches the run.
         profile_since: write a profile; it begins at this time of `time.perf_counter`.
-        smoother_process: that of the smoother (`vo.smoothing.child`), if it was started already.
+        smoother_process: that of the smoother (`vo.backend.launch`), if it was started already.
 
     Raises:
         SourceError: the recording is missing, damaged, or holds no frame that can be read.

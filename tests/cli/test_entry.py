@@ -43,7 +43,7 @@ def test_ctrl_c_while_the_commands_are_loaded_gives_no_traceback(tmp_path: Path,
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
 
 
-@pytest.mark.parametrize("name", ["numpy", "cv2", "vo.run", "vo.smoothing.smoother"])
+@pytest.mark.parametrize("name", ["numpy", "cv2", "vo.run", "vo.backend.optimizer"])
 def test_ctrl_c_while_a_run_is_loaded_gives_one_line(tmp_path: Path, name: str) -> None:
     result = vo(tmp_path, AS_IT_LOADS.format(name=name), "run", tmp_path, "-o", tmp_path / "out")
     assert result.returncode == 130

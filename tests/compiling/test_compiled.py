@@ -34,7 +34,7 @@ import numpy as np
 from vo.compiling.function import WrittenOut, compiled
 from vo_helper import SHIFT, half
 
-_bits = WrittenOut("vo.features.instructions", "population_count")
+_bits = WrittenOut("vo.frontend.instructions", "population_count")
 
 @compiled
 def moved(values, by):
@@ -236,7 +236,7 @@ def test_arguments_go_by_position() -> None:
 
 def test_instructions_are_for_compiled_functions() -> None:
     with pytest.raises(TypeError, match="blend can be called in compiled functions only"):
-        WrittenOut("vo.features.instructions", "blend")(1)
+        WrittenOut("vo.frontend.instructions", "blend")(1)
 
 
 def test_threads_that_need_it_at_once_get_the_same(kept: Path) -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from vo.config import KeyframeConfig
 from vo.geometry.transforms import inverse, se3_exp, transform_points
-from vo.tracking.keyframes import Change, median_parallax, needs_keyframe
-from vo.tracking.motion import ConstantVelocity
+from vo.tracking.keyframe_policy import Change, median_parallax, needs_keyframe
+from vo.tracking.motion_model import ConstantVelocity
 from vo.tracking.scale import scale_from_points
 from vo.types import Floats
 

@@ -245,9 +245,9 @@ def run_command(
 
     with stops_gently(output), ExitStack() as stack:
         with loading():
+            from vo.backend.launch import child_started_early
             from vo.config import load_config
-            from vo.pipeline.cores import available_cores
-            from vo.smoothing.child import child_started_early
+            from vo.cores import available_cores
 
             settings = list(overrides or ())
             if threads is not None:

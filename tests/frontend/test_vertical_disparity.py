@@ -1,0 +1,160 @@
+"""Pairs whose right camera was turned after it had been calibrated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from vo.config import Config
+from vo.frontend.orb import OrbDetector
+from vo.frontend.vertical_disparity import RowAlignment, View
+from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.right_camera import right_camera
+from vo.geometry.row_errors import RowErrors
+from vo.refinement.disparity_bias import is_from_yaw
+from vo.sources.registry import open_source
+from vo.types import Bytes
+
+CONFIG = Config()
+INSIDE = np.s_[20:-20, 20:-20]
+
+
+@pytest.fixture(scope="module")
+def rig(synthetic_stereo: Path) -> WorkingRig:
+    return working_rig(open_source(synthetic_stereo).rig)
+
+
+@pytest.fixture(scope="module")
+def pair(synthetic_stereo: Path) -> tuple[Bytes, Bytes]:
+    frame = next(iter(open_source(synthetic_stereo).frames(0, 1, 1)))
+    assert frame.image1 is not None
+    return frame.image0, frame.image1
+
+
+def _view(image: Bytes) -> View:
+    return View(image, OrbDetector(CONFIG.features).detect(image))
+
+
+def _seen_by_turned(image: Bytes, rig: WorkingRig, pitch_deg: float, roll_deg: float) -> Bytes:
+    """The image of a camera that looks up and is turned counter-clockwise."""
+    turn, _ = cv2.Rodrigues(np.deg2rad([-pitch_deg, 0.0, roll_deg]))
+    matrix = rig.matrix @ np.asarray(turn) @ np.linalg.inv(rig.matrix)
+    size = image.shape[::-1]
+    seen = cv2.warpPerspective(image, matrix, size, None, cv2.INTER_CUBIC, cv2.BORDER_REPLICATE)
+    return np.asarray(seen, dtype=np.uint8)
+
+
+def _learned(left: Bytes, right: Bytes, rig: WorkingRig) -> RowAlignment:
+    alignment = RowAlignment(CONFIG)
+    assert alignment.asks()
+    assert alignment.learn(_view(left), _view(right), rig) == (alignment.corrected != RowErrors())
+    return alignment
+
+
+def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: WorkingRig) -> None:
+    alignment = _learned(*pair, rig)
+    assert alignment.corrected == RowErrors()
+    assert alignment.aligned(rig) is rig
+    assert right_camera(alignment.corrected, rig) is None
+    assert alignment.found is not None
+    assert alignment.found[:2] == pytest.approx((0.0, 0.0), abs=0.05)
+
+
+@pytest.mark.parametrize("angles", [(0.5, 0.0), (-2.0, 0.0), (0.0, 0.5), (0.0, -1.0), (-0.6, 0.8)])
+def test_a_turned_camera_is_found_and_turned_back(
+    pair: tuple[Bytes, Bytes], rig: WorkingRig, angles: tuple[float, float]
+) -> None:
+    left, right = pair
+    seen = _seen_by_turned(right, rig, *angles)
+    alignment = _learned(left, seen, rig)
+    found = right_camera(alignment.corrected, rig)
+    assert found is not None
+    assert (found.pitch_deg, found.roll_deg) == pytest.approx(angles, abs=0.04)
+    assert found.yaw_deg == 0.0
+    back = alignment.aligned(rig).rectify(seen, 1)
+    before = np.abs(seen[INSIDE].astype(float) - right[INSIDE]).mean()
+    after = np.abs(back[INSIDE].astype(float) - right[INSIDE]).mean()
+    assert after < 2.5 < before  # it is sampled twice
+    np.testing.assert_array_equal(alignment.aligned(rig).rectify(left, 0), left)
+
+
+def test_a_pair_without_features_says_nothing_and_others_are_asked(
+    pair: tuple[Bytes, Bytes], rig: WorkingRig
+) -> None:
+    grey = np.full_like(pair[0], 100)
+    alignment = _learned(grey, grey, rig)
+    assert alignment.found is None
+    assert alignment.asks()
+    alignment.learn(_view(pair[0]), _view(_seen_by_turned(pair[1], rig, 0.5, 0.0)), rig)
+    assert alignment.corrected.pitch_px > 1.0
+
+
+def test_one_does_not_ask_for_ever(rig: WorkingRig, pair: tuple[Bytes, Bytes]) -> None:
+    grey = _view(np.full_like(pair[0], 100))
+    alignment = RowAlignment(CONFIG)
+    asked = 0
+    for _ in range(100):
+        if alignment.asks():
+            alignment.learn(grey, grey, rig)
+            asked += 1
+    assert asked == 30
+    assert alignment.aligned(rig) is rig
+
+
+def test_in_the_dark_pairs_are_not_asked_more_often(
+    rig: WorkingRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    alignment, grey = _learned(*pair, rig), _view(np.full_like(pair[0], 100))
+    asked = []
+    for number in range(2, 32):
+        if alignment.asks():
+            asked.append(number)
+            alignment.learn(grey, grey, rig)
+    assert asked == [3, 7, 15, 31]
+
+
+def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
+    rig: WorkingRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    """As where the cameras were not triggered together while they turned."""
+    left, right = pair
+    alignment, found = RowAlignment(CONFIG), {}
+    for number in range(1, 32):
+        if alignment.asks():
+            seen = _seen_by_turned(right, rig, 0.4 if number == 1 else 0.2, 0.0)
+            aligned = alignment.aligned(rig).rectify(seen, 1)
+            alignment.learn(_view(left), _view(aligned), rig)
+            camera = right_camera(alignment.corrected, rig)
+            found[number] = None if camera is None else camera.pitch_deg
+    assert list(found) == [1, 3, 7, 15, 31]
+    assert found[1] == pytest.approx(0.4, abs=0.03)
+    assert found[31] == pytest.approx(0.2 + 0.2 / 5, abs=0.03)
+
+
+def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: WorkingRig) -> None:
+    left, right = pair
+    assert _learned(right, left, rig).corrected == RowErrors()
+
+
+def test_it_can_be_switched_off() -> None:
+    stereo = CONFIG.stereo.model_copy(update={"row_correction": False})
+    assert not RowAlignment(CONFIG.model_copy(update={"stereo": stereo})).asks()
+
+
+@pytest.mark.parametrize(
+    ("offset_px", "skew_px", "is_yaw"),
+    [
+        (-1.1, 1.2, True),
+        (0.9, -1.2, True),
+        (-0.21, 6.7, False),
+        (1.1, 1.2, False),
+        (-1.0, 0, False),
+    ],
+)
+def test_an_offset_is_laid_to_yaw_if_rows_confirm_it(
+    offset_px: float, skew_px: float, is_yaw: bool
+) -> None:
+    assert is_from_yaw(offset_px, skew_px) == is_yaw

@@ -1,0 +1,34 @@
+"""What a run keeps of every frame is small, however long the run."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+from vo.trajectory.store import History
+from vo.types import KeyframePose
+
+FRAMES = 5000
+
+
+def _keep(history: History, first: int, last: int) -> None:
+    """Frames of which every third is a keyframe."""
+    for number in range(first, last):
+        if number % 3 == 0:
+            pose = KeyframePose(number, number, 0, np.eye(4), np.eye(6))
+            history.store(number // 3, pose)
+        history.add(number, number, 0, number // 3, np.eye(4))
+
+
+def test_the_path_takes_less_than_300_bytes_a_frame() -> None:
+    history = History()
+    _keep(history, 0, 300)
+    tracemalloc.start()
+    try:
+        _keep(history, 300, FRAMES)
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(history.frames) == FRAMES
+    assert taken / (FRAMES - 300) < 300

@@ -1,0 +1,81 @@
+"""A first map from images of flat ground, over which a camera flies."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from vo.config import Config
+from vo.frontend.preprocessing import Preparation
+from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.transforms import inverse, rotation_angle, se3_exp, transform_points
+from vo.tracking.monocular_initializer import FirstPair, MonoStart
+from vo.tracking.two_view import start_two_view
+from vo.types import Bytes, Camera, Floats, Frame, Rig
+
+WIDTH, HEIGHT, FOCAL = 480, 360, 360.0
+RIG = working_rig(Rig(Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)))
+NORMAL, AWAY = np.array([0.0, 0.6, 0.8]), 6.0  # of the ground, seen by the first camera
+FLIGHT = np.array([0.01, -0.02, 0.01, -0.1, 1.2, -1.5])  # cam_from_first after all frames
+FRAMES = 24
+
+
+@pytest.fixture(scope="module")
+def images() -> list[Bytes]:
+    rng = np.random.default_rng(0)
+    grain = rng.normal(0.0, 1.0, (1024, 1024)).astype(np.float32)
+    texture = 128.0 + 45.0 * sum(
+        size * cv2.GaussianBlur(grain[::turn, ::turn], (0, 0), size, borderType=cv2.BORDER_REFLECT)
+        for size, turn in ((2.0, 1), (4.0, -1))
+    )
+    return [_image(texture, k) for k in range(FRAMES + 1)]
+
+
+def _pose(frame: int) -> Floats:
+    return se3_exp(FLIGHT * frame / FRAMES)
+
+
+def _image(texture: Floats, frame: int) -> Bytes:
+    first_from_cam = inverse(_pose(frame))
+    xy = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).reshape(-1, 2)
+    ends = transform_points(first_from_cam, RIG.back_project(xy.astype(float), np.ones(len(xy))))
+    centre = first_from_cam[:3, 3]
+    rays = ends - centre
+    ground = centre + rays * ((AWAY - centre @ NORMAL) / (rays @ NORMAL))[:, None]
+    along = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])  # the ground's axes
+    at = (512.0 + ground @ along.T * FOCAL / AWAY).astype(np.float32)
+    at = at.reshape(HEIGHT, WIDTH, 2)
+    grey = cv2.remap(texture, at[..., 0], at[..., 1], cv2.INTER_CUBIC, None, cv2.BORDER_WRAP)
+    noise = np.random.default_rng(frame).normal(0.0, 2.0, grey.shape)
+    return np.asarray(np.clip(np.round(grey + noise), 0, 255), dtype=np.uint8)
+
+
+def _started(images: list[Bytes], rig: WorkingRig, config: Config) -> tuple[FirstPair, list[str]]:
+    preparation = Preparation(config, threads=1)
+    start = MonoStart(config)
+    reasons: list[str] = []
+    for index, image in enumerate(images):
+        frame = preparation.later(Frame(index, index, image), rig).result()
+        found = start.attempt(frame, rig)
+        if isinstance(found, FirstPair):
+            return found, reasons
+        reasons.append(found)
+    pytest.fail(f"no map: {reasons}")
+
+
+def test_over_flat_ground_the_frames_between_begin_a_map(images: list[Bytes]) -> None:
+    config = Config()
+    pair, reasons = _started(images, RIG, config)
+    assert "the plane in view allows two motions" in reasons
+    reference_xy = RIG.ideal_from_image(pair.reference.keypoints.xy[pair.query])
+    alone = start_two_view(reference_xy, pair.xy, RIG.matrix, config.start)
+    assert alone == "the plane in view allows two motions"
+
+    found, true = pair.two_view.second_from_first, _pose(pair.current.index)
+    assert np.rad2deg(rotation_angle(found[:3, :3].T @ true[:3, :3])) < 0.2
+    cosine = found[:3, 3] @ true[:3, 3] / np.linalg.norm(true[:3, 3])
+    assert np.rad2deg(np.arccos(cosine)) < 2.0
+    points = pair.two_view.points[pair.two_view.good]
+    off = points @ NORMAL / np.median(points @ NORMAL) - 1.0
+    assert np.median(np.abs(off)) < 0.02  # they lie on the ground

@@ -1,0 +1,344 @@
+"""Compiled normal equations of poses by blocks of 6 x 6, the points eliminated.
+
+Rows of a block, and of what it is made from, are padded to the 8 numbers of a vector register.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
+
+_LANES = 8
+_UNSEEN = 1e-12  # information on a point in every direction, against all it has
+_NEAREST = 1e-6  # depth from which on a point is in front
+_SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below which it is dropped
+
+# Of one observation or point: derivatives by a pose, by a point, and errors; of a pair: a block.
+_ROWS, _POINT, _ERRORS, _BLOCK = 3 * _LANES, 9, 3, 6 * _LANES
+
+_set_product = WrittenOut("vo.backend.instructions", "set_product")
+_add_product = WrittenOut("vo.backend.instructions", "add_product")
+_subtract_product = WrittenOut("vo.backend.instructions", "subtract_product")
+_add_row = WrittenOut("vo.backend.instructions", "add_row")
+_subtract_row = WrittenOut("vo.backend.instructions", "subtract_row")
+
+
+@compiled(fastmath={"contract"})
+def reduced(  # type: ignore[no-untyped-def]
+    points,
+    poses,
+    slot,
+    calibrates,
+    starts,
+    keyframe,
+    xy,
+    disparity,
+    inverse_sigma,
+    intrinsics,
+    fb,
+    inverse_d,
+    huber,
+):
+    """Normal equations of the poses that may move, the points eliminated.
+
+    With `calibrates` six rows follow, of which the first are those of what the calibration leaves
+    (`Miscalibration`): to the blocks it is one more pose, which all observations share.
+    """
+    free = slot.max() + 1
+    size = free + 1 if calibrates else free
+    # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
+    blocks, gradient = np.zeros(size * size * _BLOCK), np.zeros(size * _LANES)
+    most = 1
+    for m in range(len(starts) - 1):
+        most = max(most, starts[m + 1] - starts[m] + 1)
+    by_pose, by_rest = np.zeros(most * _ROWS), np.zeros(most * _ROWS)
+    by_point, error = np.zeros(most * _POINT), np.zeros(most * _ERRORS)
+    coupling, lifted, shared = np.zeros(most * _ROWS), np.zeros(_ROWS), np.zeros(_ROWS)
+    at = np.zeros(most, dtype=np.int64)
+    normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    flat_inverse = inverse.reshape(-1)
+    views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
+    for m in range(len(starts) - 1):
+        first, count = starts[m], starts[m + 1] - starts[m]
+        if count == 0:
+            continue
+        # First all derivatives, then their products: a register of what was just written number
+        # by number would have to wait for it.
+        _differentiate(
+            points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
+        )
+        shared[:] = 0.0
+        tied = 0
+        for a in range(count):
+            k, pose, point = slot[keyframe[first + a]], _ROWS * a, _POINT * a
+            if calibrates:
+                _set_product(lifted, 0, by_point, point, 3, by_rest, pose)
+                for c in range(_ROWS):
+                    shared[c] += lifted[c]
+                corner = _BLOCK * (size * free + free)
+                _add_product(blocks, corner, by_rest, pose, _LANES, by_rest, pose)
+                _add_row(gradient, _LANES * free, error, _ERRORS * a, 1, by_rest, pose)
+                if k >= 0:
+                    side = _BLOCK * (size * k + free)
+                    _add_product(blocks, side, by_pose, pose, _LANES, by_rest, pose)
+            if k < 0:
+                continue
+            at[tied] = k
+            _add_product(blocks, _BLOCK * (size * k + k), by_pose, pose, _LANES, by_pose, pose)
+            _set_product(coupling, _ROWS * tied, by_point, point, 3, by_pose, pose)
+            _add_row(gradient, _LANES * k, error, _ERRORS * a, 1, by_pose, pose)
+            tied += 1
+        if calibrates:
+            at[tied] = free
+            for c in range(_ROWS):
+                coupling[_ROWS * tied + c] = shared[c]
+            tied += 1
+        _invert(normal, inverse)
+        # What poses and calibration lose because the point may move too; `at` grows.
+        for a in range(tied):
+            _set_product(lifted, 0, flat_inverse, 0, 3, coupling, _ROWS * a)  # it is symmetric
+            _subtract_row(gradient, _LANES * at[a], right, 0, 1, lifted, 0)
+            for b in range(a, tied):
+                block = _BLOCK * (size * at[a] + at[b])
+                _subtract_product(blocks, block, lifted, 0, _LANES, coupling, _ROWS * b)
+    whole = np.zeros(6 * size)
+    for r in range(6 * size):
+        whole[r] = gradient[_LANES * (r // 6) + r % 6]
+    return _assembled(blocks, size), whole
+
+
+@compiled(fastmath={"contract"}, **UNCOUNTED)
+def _differentiate(  # type: ignore[no-untyped-def]
+    points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
+):
+    """Fill derivatives and errors of a point's observations, weighted, and the point's share."""
+    poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    p0, p1, p2 = points[m, 0], points[m, 1], points[m, 2]
+    n00 = n01 = n02 = n11 = n12 = n22 = 0.0
+    r0 = r1 = r2 = 0.0
+    for a in range(count):
+        n, j, i, e = first + a, _ROWS * a, _POINT * a, _ERRORS * a
+        k = keyframe[n]
+        x = poses[k, 0, 0] * p0 + poses[k, 0, 1] * p1 + poses[k, 0, 2] * p2 + poses[k, 0, 3]
+        y = poses[k, 1, 0] * p0 + poses[k, 1, 1] * p1 + poses[k, 1, 2] * p2 + poses[k, 1, 3]
+        z = poses[k, 2, 0] * p0 + poses[k, 2, 1] * p1 + poses[k, 2, 2] * p2 + poses[k, 2, 3]
+        if z < _NEAREST:
+            by_pose[j : j + _ROWS], by_rest[j : j + _ROWS] = 0.0, 0.0
+            by_point[i : i + _POINT], error[e : e + _ERRORS] = 0.0, 0.0
+            continue
+        s, near = inverse_sigma[n], 1.0 / z  # one division serves all
+        x, y = x * near, y * near
+        eu, ev = s * (fx * x + cx - xy[n, 0]), s * (fy * y + cy - xy[n, 1])
+        measured = fb > 0.0 and not np.isnan(disparity[n])
+        ed = inverse_d * (fb * near - disparity[n]) if measured else 0.0
+        t = inverse_d if measured else 0.0
+        length = np.sqrt(eu * eu + ev * ev + ed * ed)
+        weight = 1.0 if length <= huber else np.sqrt(huber / length)
+        eu, ev, ed, s, t = weight * eu, weight * ev, weight * ed, weight * s, weight * t
+        error[e], error[e + 1], error[e + 2] = eu, ev, ed
+        ju, jv, jd = j, j + _LANES, j + 2 * _LANES
+        if fb > 0.0:
+            right_x = x - fb / fx * near
+            by_rest[jd], by_rest[jd + 1] = t, t * right_x * right_x
+        else:  # taken where the point should be: what depends on the error itself would not average
+            stretch = s * (x * x + y * y)
+            by_rest[ju], by_rest[jv] = stretch * fx * x, stretch * fy * y
+        du, dv = s * fx * near, s * fy * near
+        cu, cv, cd = -du * x, -dv * y, -t * fb * near * near
+        # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
+        x, y = x * z, y * z
+        by_pose[ju], by_pose[ju + 1], by_pose[ju + 2] = -cu * y, cu * x - du * z, du * y
+        by_pose[ju + 3], by_pose[ju + 4], by_pose[ju + 5] = -du, 0.0, -cu
+        by_pose[jv], by_pose[jv + 1], by_pose[jv + 2] = dv * z - cv * y, cv * x, -dv * x
+        by_pose[jv + 3], by_pose[jv + 4], by_pose[jv + 5] = 0.0, -dv, -cv
+        by_pose[jd], by_pose[jd + 1], by_pose[jd + 2] = -cd * y, cd * x, 0.0
+        by_pose[jd + 3], by_pose[jd + 4], by_pose[jd + 5] = 0.0, 0.0, -cd
+        c0, c1, c2 = poses[k, 2, 0], poses[k, 2, 1], poses[k, 2, 2]
+        u0, v0, d0 = du * poses[k, 0, 0] + cu * c0, dv * poses[k, 1, 0] + cv * c0, cd * c0
+        u1, v1, d1 = du * poses[k, 0, 1] + cu * c1, dv * poses[k, 1, 1] + cv * c1, cd * c1
+        u2, v2, d2 = du * poses[k, 0, 2] + cu * c2, dv * poses[k, 1, 2] + cv * c2, cd * c2
+        by_point[i], by_point[i + 1], by_point[i + 2] = u0, u1, u2
+        by_point[i + 3], by_point[i + 4], by_point[i + 5] = v0, v1, v2
+        by_point[i + 6], by_point[i + 7], by_point[i + 8] = d0, d1, d2
+        r0 += u0 * eu + v0 * ev + d0 * ed
+        r1 += u1 * eu + v1 * ev + d1 * ed
+        r2 += u2 * eu + v2 * ev + d2 * ed
+        n00 += u0 * u0 + v0 * v0 + d0 * d0
+        n01 += u0 * u1 + v0 * v1 + d0 * d1
+        n02 += u0 * u2 + v0 * v2 + d0 * d2
+        n11 += u1 * u1 + v1 * v1 + d1 * d1
+        n12 += u1 * u2 + v1 * v2 + d1 * d2
+        n22 += u2 * u2 + v2 * v2 + d2 * d2
+    right[0], right[1], right[2] = r0, r1, r2
+    normal[0, 0], normal[1, 1], normal[2, 2] = n00, n11, n22
+    normal[0, 1], normal[1, 0] = n01, n01
+    normal[0, 2], normal[2, 0] = n02, n02
+    normal[1, 2], normal[2, 1] = n12, n12
+
+
+@compiled
+def _assembled(blocks, count):  # type: ignore[no-untyped-def]
+    """Matrix (6 count, 6 count) of blocks on and above its diagonal."""
+    size = 6 * count
+    matrix = np.zeros((size, size))
+    for r in range(size):
+        a, c = divmod(r, 6)
+        for column in range(r, size):
+            b, e = divmod(column, 6)
+            block = _BLOCK * (count * a + b)
+            matrix[r, column] = matrix[column, r] = blocks[block + _LANES * c + e]
+    return matrix
+
+
+@compiled(**UNCOUNTED)
+def _invert(m, inverse):  # type: ignore[no-untyped-def]
+    """Inverse of a point's (3, 3) normal matrix.
+
+    What no view tells of a point (its depth, without parallax) ties no poses together either: a
+    trace of information in every direction makes the matrix regular and changes nothing else.
+    """
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    if trace == 0.0:
+        inverse[:] = 0.0
+        return
+    for p in range(3):
+        m[p, p] += _UNSEEN * trace
+    _divide(inverse, _cofactors(m, inverse))
+
+
+@compiled(**UNCOUNTED)
+def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
+    """Inverse of a symmetric (3, 3); False if it is singular."""
+    determinant, trace = _cofactors(m, inverse), m[0, 0] + m[1, 1] + m[2, 2]
+    if not determinant > _SINGULAR * trace * trace * trace:
+        return False
+    _divide(inverse, determinant)
+    return True
+
+
+@compiled(fastmath={"contract"}, **UNCOUNTED)
+def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
+    """Fill those on and above the diagonal of a symmetric (3, 3); gives the determinant."""
+    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+    c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+    c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    cofactors[0, 0], cofactors[0, 1], cofactors[0, 2] = c00, c01, c02
+    cofactors[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
+    cofactors[1, 2] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
+    cofactors[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
+    return m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
+
+
+@compiled(**UNCOUNTED)
+def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
+    """Make an inverse of cofactors on and above the diagonal."""
+    for p in range(3):
+        for q in range(p, 3):
+            inverse[p, q] /= determinant
+            inverse[q, p] = inverse[p, q]
+
+
+@compiled(fastmath={"contract"})
+def eliminated(  # type: ignore[no-untyped-def]
+    poses, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
+):
+    """See `information.pose_information`: (6 K, 6 K) of K poses, of observations side by side."""
+    blocks = np.zeros(poses * poses * _BLOCK)
+    most = 0
+    for m in range(len(starts) - 1):
+        most = max(most, starts[m + 1] - starts[m])
+    weight, weight_d = np.zeros((most, most)), np.zeros((most, most))
+    lifted, pose, weighted = np.zeros(most * _POINT), np.zeros(most * _ROWS), np.zeros(_ROWS)
+    coupling, solved = np.zeros(most * _ROWS), np.zeros(most * _ROWS)
+    normal, inverse = np.zeros((3, 3)), np.zeros((3, 3))
+    flat_inverse = inverse.reshape(-1)
+    for m in range(len(starts) - 1):
+        first, count = starts[m], starts[m + 1] - starts[m]
+        if count < 2:
+            continue
+        for a in range(count):
+            for r in range(3):
+                for c in range(6):
+                    pose[_ROWS * a + _LANES * r + c] = by_pose[first + a, r, c]
+        _position_weights(keyframe, first, count, white, creep, weight)
+        _disparity_weights(by_point, first, count, disparity, bias, weight_d)
+        _add_point_normal(by_point, first, count, weight, weight_d, lifted, normal)
+        if not _invert_or_drop(normal, inverse):
+            continue
+        for a in range(count):  # how it ties the point to its pose; that times the covariance
+            _set_product(coupling, _ROWS * a, lifted, _POINT * a, 3, pose, _ROWS * a)
+            _set_product(solved, _ROWS * a, flat_inverse, 0, 3, coupling, _ROWS * a)
+        for a in range(count):
+            for b in range(a, count):
+                w, d = weight[a, b], weight_d[a, b]
+                for c in range(_LANES):
+                    weighted[c] = w * pose[_ROWS * a + c]
+                    weighted[_LANES + c] = w * pose[_ROWS * a + _LANES + c]
+                    weighted[2 * _LANES + c] = d * pose[_ROWS * a + 2 * _LANES + c]
+                block = _BLOCK * (poses * keyframe[first + a] + keyframe[first + b])
+                _add_product(blocks, block, weighted, 0, _LANES, pose, _ROWS * b)
+                _subtract_product(blocks, block, solved, _ROWS * a, _LANES, coupling, _ROWS * b)
+    return _assembled(blocks, poses)
+
+
+@compiled(fastmath={"contract"}, **UNCOUNTED)
+def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore[no-untyped-def]
+    """Inverse of white I + creep (keyframes since the first, of the earlier one), in place."""
+    for a in range(n):
+        for b in range(a, n):
+            weight[a, b] = weight[b, a] = creep * (keyframe[first + a] - keyframe[first])
+        weight[a, a] += white
+    for k in range(n):  # Gauss-Jordan: positive definite, no pivots needed
+        pivot = 1.0 / weight[k, k]
+        weight[k, k] = 1.0
+        for c in range(n):
+            weight[k, c] *= pivot
+        for r in range(n):
+            if r != k:
+                factor = weight[r, k]
+                weight[r, k] = 0.0
+                for c in range(n):
+                    weight[r, c] -= factor * weight[k, c]
+
+
+@compiled(**UNCOUNTED)
+def _disparity_weights(by_point, first, n, disparity, bias, weight):  # type: ignore[no-untyped-def]
+    """Inverse of disparity I + bias 1 1^T over those that were measured (Sherman-Morrison)."""
+    measured = 0
+    for a in range(n):
+        measured += _is_measured(by_point, first + a)
+    own = 1.0 / disparity
+    shared = bias / (disparity * (disparity + measured * bias))
+    for a in range(n):
+        is_measured = _is_measured(by_point, first + a)
+        for b in range(n):
+            both = is_measured and _is_measured(by_point, first + b)
+            weight[a, b] = (own if a == b else 0.0) - shared if both else 0.0
+
+
+@compiled(**UNCOUNTED)
+def _is_measured(by_point, n):  # type: ignore[no-untyped-def]
+    return by_point[n, 2, 0] != 0.0 or by_point[n, 2, 1] != 0.0 or by_point[n, 2, 2] != 0.0
+
+
+@compiled(fastmath={"contract"}, **UNCOUNTED)
+def _add_point_normal(by_point, first, n, weight, weight_d, lifted, normal):  # type: ignore[no-untyped-def]
+    """Fill `lifted`, the weights times the derivatives by the point, and their square."""
+    normal[:] = 0.0
+    for a in range(n):
+        for r in range(3):
+            t0 = t1 = t2 = 0.0
+            for b in range(n):
+                w = weight_d[a, b] if r == 2 else weight[a, b]
+                t0 += w * by_point[first + b, r, 0]
+                t1 += w * by_point[first + b, r, 1]
+                t2 += w * by_point[first + b, r, 2]
+            at = _POINT * a + 3 * r
+            lifted[at], lifted[at + 1], lifted[at + 2] = t0, t1, t2
+            for p in range(3):
+                derivative = by_point[first + a, r, p]
+                normal[p, 0] += derivative * t0
+                normal[p, 1] += derivative * t1
+                normal[p, 2] += derivative * t2

@@ -1,0 +1,92 @@
+"""The smoother's process from outside: how it is started and ended.
+
+Nothing heavy is imported here, so that a program can start it before all else: it takes as long
+to load as that program itself, on another core.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import IO
+
+_log = logging.getLogger(__name__)
+
+# A window takes a third of that: nobody waits for the other end to make room.
+_PIPE_BYTES = 1 << 20
+# Not multiprocessing: that runs the caller's main module again. The child finds its modules
+# where this process finds them, not in the folder that it happens to be started in.
+# numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
+# Ctrl-C is for the process that asks. What is loaded is no garbage, see `vo.cli.loading`.
+_PROGRAM = """
+import gc, signal, sys
+gc.disable()
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+sys.path[:], sys.modules["scipy"] = {path!r}, None
+from vo.backend.worker import main
+main()
+"""
+
+
+@contextmanager
+def child_started_early(threads: int) -> Iterator[subprocess.Popen[bytes] | None]:
+    """A process for the `SmootherProcess` to come, ended afterwards whatever happened.
+
+    None where one thread is to do all the work, and where no process can be started.
+    """
+    child = None
+    if threads > 1:
+        try:
+            child = start_child()
+        except OSError as error:
+            _log.info("no process for the smoother yet: %s", error)  # it is tried again
+    try:
+        yield child
+    finally:
+        if child is not None:
+            end_child(child)
+
+
+def start_child() -> subprocess.Popen[bytes]:
+    """Start the process, which waits for windows on its standard input.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+    child = subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM.format(path=sys.path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        # A second thread of BLAS only waits on such small matrices, at the cost of another's core.
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        process_group=0,  # Ctrl-C in a terminal goes to a whole group
+    )
+    for pipe in (child.stdin, child.stdout):
+        assert pipe is not None
+        _widen(pipe)
+    return child
+
+
+def _widen(pipe: IO[bytes]) -> None:
+    """Make room for a whole window, where the system knows how to and the user may."""
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl
+
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+
+def end_child(child: subprocess.Popen[bytes]) -> int:
+    """End the process, whatever it is doing, if it has not ended; its exit status."""
+    child.kill()
+    status = child.wait()
+    for pipe in (child.stdin, child.stdout):
+        assert pipe is not None
+        try:
+            pipe.close()
+        except OSError:
+            _log.debug("half a window was left in the pipe")
+    return status

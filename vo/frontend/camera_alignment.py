@@ -1,0 +1,89 @@
+"""The camera's motion from how points looked in another image, all their patches at once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.frontend import patch_kernels
+from vo.geometry.pnp import take_step
+from vo.geometry.transforms import orthonormalised
+from vo.types import Bytes, Floats
+
+_LEVELS = 3  # images of 1/2, 1/4 and 1/8 of the size; 16 px too far off are no difficulty then
+_LEAST_SIDE = 32  # pixels of the smallest image
+_HALF_PX = 4  # patches of 9 x 9 pixels of their level
+_NOISE = 5.0  # grey levels by which pixels may differ without a patch counting less
+_ITERATIONS = 8  # on each level
+_SETTLED_PX = 0.05  # mean step of the patches, in pixels of the level, that ends them
+
+
+class CameraAlignment(NamedTuple):
+    """How a camera moved.
+
+    Attributes:
+        target_from_reference: (4, 4) takes coordinates of the reference camera to the other.
+        score: (N,) zero-mean normalised cross-correlation of each patch there, at half the size;
+            -1 where it could not be compared.
+    """
+
+    target_from_reference: Floats
+    score: Floats
+
+
+def smaller_images(image: Bytes) -> tuple[Bytes, ...]:
+    """An (H, W) uint8 image at 1/2, 1/4 and 1/8 of its size, as far as anything is left to see."""
+    images: list[Bytes] = []
+    for _ in range(_LEVELS):
+        height, width = image.shape[0] // 2, image.shape[1] // 2
+        if min(height, width) < _LEAST_SIDE:
+            break
+        even = image[: 2 * height, : 2 * width]
+        image = np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
+        images.append(image)
+    return tuple(images)
+
+
+def align_camera(
+    reference: tuple[Bytes, ...],
+    reference_xy: Floats,
+    target: tuple[Bytes, ...],
+    points: Floats,
+    start: Floats,
+    image_from_ideal: Floats,
+    intrinsics: tuple[float, float, float, float],
+) -> CameraAlignment:
+    """Move a camera until it sees the points' patches as another image shows them.
+
+    Args:
+        reference: `smaller_images` of the image that shows them.
+        reference_xy: (N, 2) where, in pixels of its full size.
+        target: `smaller_images` of the camera's own image.
+        points: (N, 3) in the reference camera's frame.
+        start: (4, 4) target_from_reference to begin with.
+        image_from_ideal: (N, 2, 3) affine, from ideal pinhole pixels near where the point should
+            be to those of the target image.
+        intrinsics: fx, fy, cx, cy of the ideal pinhole.
+
+    Source: Forster et al., SVO, 2014, sec. IV-A (sparse image alignment, inverse compositional,
+        coarse to fine), on patches of equal mean and contrast.
+    """
+    motion, score = np.ascontiguousarray(start), np.full(len(points), -1.0)
+    for level in reversed(range(len(reference))):
+        scale = 0.5 ** (level + 1)  # pixel p of the full size is at (p + 1/2) s - 1/2
+        templates, sums = patch_kernels.cut_all(
+            reference[level], (reference_xy + 0.5) * scale - 0.5, _HALF_PX
+        )
+        pixel_from_ideal = image_from_ideal * scale
+        pixel_from_ideal[:, :, 2] += 0.5 * scale - 0.5
+        for _ in range(_ITERATIONS):
+            h, b, per_pixel, score = patch_kernels.step_together(
+                *(templates, sums, target[level], points, pixel_from_ideal, intrinsics),
+                *(motion, _HALF_PX, _NOISE),
+            )
+            motion, length = take_step(h, b, motion)
+            if length < _SETTLED_PX**2 * per_pixel:
+                break
+    return CameraAlignment(orthonormalised(motion), score)

@@ -1,0 +1,164 @@
+"""FAST corners spread evenly over the image: a lower threshold in poor cells, the best of each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.compiling.function import WrittenOut, compiled
+from vo.types import Bytes, Floats32
+
+_RING = 3  # radius of the ring of pixels that a corner is compared with
+_ON_RING = 16  # pixels on it
+_PER_CELL = 3.0  # corners that a cell should hold
+
+
+_contrast = WrittenOut("vo.frontend.instructions", "contrast")
+
+
+class FastGrid:
+    """Finds FAST corners in an image, at most `count`, spread over a grid of square cells.
+
+    A corner has nine pixels in a row, of the ring around it, that all differ from it in the same
+    direction by more than the threshold, and by more than at any of its eight neighbours. Where a
+    cell has no corner at the normal threshold, it is searched again at the lower one, so
+    that shade and haze keep their corners. The best of every cell are taken first, then the
+    second best of every cell, and so on.
+
+    Source: Rosten, Drummond, "Machine learning for high-speed corner detection", ECCV 2006.
+    """
+
+    def __init__(self, threshold: int, low_threshold: int, border: int) -> None:
+        if border < _RING:
+            raise ValueError(f"border is {border}, at least {_RING}")
+        self._thresholds = threshold, low_threshold
+        self._border = border
+
+    def detect(self, image: Bytes, count: int) -> tuple[NDArray[np.int32], Floats32]:
+        """Pixels x, y (N, 2) and scores (N,) of corners of an (H, W) uint8 image.
+
+        The score is the highest threshold at which it would still be a corner.
+        """
+        height, width = image.shape
+        b = self._border
+        if count == 0 or min(height, width) <= 2 * b:
+            return np.empty((0, 2), np.int32), np.empty(0, np.float32)
+        size = int(max(np.sqrt(width * height * _PER_CELL / count), 12.0))
+        edge = b - _RING
+        inner = np.ascontiguousarray(image[edge : height - edge, edge : width - edge])
+        xy, scores = _best_corners(_contrasts(inner), *self._thresholds, size, count)
+        return xy + np.int32(b), scores
+
+
+@compiled
+def _contrasts(image):  # type: ignore[no-untyped-def]
+    """Contrast of the pixels of an image that have a whole ring around them."""
+    height, width = image.shape[0] - 2 * _RING, image.shape[1] - 2 * _RING
+    contrast = np.empty((height, width), dtype=np.uint8)
+    for y in range(height):
+        r0, r1, r2, r3 = image[y], image[y + 1], image[y + 2], image[y + 3]
+        r4, r5, r6 = image[y + 4], image[y + 5], image[y + 6]
+        for x in range(width):
+            top = r0[x + 2], r0[x + 3], r0[x + 4], r1[x + 5]
+            right = r2[x + 6], r3[x + 6], r4[x + 6], r5[x + 5]
+            bottom = r6[x + 4], r6[x + 3], r6[x + 2], r5[x + 1]
+            left = r4[x], r3[x], r2[x], r1[x + 1]
+            contrast[y, x] = _contrast(r3[x + 3], top + right + bottom + left)
+    return contrast
+
+
+@compiled
+def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
+    """Pixels and scores of `count` corners at most, those at the normal threshold first."""
+    height, width = contrast.shape
+    columns = (width - 1) // size + 1
+    cells = (height - 1) // size * columns + columns
+    found = np.empty(height * width, dtype=np.int64)  # y * width + x; there cannot be more
+    part = np.array([0, 0, height, width])
+    n = _add_corners(contrast, part, threshold, found, np.int64(0))
+    is_poor = np.ones(cells, dtype=np.bool_)
+    for i in range(n):
+        is_poor[found[i] // width // size * columns + found[i] % width // size] = False
+    for cell in range(cells):
+        if is_poor[cell]:
+            top, left = cell // columns * size, cell % columns * size
+            part[0], part[1] = top, left
+            part[2], part[3] = min(top + size, height), min(left + size, width)
+            n = _add_corners(contrast, part, low_threshold, found, n)
+    scores, cell_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        y, x = found[i] // width, found[i] % width
+        scores[i] = contrast[y, x] - 1
+        cell_of[i] = y // size * columns + x // size
+    is_kept = _best_of_cells(scores, cell_of, cells, count)
+    kept = min(n, count)
+    xy, kept_scores = np.empty((kept, 2), dtype=np.int32), np.empty(kept, dtype=np.float32)
+    k = 0
+    for i in range(n):
+        if is_kept[i]:
+            xy[k, 0], xy[k, 1], kept_scores[k] = found[i] % width, found[i] // width, scores[i]
+            k += 1
+    return xy, kept_scores
+
+
+@compiled
+def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untyped-def]
+    """Append y * width + x of the corners in a part of the image; gives how many there are now."""
+    top, left, bottom, right = part
+    height, width = bottom - top, right - left
+    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)  # nothing beyond the part counts
+    for y in range(height):
+        for x in range(width):
+            framed[y + 1, x + 1] = contrast[top + y, left + x]
+    is_corner = np.zeros((width + 7) // 8 * 8, dtype=np.uint8)
+    eights = is_corner.view(np.uint64)
+    least, one, none = np.uint8(threshold), np.uint8(1), np.uint8(0)
+    for y in range(height):
+        above, row, below = framed[y], framed[y + 1], framed[y + 2]
+        for x in range(width):
+            around = max(max(above[x], above[x + 1]), max(above[x + 2], row[x]))
+            around = max(around, max(row[x + 2], max(below[x], max(below[x + 1], below[x + 2]))))
+            is_corner[x] = one if row[x + 1] > max(around, least) else none
+        for eight in range(len(eights)):
+            if eights[eight] == 0:  # as almost everywhere
+                continue
+            for x in range(8 * eight, 8 * eight + 8):
+                if is_corner[x]:
+                    found[n] = (top + y) * contrast.shape[1] + left + x
+                    n += 1
+    return n
+
+
+@compiled
+def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-def]
+    """Which are kept (N,): the best of every cell, then the second best, …, `count` at most.
+
+    Rank in the cell decides, then score; of equal corners the first is kept.
+    """
+    n = len(scores)
+    is_kept = np.ones(n, dtype=np.bool_)
+    if n <= count:
+        return is_kept
+    strongest_first = _sorted_stably(255 - scores, np.arange(n))
+    seen, rank = np.zeros(cells, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for i in strongest_first:
+        rank[i] = seen[cell_of[i]]
+        seen[cell_of[i]] += 1
+    for i in _sorted_stably(rank, strongest_first)[count:]:
+        is_kept[i] = False
+    return is_kept
+
+
+@compiled
+def _sorted_stably(keys, rows):  # type: ignore[no-untyped-def]
+    """Rows in order of their keys, small numbers."""
+    starts = np.zeros(keys.max() + 2, dtype=np.int64)
+    for i in rows:
+        starts[keys[i] + 1] += 1
+    for key in range(len(starts) - 1):
+        starts[key + 1] += starts[key]
+    result = np.empty(len(rows), dtype=np.int64)
+    for i in rows:
+        result[starts[keys[i]]] = i
+        starts[keys[i]] += 1
+    return result

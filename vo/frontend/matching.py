@@ -1,0 +1,344 @@
+"""Matching of binary features inside windows, along epipolar lines and along image rows.
+
+Every matcher takes rows of a query and of a train set and returns, for each query, the row of its
+match or -1. A match must be near enough in Hamming distance, clearly better than the second best
+(Lowe's ratio test) and the best query of its train feature.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.compiling.function import WrittenOut, compiled
+from vo.types import Bools, Bytes, Floats, Floats32, Ints
+
+_CELL_PX = 32.0
+_ANGLE_BINS = 30
+_ANGLE_BINS_KEPT = 3
+NO_MATCH = -1
+
+_population_count = WrittenOut("vo.frontend.instructions", "population_count")
+
+
+@compiled(inline="always")
+def hamming(a: Any, b: Any) -> Any:
+    """Number of bits in which two rows of four uint64 words differ."""
+    return (
+        _population_count(a[0] ^ b[0])
+        + _population_count(a[1] ^ b[1])
+        + _population_count(a[2] ^ b[2])
+        + _population_count(a[3] ^ b[3])
+    )
+
+
+def as_words(descriptor: Bytes) -> NDArray[np.uint64]:
+    """(N, 32) uint8 descriptors as (N, 4) words."""
+    return np.ascontiguousarray(descriptor).view(np.uint64).reshape(-1, 4)
+
+
+def match_windows(
+    query_xy: Floats | Floats32,
+    query_octave: NDArray[np.int32],
+    query_descriptor: Bytes,
+    radius_px: Floats,
+    train_xy: Floats | Floats32,
+    train_octave: NDArray[np.int32],
+    train_descriptor: Bytes,
+    *,
+    max_distance: int,
+    ratio: float,
+) -> Ints:
+    """Match each query to a train feature within `radius_px` (N,) of where it is expected.
+
+    A train feature may be one pyramid level off the query's at most.
+    """
+    if len(query_xy) == 0 or len(train_xy) == 0:
+        return np.full(len(query_xy), NO_MATCH)
+    train_xy = np.ascontiguousarray(train_xy, dtype=np.float64)
+    order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
+    matched, distance = _best_in_windows(
+        np.ascontiguousarray(query_xy, dtype=np.float64),
+        query_octave,
+        as_words(query_descriptor),
+        np.ascontiguousarray(radius_px, dtype=np.float64),
+        train_xy,
+        train_octave,
+        as_words(train_descriptor),
+        order,
+        starts,
+        columns,
+        rows,
+        origin,
+        max_distance,
+        ratio,
+    )
+    return np.asarray(_one_to_one(matched, distance))
+
+
+def match_everywhere(
+    query_descriptor: Bytes, train_descriptor: Bytes, *, max_distance: int, ratio: float
+) -> Ints:
+    """Match by descriptor alone; mutual best only."""
+    if len(query_descriptor) == 0 or len(train_descriptor) == 0:
+        return np.full(len(query_descriptor), NO_MATCH)
+    query, train = as_words(query_descriptor), as_words(train_descriptor)
+    matched, distance = _best_of_all(query, train, max_distance, ratio)
+    return np.asarray(_one_to_one(matched, distance))
+
+
+def match_segments(
+    query_octave: NDArray[np.int32],
+    query_descriptor: Bytes,
+    train_xy: Floats | Floats32,
+    train_octave: NDArray[np.int32],
+    train_descriptor: Bytes,
+    segment_start: Floats,
+    segment_end: Floats,
+    *,
+    tolerance_px: Floats,
+    max_distance: int,
+    ratio: float,
+) -> Ints:
+    """Match each query to a train feature near its epipolar segment.
+
+    The segment runs from `segment_start` (N, 2), the pixel in the train image of the query's
+    nearest allowed depth, to `segment_end` (N, 2), that of its farthest; `tolerance_px` (M,) is
+    the allowed distance from it for each train feature.
+    """
+    if len(query_octave) == 0 or len(train_xy) == 0:
+        return np.full(len(query_octave), NO_MATCH)
+    train_xy = np.ascontiguousarray(train_xy, dtype=np.float64)
+    matched, distance = _best_near_segments(
+        query_octave,
+        as_words(query_descriptor),
+        train_xy,
+        train_octave,
+        as_words(train_descriptor),
+        np.ascontiguousarray(segment_start, dtype=np.float64),
+        np.ascontiguousarray(segment_end, dtype=np.float64),
+        np.ascontiguousarray(tolerance_px, dtype=np.float64),
+        max_distance,
+        ratio,
+    )
+    return np.asarray(_one_to_one(matched, distance))
+
+
+def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:
+    """Mask of the matches (N,) whose change of orientation is a common one.
+
+    A turn of the camera turns all features alike; the three fullest bins of a histogram of the
+    changes are kept (Mur-Artal et al., ORB-SLAM, 2015), each with its two neighbours' halves.
+    """
+    if len(query_angle) == 0:
+        return np.zeros(0, dtype=bool)
+    return np.asarray(_agree(query_angle, train_angle))
+
+
+@compiled
+def _agree(query_angle, train_angle):  # type: ignore[no-untyped-def]
+    bins, counts = np.empty(len(query_angle), dtype=np.int64), np.zeros(_ANGLE_BINS, dtype=np.int64)
+    for n in range(len(bins)):
+        turn = np.float64(train_angle[n]) - np.float64(query_angle[n])
+        bins[n] = int(np.floor(turn * (_ANGLE_BINS / (2.0 * np.pi)) + 0.5)) % _ANGLE_BINS
+        counts[bins[n]] += 1
+    full = 0.1 * counts.max()
+    is_kept = np.zeros(_ANGLE_BINS, dtype=np.bool_)
+    for _ in range(_ANGLE_BINS_KEPT):
+        fullest = counts.argmax()
+        is_kept[fullest] = counts[fullest] >= full
+        counts[fullest] = -1
+    agrees = np.empty(len(bins), dtype=np.bool_)
+    for n in range(len(bins)):
+        agrees[n] = is_kept[bins[n]]
+    return agrees
+
+
+@compiled
+def _one_to_one(matched, distance):  # type: ignore[no-untyped-def]
+    """Of queries that chose the same train feature, keep the nearest (the first of equals)."""
+    result = np.full(len(matched), NO_MATCH)
+    winner = np.full(matched.max() + 1, -1)
+    for n in range(len(matched)):
+        m = matched[n]
+        if m >= 0 and (winner[m] < 0 or distance[n] < distance[winner[m]]):
+            winner[m] = n
+    for m in range(len(winner)):
+        if winner[m] >= 0:
+            result[winner[m]] = m
+    return result
+
+
+@compiled
+def _grid(xy, cell):  # type: ignore[no-untyped-def]
+    """Rows sorted by grid cell, and where each cell begins."""
+    left, top = xy[:, 0].min(), xy[:, 1].min()
+    columns = int((xy[:, 0].max() - left) / cell) + 1
+    rows = int((xy[:, 1].max() - top) / cell) + 1
+    starts = np.zeros(columns * rows + 1, dtype=np.int64)
+    cells = np.empty(len(xy), dtype=np.int64)
+    for i in range(len(xy)):
+        cells[i] = int((xy[i, 1] - top) / cell) * columns + int((xy[i, 0] - left) / cell)
+        starts[cells[i] + 1] += 1
+    for c in range(columns * rows):
+        starts[c + 1] += starts[c]
+    order = np.empty(len(xy), dtype=np.int64)
+    filled = starts[:-1].copy()
+    for i in range(len(xy)):
+        order[filled[cells[i]]] = i
+        filled[cells[i]] += 1
+    return order, starts, columns, rows, (left, top)
+
+
+@compiled
+def _best_in_windows(  # type: ignore[no-untyped-def]
+    query_xy,
+    query_octave,
+    query_words,
+    radius,
+    train_xy,
+    train_octave,
+    train_words,
+    order,
+    starts,
+    columns,
+    rows,
+    origin,
+    max_distance,
+    ratio,
+):
+    count = len(query_xy)
+    matched = np.full(count, -1, dtype=np.int64)
+    distance = np.full(count, 512, dtype=np.int64)
+    for i in range(count):
+        x, y, r = query_xy[i, 0] - origin[0], query_xy[i, 1] - origin[1], radius[i]
+        first_column = max(int(np.floor((x - r) / _CELL_PX)), 0)
+        last_column = min(int(np.floor((x + r) / _CELL_PX)), columns - 1)
+        first_row = max(int(np.floor((y - r) / _CELL_PX)), 0)
+        last_row = min(int(np.floor((y + r) / _CELL_PX)), rows - 1)
+        best, second, winner = 512, 512, -1
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                cell = row * columns + column
+                for k in range(starts[cell], starts[cell + 1]):
+                    j = order[k]
+                    dx = train_xy[j, 0] - query_xy[i, 0]
+                    dy = train_xy[j, 1] - query_xy[i, 1]
+                    if dx * dx + dy * dy > r * r:
+                        continue
+                    if abs(train_octave[j] - query_octave[i]) > 1:
+                        continue
+                    d = int(hamming(query_words[i], train_words[j]))
+                    if d < best:
+                        second = best
+                        best = d
+                        winner = j
+                    elif d < second:
+                        second = d
+        if winner >= 0 and best <= max_distance and best < ratio * second:
+            matched[i] = winner
+            distance[i] = best
+    return matched, distance
+
+
+@compiled
+def _best_of_all(query_words, train_words, max_distance, ratio):  # type: ignore[no-untyped-def]
+    n, m = len(query_words), len(train_words)
+    matched = np.full(n, -1, dtype=np.int64)
+    distance = np.full(n, 512, dtype=np.int64)
+    back_best = np.full(m, 512, dtype=np.int64)
+    back = np.full(m, -1, dtype=np.int64)
+    for i in range(n):
+        best, second, winner = 512, 512, -1
+        for j in range(m):
+            d = int(hamming(query_words[i], train_words[j]))
+            if d < back_best[j]:
+                back_best[j] = d
+                back[j] = i
+            if d < best:
+                second = best
+                best = d
+                winner = j
+            elif d < second:
+                second = d
+        if best <= max_distance and best < ratio * second:
+            matched[i] = winner
+            distance[i] = best
+    for i in range(n):
+        if matched[i] >= 0 and back[matched[i]] != i:
+            matched[i] = -1
+    return matched, distance
+
+
+@compiled
+def _best_near_segments(  # type: ignore[no-untyped-def]
+    query_octave,
+    query_words,
+    train_xy,
+    train_octave,
+    train_words,
+    start,
+    end,
+    tolerance,
+    max_distance,
+    ratio,
+):
+    count = len(query_words)
+    matched = np.full(count, -1, dtype=np.int64)
+    distance = np.full(count, 512, dtype=np.int64)
+    order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
+    margin = tolerance.max() + 1e-3
+    for i in range(count):
+        x, y = start[i, 0], start[i, 1]
+        dx, dy = end[i, 0] - x, end[i, 1] - y
+        length = np.sqrt(dx * dx + dy * dy)
+        # Of a segment without length any direction will do.
+        dx, dy = (dx / length, dy / length) if length > 1e-9 else (1.0, 0.0)
+        first_row, last_row = _cells(y, y + length * dy, margin, origin[1], rows)
+        best, second, winner = 512, 512, -1
+        for row in range(first_row, last_row + 1):
+            top = row * _CELL_PX + origin[1] - y
+            near, far = _part(dy, length, margin, top, top + _CELL_PX)
+            first, last = _cells(x + near * dx, x + far * dx, margin, origin[0], columns)
+            for k in range(starts[row * columns + first], starts[row * columns + last + 1]):
+                j = order[k]
+                px, py = train_xy[j, 0] - x, train_xy[j, 1] - y
+                along = px * dx + py * dy
+                across = px * dy - py * dx
+                t = tolerance[j]
+                if across > t or across < -t or along < -t or along > length + t:
+                    continue
+                if abs(train_octave[j] - query_octave[i]) > 1:
+                    continue
+                d = int(hamming(query_words[i], train_words[j]))
+                if d < best:
+                    second = best
+                    best = d
+                    winner = j
+                elif d < second:
+                    second = d
+                if d == best and j < winner:
+                    winner = j
+        if winner >= 0 and best <= max_distance and best < ratio * second:
+            matched[i] = winner
+            distance[i] = best
+    return matched, distance
+
+
+@compiled
+def _cells(a, b, margin, origin, count):  # type: ignore[no-untyped-def]
+    """First and last cell, of those there are, that hold what lies between a and b or near."""
+    low, high = (min(a, b) - margin - origin) / _CELL_PX, (max(a, b) + margin - origin) / _CELL_PX
+    return int(min(max(low, 0.0), count)), int(max(min(high, count - 1.0), -1.0))
+
+
+@compiled
+def _part(slope, length, margin, top, bottom):  # type: ignore[no-untyped-def]
+    """From where to where along a segment its neighbourhood may lie in a band of rows."""
+    near, far = -margin, length + margin
+    if abs(slope) > 1e-9:
+        a, b = (top - margin) / slope, (bottom + margin) / slope
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near, far

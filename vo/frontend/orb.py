@@ -1,0 +1,138 @@
+"""ORB features: FAST on a pyramid, spread by a grid, with orientation and rotated BRIEF."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vo.compiling.function import compiled
+from vo.config import FeaturesConfig
+from vo.frontend.fast import FastGrid
+from vo.types import Bytes, Floats32, Keypoints
+
+_RADIUS = 15  # of the described patch, in pixels of its pyramid level
+_BORDER = 19  # room for the rotated patch and its blur
+_SIDE = 2 * _RADIUS + 2  # of the square around a corner that is summed up; even, for vector units
+_BLUR_PX = 7  # side of the filter before pixels are compared, and its standard deviation
+_BLUR_SIGMA_PX = 2.0
+# x, y of the two pixels that each of the 256 bits compares, learned by the authors of ORB (sec.
+# 4.3), in the order of OpenCV: descriptors are the same there.
+_PAIRS = (Path(__file__).parent / "orb_pattern.txt").read_text("ascii").split()
+
+
+class OrbDetector:
+    """Detects and describes; holds only its settings.
+
+    Source: Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011.
+    """
+
+    def __init__(self, config: FeaturesConfig) -> None:
+        self._config = config
+        self._fast = FastGrid(config.threshold, config.low_threshold, _BORDER)
+        self._blur = cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX)
+        self._moments = _moment_weights()
+        self._pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
+
+    def detect(self, image: Bytes, helper: Executor | None = None) -> Keypoints:
+        """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order.
+
+        Args:
+            image: where to look.
+            helper: works on the smaller levels, which are half of the work, at the same time.
+        """
+        full, *smaller = self._pyramid(image)
+
+        def detect_smaller() -> list[Keypoints]:
+            return [self._detect_level(*s, o, image.shape) for o, s in enumerate(smaller, 1)]
+
+        others = None if helper is None else helper.submit(detect_smaller)
+        largest = self._detect_level(*full, 0, image.shape)
+        levels = [largest, *(detect_smaller() if others is None else others.result())]
+        return Keypoints(
+            xy=np.concatenate([k.xy for k in levels]),
+            octave=np.concatenate([k.octave for k in levels]),
+            angle=np.concatenate([k.angle for k in levels]),
+            response=np.concatenate([k.response for k in levels]),
+            descriptor=np.concatenate([k.descriptor for k in levels]),
+        )
+
+    def _pyramid(self, image: Bytes) -> list[tuple[Bytes, int]]:
+        factor = self._config.scale_factor
+        shares = factor ** (-2.0 * np.arange(self._config.levels))
+        quotas = np.round(self._config.count * shares / shares.sum()).astype(int)
+        levels = [(np.ascontiguousarray(image), int(quotas[0]))]
+        height, width = image.shape
+        for octave in range(1, self._config.levels):
+            size = (round(width / factor**octave), round(height / factor**octave))
+            if min(size) <= 2 * _BORDER + 1:
+                break
+            smaller = cv2.resize(levels[-1][0], size, interpolation=cv2.INTER_LINEAR)
+            levels.append((smaller, int(quotas[octave])))
+        return levels
+
+    def _detect_level(
+        self, image: Bytes, quota: int, octave: int, full_shape: tuple[int, ...]
+    ) -> Keypoints:
+        xy, scores = self._fast.detect(image, quota)
+        angle = _orientation(image, xy, *self._moments)
+        blurred = cv2.sepFilter2D(image, -1, self._blur, self._blur)
+        descriptor = _describe(blurred, xy, angle, self._pattern)
+        # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
+        # are whole, so s differs a little from a power of the factor, and between u and v.
+        scale = np.array(full_shape[::-1]) / image.shape[::-1]
+        full = ((xy + 0.5) * scale - 0.5).astype(np.float32)
+        octaves = np.full(len(xy), octave, dtype=np.int32)
+        return Keypoints(full, octaves, angle, scores, descriptor)
+
+
+def _moment_weights() -> tuple[Floats32, Floats32]:
+    """What the pixels of a square around a corner count for the first moments of a disc in it."""
+    y, x = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _SIDE - _RADIUS].astype(np.float32)
+    half_width = np.floor(np.sqrt(_RADIUS**2 - y**2) + 0.5)
+    inside = np.abs(x) <= half_width
+    return x * inside, y * inside
+
+
+@compiled
+def _orientation(image, xy, x_weights, y_weights):  # type: ignore[no-untyped-def]
+    """Angle from a corner to the centroid of grey in a disc around it (Rublee 2011, sec. 3.2)."""
+    angle = np.empty(len(xy), dtype=np.float32)
+    # By column; of whole numbers below 2^24, so exact.
+    x_moments, y_moments = np.empty((2, _SIDE), dtype=np.float32)
+    for i in range(len(xy)):
+        left, top = xy[i, 0] - _RADIUS, xy[i, 1] - _RADIUS
+        x_moments[:] = 0.0
+        y_moments[:] = 0.0
+        for dy in range(len(x_weights)):
+            row = image[top + dy, left : left + _SIDE]
+            for dx in range(_SIDE):
+                grey = np.float32(row[dx])
+                x_moments[dx] += grey * x_weights[dy, dx]
+                y_moments[dx] += grey * y_weights[dy, dx]
+        angle[i] = np.arctan2(np.float64(y_moments.sum()), np.float64(x_moments.sum()))
+    return angle
+
+
+@compiled
+def _describe(blurred, xy, angle, pattern):  # type: ignore[no-untyped-def]
+    """Rotated BRIEF (Rublee 2011, sec. 4): (N, 32) bytes of bits, each a pixel below another."""
+    pixels, stride = blurred.ravel(), blurred.shape[1]
+    descriptor = np.empty((len(xy), 32), dtype=np.uint8)
+    place = np.empty(pattern.shape[1], dtype=np.int32)
+    for i in range(len(xy)):
+        c, s = np.cos(angle[i]), np.sin(angle[i])
+        start = xy[i, 1] * stride + xy[i, 0]
+        for k in range(len(place)):
+            x, y = pattern[0, k], pattern[1, k]
+            column, row = np.int32(np.rint(x * c - y * s)), np.int32(np.rint(x * s + y * c))
+            place[k] = start + row * stride + column
+        for byte in range(32):
+            bits = 0
+            for bit in range(8):
+                pair = 16 * byte + 2 * bit
+                bits |= (pixels[place[pair]] < pixels[place[pair + 1]]) << bit
+            descriptor[i, byte] = bits
+    return descriptor

@@ -1,1 +1,0 @@
-"""The steps of the odometry, each of which joins several rooms."""

@@ -1,0 +1,1 @@
+"""Online calibration: estimates corrections of the cameras, applies none."""

@@ -1,0 +1,1 @@
+"""The path: causal poses as first known, and smoothed poses attached to keyframes."""

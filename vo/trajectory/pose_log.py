@@ -1,0 +1,27 @@
+"""Poses that stay as they were when they were noted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.geometry.transforms import whole_transforms
+from vo.trajectory.table import Table
+from vo.types import Floats, Trajectory
+
+_POSE = np.dtype([("stamp_ns", np.int64), ("world_from_cam", np.float64, (3, 4))])
+
+
+class PoseLog:
+    """Stamps and poses in time order."""
+
+    def __init__(self) -> None:
+        self._table = Table(_POSE)
+
+    def append(self, stamp_ns: int, world_from_cam: Floats) -> None:
+        """Note a pose (4, 4)."""
+        self._table.append(stamp_ns, world_from_cam[:3])
+
+    def trajectory(self) -> Trajectory:
+        """All of them."""
+        rows = self._table.rows
+        return Trajectory(rows["stamp_ns"].copy(), whole_transforms(rows["world_from_cam"]))

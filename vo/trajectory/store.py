@@ -1,0 +1,203 @@
+"""The path so far: each tracked frame hangs on a keyframe and moves with it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.geometry.transforms import interpolate, inverse, whole_transforms
+from vo.trajectory.table import Table
+from vo.types import Floats, Ints, KeyframePose, PlacedFrames, Trajectory
+
+_FRAME = np.dtype(
+    [
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("keyframe", np.int32),  # id; never falls from row to row
+        ("share", np.float64),  # of the way between two tracked frames, 0 if tracked
+        ("keyframe_from_cam", np.float64, (3, 4)),
+    ]
+)
+_KEYFRAME = np.dtype(
+    [
+        ("id", np.int64),
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("world_from_cam0", np.float64, (3, 4)),
+        ("covariance", np.float64, (21,)),  # upper triangle, NaN if it is unknown
+    ]
+)
+_TRIANGLE = np.triu_indices(6)
+
+
+@dataclass(frozen=True, eq=False)
+class Untracked:
+    """Frames that are left out between tracked ones, to be interpolated.
+
+    Attributes:
+        stamps_ns: (N,) of all frames of the recording.
+        stride: from one frame that is asked for to the next.
+        every: of the frames that are asked for, each so many is tracked.
+    """
+
+    stamps_ns: Ints
+    stride: int
+    every: int
+
+    def between(self, first: int, last: int) -> range:
+        """Numbers of the frames between two tracked ones; none if more than those is missing."""
+        if last - first != self.stride * self.every:
+            return range(0)
+        return range(first + self.stride, last, self.stride)
+
+
+class History:
+    """Frames with a pose in time order, and the newest pose of every keyframe.
+
+    Attributes:
+        untracked: frames to be interpolated, None if there is to be none.
+    """
+
+    def __init__(self) -> None:
+        self.untracked: Untracked | None = None
+        self._frames = Table(_FRAME)
+        self._keyframes = Table(_KEYFRAME)
+        self._changed = self._changed_keyframe = 0
+
+    @property
+    def frames(self) -> NDArray[Any]:
+        """(n,) rows with `frame_index`, `stamp_ns`, `segment` and `keyframe` (an id)."""
+        return self._frames.rows
+
+    @property
+    def keyframe_count(self) -> int:
+        """How many keyframes there are."""
+        return len(self._keyframes)
+
+    def add(
+        self, frame_index: int, stamp_ns: int, segment: int, keyframe: int, world_from_cam0: Floats
+    ) -> None:
+        """Append a frame that hangs on a keyframe, and those to be interpolated before it."""
+        self._add_untracked(frame_index, segment)
+        row = self._keyframe_row(keyframe)
+        hung_on = whole_transforms(self._keyframes.rows["world_from_cam0"][row : row + 1])[0]
+        relative = inverse(hung_on) @ world_from_cam0
+        self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
+
+    def store(self, keyframe: int, pose: KeyframePose) -> None:
+        """Enter a keyframe, or its new pose."""
+        place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
+        triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
+        fields = (*place, pose.world_from_cam0[:3], triangle)
+        row = self._keyframe_row(keyframe)
+        if row == len(self._keyframes):
+            self._keyframes.append(*fields)
+        else:
+            self._keyframes.rows[row] = fields
+        first = bisect_left(self.frames["keyframe"], keyframe)
+        self._changed = min(self._changed, self._first_after_tracked(first))
+        self._changed_keyframe = min(self._changed_keyframe, row)
+
+    def take_changes(self) -> tuple[int, int]:
+        """First row of the frames, and of the keyframes, that is new or moved since last asked."""
+        changed = self._changed, self._changed_keyframe
+        self._changed, self._changed_keyframe = len(self._frames), len(self._keyframes)
+        return changed
+
+    def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
+        """Keyframes by their ids, which grow."""
+        return _keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
+
+    def keyframes(self, row: int = 0) -> list[KeyframePose]:
+        """Keyframes from a row on."""
+        return _keyframe_poses(self._keyframes.rows[row:])
+
+    def path(self, row: int = 0) -> PlacedFrames:
+        """All frames with a pose as known now, from a row on."""
+        frames = self.frames[row:]
+        rows = self._keyframe_rows(frames["keyframe"])
+        interpolated = frames["share"] > 0
+        frame_index = frames["frame_index"].copy()
+        is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
+        segment = frames["segment"].astype(np.int64)
+        return PlacedFrames(frame_index, segment, is_keyframe, interpolated, self.trajectory(row))
+
+    def trajectory(self, row: int = 0) -> Trajectory:
+        """The poses of `path` alone."""
+        first = row
+        while first < len(self._frames) and self.frames["share"][first] > 0:
+            first -= 1
+        frames = self.frames[first:]
+        rows = self._keyframe_rows(frames["keyframe"])
+        poses = whole_transforms(self._keyframes.rows["world_from_cam0"][rows])
+        poses = poses @ whole_transforms(frames["keyframe_from_cam"])
+        _fill(poses, frames["share"])
+        return Trajectory(frames["stamp_ns"][row - first :].copy(), poses[row - first :])
+
+    def _add_untracked(self, frame_index: int, segment: int) -> None:
+        if self.untracked is None or len(self._frames) == 0:
+            return
+        last = self.frames[-1]
+        if last["segment"] != segment:
+            return
+        stamps_ns, keyframe = self.untracked.stamps_ns, int(last["keyframe"])
+        begin, end = int(last["stamp_ns"]), int(stamps_ns[frame_index])
+        for number in self.untracked.between(int(last["frame_index"]), frame_index):
+            stamp_ns = int(stamps_ns[number])
+            share = (stamp_ns - begin) / (end - begin)
+            self._frames.append(number, stamp_ns, segment, keyframe, share, np.zeros((3, 4)))
+
+    def _first_after_tracked(self, row: int) -> int:
+        """The row, or the first of the interpolated ones before it, which move with it."""
+        while 0 < row < len(self._frames) and self.frames["share"][row - 1] > 0:
+            row -= 1
+        return row
+
+    def _keyframe_row(self, keyframe: int) -> int:
+        # Not by NumPy, which would copy the whole column each time.
+        return bisect_left(self._keyframes.rows["id"], keyframe)
+
+    def _keyframe_rows(self, keyframes: Ints) -> Ints:
+        """Rows (n,) of ids (n,) that never fall."""
+        if len(keyframes) == 0:
+            return keyframes
+        first = self._keyframe_row(int(keyframes[0]))
+        return first + np.searchsorted(self._keyframes.rows["id"][first:], keyframes)
+
+
+def _fill(poses: Floats, share: Floats) -> None:
+    """Put interpolated poses where the share of the way is not 0; the first and last are tracked.
+
+    Each lies on the geodesic between the tracked poses around it.
+    """
+    tracked = np.flatnonzero(share == 0)
+    for row in np.flatnonzero(share > 0).tolist():
+        after = int(np.searchsorted(tracked, row))
+        first, last = poses[tracked[after - 1]], poses[tracked[after]]
+        poses[row] = interpolate(first, last, float(share[row]))
+
+
+def _keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
+    world_from_cam0 = whole_transforms(rows["world_from_cam0"])
+    triangles = rows["covariance"]
+    covariance = np.zeros((len(rows), 6, 6))
+    i, j = _TRIANGLE
+    covariance[:, i, j] = covariance[:, j, i] = triangles
+    known = np.isfinite(triangles[:, 0])
+    return [
+        KeyframePose(
+            int(row["frame_index"]),
+            int(row["stamp_ns"]),
+            int(row["segment"]),
+            world_from_cam0[k],
+            covariance[k] if known[k] else None,
+        )
+        for k, row in enumerate(rows)
+    ]
