@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -86,6 +86,11 @@ def program(folder: Path, module: str = MODULE, helper: str = HELPER) -> list[st
         timeout=120,
     )
     return done.stdout.splitlines()
+
+
+class Ring(NamedTuple):
+    points: Any
+    radius: Any
 
 
 def area(a: Any, b: Any) -> Any:
@@ -210,6 +215,8 @@ def test_arrays_that_may_not_be_written_are_taken(kept: Path) -> None:
         (np.zeros((2, 4))[:, ::2], "f8[2A]"),
         (np.zeros(3, np.uint8), "u1[1C]"),
         ((1, 2.0, (True, np.float32(1))), "(i8 f8 (? f4))"),
+        (Ring(np.zeros((3, 2)), 1.5), "Ring(points=f8[2C] radius=f8)"),
+        (Ring(np.zeros((3, 2)), "wide"), None),
         (np.zeros(3, ">f8"), None),
         (np.zeros(3, "U1"), None),
         ((1, "text"), None),
@@ -218,6 +225,16 @@ def test_arrays_that_may_not_be_written_are_taken(kept: Path) -> None:
 )
 def test_words_for_kinds(value: Any, words: str | None) -> None:
     assert describe(value) == words
+
+
+def test_named_tuples_are_taken_with_the_types_of_their_parts(kept: Path) -> None:
+    @compiled
+    def size(ring: Ring) -> Any:
+        return ring.points[0] * ring.radius
+
+    assert size(Ring(np.array([2.0, 3.0]), 1.5)) == 3.0
+    assert size(Ring(np.array([2, 3]), 2)) == 4
+    assert len(list(kept.iterdir())) == 2
 
 
 def test_arguments_without_words_are_left_to_numba(kept: Path) -> None:

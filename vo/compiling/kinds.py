@@ -16,8 +16,8 @@ def kinds_of(values: tuple[Any, ...]) -> tuple[Any, ...]:
         [
             (v.dtype, v.ndim, v.flags.num)
             if type(v) is _ARRAY
-            else kinds_of(v)
-            if type(v) is tuple
+            else (type(v), kinds_of(v))
+            if isinstance(v, tuple)
             else type(v)
             for v in values
         ]
@@ -28,12 +28,23 @@ def describe(value: Any) -> str | None:
     """The kind in words, the same wherever the machine code is; None for what has no words here."""
     if type(value) is _ARRAY:
         return _describe_array(value)
-    if type(value) is tuple:
-        parts = [describe(part) for part in value]
-        return None if None in parts else f"({' '.join(str(part) for part in parts)})"
+    if isinstance(value, tuple):
+        return _describe_tuple(value)
     if isinstance(value, np.generic):
         return value.dtype.str[1:]
     return _NUMBERS.get(type(value))
+
+
+def _describe_tuple(value: tuple[Any, ...]) -> str | None:
+    """Types of the parts; of a named tuple the names too, as code refers to its parts by name."""
+    parts = [describe(part) for part in value]
+    if None in parts:
+        return None
+    names = getattr(value, "_fields", None)
+    if names is None:
+        return f"({' '.join(str(part) for part in parts)})"
+    fields = " ".join(f"{name}={part}" for name, part in zip(names, parts, strict=True))
+    return f"{type(value).__name__}({fields})"
 
 
 def _describe_array(array: np.ndarray[Any, Any]) -> str | None:
