@@ -1,4 +1,4 @@
-"""Paths to compare: a smooth walk, and what an imperfect odometry would make of it."""
+"""Trajectories to compare: a smooth walk, and a noisy estimate of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MakeNoisy = Callable[..., Trajectory]
 
 @pytest.fixture
 def make_walk() -> MakeWalk:
-    """A walk of `count` poses, each about `step_m` further, that turns in all three axes."""
+    """A walk of `count` poses, about `step_m` apart, with rotations about all three axes."""
 
     def make(count: int = 60, step_m: float = 0.5, seed: int = 0) -> Trajectory:
         rng = np.random.default_rng(seed)
@@ -32,7 +32,7 @@ def make_walk() -> MakeWalk:
 
 @pytest.fixture
 def make_noisy() -> MakeNoisy:
-    """The same poses, each moved a little."""
+    """The same poses with independent random errors."""
 
     def make(true: Trajectory, size: float = 0.02, seed: int = 1) -> Trajectory:
         rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Our numbers against those of evo, on random paths and on the files that evo comes with."""
+"""Comparison with evo, on random trajectories and on evo's own test files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def assert_same(ours: Statistics, theirs: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("align", ALIGN)
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_ape_is_that_of_evo(
+def test_ape_equals_that_of_evo(
     make_walk: MakeWalk, make_noisy: MakeWalk, align: str, seed: int
 ) -> None:
     from evo.core.metrics import PoseRelation
@@ -56,7 +56,7 @@ def test_ape_is_that_of_evo(
 
 @pytest.mark.parametrize("align", ["se3", "sim3"])
 @pytest.mark.parametrize(("delta", "unit"), [(1, "f"), (5, "f"), (3.0, "m"), (10.0, "m")])
-def test_rpe_is_that_of_evo(
+def test_rpe_equals_that_of_evo(
     make_walk: MakeWalk, make_noisy: MakeWalk, align: str, delta: float, unit: str
 ) -> None:
     from evo.core.metrics import PoseRelation, Unit
@@ -85,7 +85,7 @@ def test_rpe_is_that_of_evo(
 
 
 @pytest.mark.parametrize("longer", ["estimate", "reference"])
-def test_association_is_that_of_evo(longer: str) -> None:
+def test_association_equals_that_of_evo(longer: str) -> None:
     from evo.core.sync import matching_time_indices
 
     rng = np.random.default_rng(0)
@@ -110,7 +110,7 @@ def test_association_is_that_of_evo(longer: str) -> None:
         ("freiburg1_xyz-ORB_kf_mono", "freiburg1_xyz-groundtruth", "sim3", "ORB_kf_mono.txt -as"),
     ],
 )
-def test_ape_of_the_reference_files(
+def test_ape_of_reference_files_equals_printed_numbers(
     shared_data: Path, estimate: str, reference: str, align: str, heading: str
 ) -> None:
     folder = shared_data / "eval_reference"
@@ -119,7 +119,7 @@ def test_ape_of_the_reference_files(
     assert_same(ours.ate.translation, printed_numbers(folder, "evo_ape", reference, heading))
 
 
-def test_rpe_of_the_reference_files(shared_data: Path) -> None:
+def test_rpe_of_reference_files_equals_printed_numbers(shared_data: Path) -> None:
     folder = shared_data / "eval_reference"
     true = read_trajectory(folder / "KITTI_00_gt.txt")
     ours = evaluate(read_trajectory(folder / "KITTI_00_ORB.txt"), true, "se3", delta_m=100.0)
@@ -131,7 +131,7 @@ def test_rpe_of_the_reference_files(shared_data: Path) -> None:
     assert_same(ours.rpe_metres.translation, over_metres)
 
 
-def test_rotation_of_the_reference_files_is_that_of_evo(shared_data: Path) -> None:
+def test_rotation_errors_of_reference_files_equal_those_of_evo(shared_data: Path) -> None:
     from evo.core.metrics import PoseRelation
     from evo.main_ape import ape
 
@@ -143,7 +143,7 @@ def test_rotation_of_the_reference_files_is_that_of_evo(shared_data: Path) -> No
 
 
 def printed_numbers(folder: Path, command: str, reference: str, ending: str) -> dict[str, float]:
-    """The block of the file whose command begins and ends so."""
+    """Numbers printed below the heading with this command, reference and ending."""
     blocks = (folder / "evo_reference_numbers.txt").read_text(encoding="utf-8").split("###")
     for block in blocks:
         heading, _, body = block.strip().partition("\n")

@@ -18,7 +18,7 @@ STAMPS = st.lists(st.integers(0, 200), min_size=1, max_size=30, unique=True).map
 
 
 def turning(stamps_s: np.ndarray[Any, Any]) -> Trajectory:
-    """Constant velocity and turn rate: interpolation on SE(3) is exact."""
+    """Motion of constant velocity and turn rate, for which SE(3) interpolation is exact."""
     poses = np.array([se3_exp(s * np.array([0.1, 0.2, 0.3, 1.0, 0.5, 2.0])) for s in stamps_s])
     return Trajectory(np.round(stamps_s * 1e9).astype(np.int64), poses)
 
@@ -34,19 +34,19 @@ def test_pairs_are_one_to_one_increasing_and_near(
 
 
 @given(first=STAMPS, second=STAMPS)
-def test_equal_stamps_always_find_each_other(first: Ints, second: Ints) -> None:
+def test_equal_stamps_are_always_paired(first: Ints, second: Ints) -> None:
     rows, partners = nearest_pairs(first, second, 0)
     assert first[rows].tolist() == np.intersect1d(first, second).tolist()
     assert second[partners].tolist() == first[rows].tolist()
 
 
-def test_two_that_want_the_same_partner_the_nearer_gets_it() -> None:
+def test_of_two_candidates_the_nearer_is_paired() -> None:
     first, second = np.array([8, 11]), np.array([10, 40, 70])
     rows, partners = nearest_pairs(first, second, 5)
     assert (rows.tolist(), partners.tolist()) == ([1], [0])
 
 
-def test_nearest_takes_the_poses_within_the_tolerance() -> None:
+def test_nearest_pairs_are_within_the_tolerance() -> None:
     estimate, reference = turning(np.array([0.0, 1.0, 2.0])), turning(np.array([0.004, 1.02, 2.0]))
     matched = associate(estimate, reference)
     assert matched.stamps_ns.tolist() == [0, 2_000_000_000]
@@ -62,7 +62,7 @@ def test_interpolation_is_exact_between_poses() -> None:
     assert matched.method == "interpolated"
 
 
-def test_interpolation_bridges_no_hole_and_no_end() -> None:
+def test_interpolation_bridges_no_gap_and_no_end() -> None:
     reference = turning(np.array([0.0, 0.1, 0.2, 0.3, 5.0, 5.1, 5.2]))
     estimate = turning(np.array([-1.0, -0.005, 0.15, 2.0, 5.1, 5.205, 9.0]))
     matched = associate(estimate, reference, interpolated=True)
@@ -70,12 +70,12 @@ def test_interpolation_bridges_no_hole_and_no_end() -> None:
 
 
 @pytest.mark.parametrize("interpolated", [False, True])
-def test_no_overlap_names_both_spans(interpolated: bool) -> None:
+def test_error_without_overlap_names_both_time_spans(interpolated: bool) -> None:
     estimate, reference = turning(np.array([0.0, 1.0])), turning(np.array([100.0, 101.5]))
     with pytest.raises(EvaluationError, match=r"estimate 0\.000 to 1\.000 s.*100\.000 to 101\.500"):
         associate(estimate, reference, interpolated=interpolated)
 
 
-def test_coverage_is_the_share_of_time() -> None:
+def test_coverage_is_a_fraction_of_the_duration() -> None:
     assert coverage(np.array([25, 75]), np.array([0, 100])) == 0.5
     assert coverage(np.array([5]), np.array([5])) == 1.0

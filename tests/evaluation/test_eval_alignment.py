@@ -22,16 +22,16 @@ def moved(poses: Floats, scale: float = 1.0, *, seed: int = 3) -> Floats:
 
 @pytest.mark.parametrize(
     ("mode", "kind", "words"),
-    [("mono", "sim3", "is mono"), ("stereo", "se3", "stereo"), ("auto", "se3", "nothing says")],
+    [("mono", "sim3", "mono"), ("stereo", "se3", "stereo"), ("auto", "se3", "unknown")],
 )
-def test_auto_follows_the_mode_and_says_why(mode: Mode, kind: str, words: str) -> None:
+def test_auto_follows_the_mode_and_gives_the_reason(mode: Mode, kind: str, words: str) -> None:
     chosen, reason = choose_alignment("auto", mode)
     assert chosen == kind
     assert words in reason
 
 
-def test_a_wish_beats_the_mode() -> None:
-    assert choose_alignment("se3", "mono") == ("se3", "as asked")
+def test_explicit_alignment_overrides_the_mode() -> None:
+    assert choose_alignment("se3", "mono") == ("se3", "as requested")
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.2])
@@ -44,7 +44,7 @@ def test_sim3_undoes_any_similarity(make_walk: MakeWalk, scale: float) -> None:
     assert alignment.scale_error_percent is None
 
 
-def test_se3_undoes_a_motion_and_tells_the_scale_error(make_walk: MakeWalk) -> None:
+def test_se3_undoes_a_rigid_motion_and_reports_the_scale_error(make_walk: MakeWalk) -> None:
     true = make_walk().world_from_cam
     exact = align_poses(moved(true), true, align="se3")
     aligned = exact.reference_from_estimate.transform_poses(moved(true))
@@ -55,7 +55,7 @@ def test_se3_undoes_a_motion_and_tells_the_scale_error(make_walk: MakeWalk) -> N
     assert large.scale_error_percent == pytest.approx(5.0)
 
 
-def test_scale_changes_the_size_alone(make_walk: MakeWalk) -> None:
+def test_scale_alignment_changes_only_the_size(make_walk: MakeWalk) -> None:
     true = make_walk().world_from_cam
     small = true.copy()
     small[:, :3, 3] /= 4.0
@@ -64,7 +64,7 @@ def test_scale_changes_the_size_alone(make_walk: MakeWalk) -> None:
     np.testing.assert_allclose(aligned, true, atol=1e-9)
 
 
-def test_none_leaves_the_estimate_alone(make_walk: MakeWalk) -> None:
+def test_none_leaves_the_estimate_unchanged(make_walk: MakeWalk) -> None:
     true = make_walk().world_from_cam
     alignment = align_poses(moved(true, 2.0), true, align="none")
     aligned = alignment.reference_from_estimate.transform_poses(moved(true, 2.0))
@@ -73,7 +73,7 @@ def test_none_leaves_the_estimate_alone(make_walk: MakeWalk) -> None:
 
 
 @pytest.mark.parametrize("align", ["se3", "sim3"])
-def test_on_a_straight_road_the_cameras_settle_the_roll(align: str) -> None:
+def test_on_a_straight_path_orientations_determine_the_roll(align: str) -> None:
     true = np.array([se3_exp(np.array([0.3, 0.2, 0.1, 0, 0, 0]))] * 20)
     true[:, :3, 3] = np.outer(np.arange(20.0), [1.0, 2.0, 2.0])
     estimate = moved(true)
@@ -85,14 +85,14 @@ def test_on_a_straight_road_the_cameras_settle_the_roll(align: str) -> None:
     assert alignment.reference_from_estimate.is_on_line
 
 
-def test_two_poses_cannot_be_aligned_but_compared(make_walk: MakeWalk) -> None:
+def test_two_poses_cannot_be_aligned_but_can_be_compared(make_walk: MakeWalk) -> None:
     true = make_walk(2).world_from_cam
     with pytest.raises(EvaluationError, match=r"2 matched poses.*at least 3.*--align none"):
         align_poses(true, true, align="se3")
     assert align_poses(true, true, align="none").best_scale is None
 
 
-def test_an_estimate_that_stands_still_cannot_be_aligned(make_walk: MakeWalk) -> None:
+def test_an_estimate_without_motion_cannot_be_aligned(make_walk: MakeWalk) -> None:
     true = make_walk().world_from_cam
     with pytest.raises(EvaluationError, match="one place"):
         align_poses(np.repeat(true[:1], len(true), axis=0), true, align="sim3")

@@ -31,7 +31,7 @@ def written(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("mode", ["mono", "stereo"])
-def test_a_run_tells_its_mode(tmp_path: Path, mode: str) -> None:
+def test_mode_is_read_from_the_summary(tmp_path: Path, mode: str) -> None:
     run = run_folder(tmp_path / "run", {"mode": mode})
     truth = written(tmp_path / "groundtruth.tum", TUM)
     assert load_inputs(run, truth).mode == mode
@@ -39,7 +39,7 @@ def test_a_run_tells_its_mode(tmp_path: Path, mode: str) -> None:
 
 
 @pytest.mark.parametrize("summary", [None, {}, {"mode": 7}, ["mono"]])
-def test_without_a_word_the_mode_is_auto(tmp_path: Path, summary: object) -> None:
+def test_mode_is_auto_without_a_valid_summary(tmp_path: Path, summary: object) -> None:
     run = run_folder(tmp_path / "run", summary)
     assert load_inputs(run, written(tmp_path / "groundtruth.tum", TUM)).mode == "auto"
 
@@ -54,20 +54,20 @@ def test_without_a_word_the_mode_is_auto(tmp_path: Path, summary: object) -> Non
         ("state_groundtruth_estimate0/data.csv", EUROC),
     ],
 )
-def test_a_sequence_folder_shows_its_truth(tmp_path: Path, name: str, text: str) -> None:
+def test_ground_truth_is_found_in_a_sequence_folder(tmp_path: Path, name: str, text: str) -> None:
     path = written(tmp_path / "sequence" / name, text)
     inputs = load_inputs(run_folder(tmp_path / "run"), tmp_path / "sequence")
     assert inputs.reference_path == path
     assert evaluate(inputs.estimate, inputs.reference, "none").ate.translation.max == 0.0
 
 
-def test_folders_without_what_is_needed(tmp_path: Path) -> None:
+def test_folders_without_trajectory_or_ground_truth(tmp_path: Path) -> None:
     truth = written(tmp_path / "truth.tum", TUM)
     with pytest.raises(SourceError, match=r"no trajectory\.tum"):
         load_inputs(tmp_path, truth)
     with pytest.raises(SourceError, match="no ground truth"):
         load_inputs(truth, tmp_path)
-    with pytest.raises(SourceError, match="is a run, which is no truth; give the run first"):
+    with pytest.raises(SourceError, match="output of a run, not ground truth; give the run first"):
         load_inputs(truth, run_folder(tmp_path / "run"))
 
 
@@ -82,21 +82,21 @@ def test_euroc_truth_is_moved_to_the_camera(tmp_path: Path) -> None:
     assert "T_BS" in inputs.notes[0]
 
 
-def test_euroc_truth_of_the_body_alone_is_noted(tmp_path: Path) -> None:
+def test_euroc_truth_without_camera_pose_is_noted(tmp_path: Path) -> None:
     written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
     inputs = load_inputs(run_folder(tmp_path / "run"), tmp_path)
-    assert "taken as the camera's own" in inputs.notes[0]
+    assert "taken as that of the camera" in inputs.notes[0]
 
 
 @pytest.mark.parametrize("text", ["", "T_BS: 7", "T_BS: {data: [1, 2]}", "a: [", "T_BS: {data: x}"])
 def test_damaged_sensor_yaml(tmp_path: Path, text: str) -> None:
     written(tmp_path / "mav0/cam0/sensor.yaml", text)
     written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
-    with pytest.raises(SourceError, match="T_BS is not a 4x4 matrix"):
+    with pytest.raises(SourceError, match="T_BS: data is not a 4x4 matrix"):
         load_inputs(run_folder(tmp_path / "run"), tmp_path)
 
 
-def test_poses_without_stamps_pair_row_by_row(tmp_path: Path) -> None:
+def test_poses_without_stamps_are_paired_row_by_row(tmp_path: Path) -> None:
     run, poses = run_folder(tmp_path / "run"), written(tmp_path / "poses.txt", KITTI)
     for estimate, reference in ((run, poses), (poses, run / "trajectory.tum")):
         inputs = load_inputs(estimate, reference)
@@ -105,13 +105,13 @@ def test_poses_without_stamps_pair_row_by_row(tmp_path: Path) -> None:
     assert "neither file has stamps" in load_inputs(poses, poses).notes[0]
 
 
-def test_poses_without_stamps_and_of_another_number(tmp_path: Path) -> None:
+def test_poses_without_stamps_of_another_number_are_refused(tmp_path: Path) -> None:
     poses = written(tmp_path / "poses.txt", KITTI + "1 0 0 7 0 1 0 7 0 0 1 0\n")
     with pytest.raises(EvaluationError, match=r"has no stamps.*6 and 7.*times\.txt"):
         load_inputs(run_folder(tmp_path / "run"), poses)
 
 
-def test_only_the_longest_segment_counts(tmp_path: Path) -> None:
+def test_only_the_longest_segment_is_evaluated(tmp_path: Path) -> None:
     spans = [(500_000_000, 1_500_000_000), (2_500_000_000, 5_500_000_000)]
     segments = [{"first_stamp_ns": a, "last_stamp_ns": b} for a, b in spans]
     run = run_folder(tmp_path / "run", {"mode": "mono", "segments": segments})
@@ -124,16 +124,14 @@ def test_only_the_longest_segment_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("segments", [1, [], [{}], [{}, {}], [{"first_stamp_ns": "x"}, 3]])
-def test_segments_that_say_nothing_change_nothing(tmp_path: Path, segments: object) -> None:
+def test_invalid_segments_are_ignored(tmp_path: Path, segments: object) -> None:
     run = run_folder(tmp_path / "run", {"segments": segments})
     inputs = load_inputs(run, written(tmp_path / "groundtruth.tum", TUM))
     assert len(inputs.estimate) == 6
     assert inputs.notes == ()
 
 
-def test_truth_of_the_rendered_hall_is_the_same_by_both_ways(
-    tmp_path: Path, shared_data: Path
-) -> None:
+def test_tum_and_euroc_truth_of_the_rendered_hall_agree(tmp_path: Path, shared_data: Path) -> None:
     hall = shared_data / "rendered_hall_stereo"
     inputs = load_inputs(
         hall / "groundtruth.tum", hall / "mav0" / "state_groundtruth_estimate0" / "data.csv"

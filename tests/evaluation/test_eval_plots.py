@@ -40,7 +40,7 @@ def test_axes_have_units_and_equal_scale(make_walk: MakeWalk) -> None:
     assert path.get_xlabel().endswith("(m)")
     assert path.get_aspect() == 1.0
     assert position.get_ylabel() == "position error (m)"
-    assert rotation.get_ylabel() == "rotation alone, error (deg)"
+    assert rotation.get_ylabel() == "rotation-alone error (deg)"
     assert rotation.get_xlabel().endswith("(s)")
 
 
@@ -65,9 +65,9 @@ def test_path_is_seen_from_above_and_not_mirrored(
     assert (axes.get_xlabel(), axes.get_ylabel()) == labels
 
 
-def test_other_suffix_and_folder_that_is_not_there(tmp_path: Path, make_walk: MakeWalk) -> None:
+def test_unsupported_suffix_and_missing_folder(tmp_path: Path, make_walk: MakeWalk) -> None:
     true = make_walk()
-    with pytest.raises(OutputError, match=r"ends in \.png"):
+    with pytest.raises(OutputError, match=r"use \.png"):
         save_plot(tmp_path / "plot.gif", evaluate(true, true), true)
     with pytest.raises(OutputError, match="cannot be written"):
         save_plot(tmp_path / "none" / "plot.png", evaluate(true, true), true)

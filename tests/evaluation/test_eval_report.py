@@ -27,7 +27,7 @@ def test_a_perfect_estimate_has_no_error(make_walk: MakeWalk) -> None:
     assert evaluation.matched.longest_gap_s == pytest.approx(0.1)
 
 
-def test_a_known_offset_is_the_error(make_walk: MakeWalk) -> None:
+def test_error_equals_a_known_offset(make_walk: MakeWalk) -> None:
     true = make_walk()
     away = make_transform(np.eye(3), np.array([3.0, 0.0, 4.0]))
     evaluation = evaluate(
@@ -41,7 +41,7 @@ def test_a_known_offset_is_the_error(make_walk: MakeWalk) -> None:
     assert len(evaluation.rpe_frames) == len(true) - 2
 
 
-def test_a_known_turn_of_the_camera_is_the_error(make_walk: MakeWalk) -> None:
+def test_error_equals_a_known_camera_rotation(make_walk: MakeWalk) -> None:
     true = make_walk()
     turn = make_transform(so3_exp(np.array([0.0, np.deg2rad(7.0), 0.0])), np.zeros(3))
     evaluation = evaluate(Trajectory(true.stamps_ns, true.world_from_cam @ turn), true)
@@ -50,7 +50,7 @@ def test_a_known_turn_of_the_camera_is_the_error(make_walk: MakeWalk) -> None:
     assert evaluation.ate.translation.max < 1e-9
 
 
-def test_one_missed_metre_shows_in_one_step(make_walk: MakeWalk) -> None:
+def test_a_jump_of_one_metre_affects_one_relative_error(make_walk: MakeWalk) -> None:
     true = make_walk(40)
     estimate = true.world_from_cam.copy()
     estimate[20:, 0, 3] += 1.0
@@ -60,7 +60,7 @@ def test_one_missed_metre_shows_in_one_step(make_walk: MakeWalk) -> None:
     assert np.count_nonzero(evaluation.rpe_frames.translation_m > 1e-9) == 1
 
 
-def test_mono_is_aligned_in_sim3_and_says_so(make_walk: MakeWalk) -> None:
+def test_mono_is_aligned_in_sim3_with_a_reason(make_walk: MakeWalk) -> None:
     true = make_walk()
     small = true.world_from_cam.copy()
     small[:, :3, 3] /= 8.0
@@ -82,7 +82,7 @@ def test_dictionary_is_json_and_has_units(make_walk: MakeWalk, make_noisy: MakeW
     assert back["path_m"] == pytest.approx(29.5, rel=0.01)
 
 
-def test_what_the_path_is_too_short_for_is_none(make_walk: MakeWalk) -> None:
+def test_metrics_that_need_a_longer_path_are_none(make_walk: MakeWalk) -> None:
     true = make_walk(3)
     evaluation = evaluate(true, true, delta_frames=5, delta_m=50.0)
     assert evaluation.rpe_frames is None
@@ -101,7 +101,7 @@ def test_few_matches_are_noted(make_walk: MakeWalk) -> None:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"tolerance_s": -1.0}, "tolerance is -1.0 s"),
+        ({"tolerance_s": -1.0}, "the tolerance is -1.0 s"),
         ({"tolerance_s": float("nan")}, "tolerance is nan s"),
         ({"delta_frames": 0}, "delta is 0 frames"),
         ({"delta_m": 0.0}, "delta is 0.0 m"),
@@ -114,7 +114,7 @@ def test_settings_out_of_range(
         evaluate(make_walk(), make_walk(), **setting)  # type: ignore[arg-type]
 
 
-def test_pairs_over_metres_survive_a_stop() -> None:
+def test_pairs_over_metres_on_a_path_with_a_stop() -> None:
     along = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 3.0])
     positions = np.column_stack([along, np.zeros(6), np.zeros(6)])
     assert pairs_over_metres(positions, 1.0).tolist() == [[0, 1], [1, 4], [2, 4], [3, 4], [4, 5]]
@@ -128,7 +128,7 @@ def test_angles_are_accurate_at_both_ends(degrees: float) -> None:
     assert rotation_angles_deg(rotation[None])[0] == pytest.approx(degrees, abs=1e-9)
 
 
-def test_a_nearly_straight_path_spoils_ate_of_rotation_but_not_rotation_alone() -> None:
+def test_rotation_alone_is_reliable_on_a_nearly_straight_path() -> None:
     rng = np.random.default_rng(0)
     poses = np.tile(np.eye(4), (50, 1, 1))
     poses[:, 2, 3] = np.arange(50.0)

@@ -33,7 +33,7 @@ def test_scale_error_is_drift_in_percent() -> None:
         assert of_length.translation_percent == pytest.approx(expected)
 
 
-def test_steady_turning_is_drift_in_degrees_per_metre() -> None:
+def test_constant_turn_rate_error_is_drift_in_degrees_per_metre() -> None:
     estimate = straight(60.0, 0.1)
     for i in range(len(estimate)):
         estimate[i, :3, :3] = so3_exp(np.array([0.0, np.deg2rad(0.01) * i, 0.0]))
@@ -43,7 +43,7 @@ def test_steady_turning_is_drift_in_degrees_per_metre() -> None:
     assert drift.rotation_deg_per_m == pytest.approx(0.1, rel=0.03)
 
 
-def test_starts_every_tenth_pose_on_long_paths_and_every_pose_on_short() -> None:
+def test_sub_paths_start_at_every_tenth_pose_only_on_long_paths() -> None:
     long, short = (segment_drift(straight(m), straight(m)) for m in (150.0, 7.0))
     assert long is not None
     assert short is not None
@@ -51,5 +51,5 @@ def test_starts_every_tenth_pose_on_long_paths_and_every_pose_on_short() -> None
     assert [(d.length_m, d.count) for d in short.lengths] == [(5.0, 2)]
 
 
-def test_a_path_too_short_for_any_length_has_none() -> None:
+def test_a_path_shorter_than_all_lengths_has_no_drift() -> None:
     assert segment_drift(straight(4.0), straight(4.0)) is None

@@ -174,7 +174,7 @@ def test_segments_are_aligned_each_by_itself(own_run: Path, tmp_path: Path) -> N
     page = page_of(tmp_path, own_run)
     assert "in 2 segments that are not connected" in page.text
     assert "The longest segment (8 poses)" in page.text
-    assert "the other segments are aligned each by itself" in page.text
+    assert "each of the other segments is aligned separately" in page.text
     assert "Segments, run" in page.text
 
 
@@ -226,7 +226,7 @@ def test_truth_may_be_given_or_be_missing(
 ) -> None:
     change_summary(own_run, source=str(tmp_path / "gone"))
     page = page_of(tmp_path, own_run)
-    assert "cannot be read any more" in page.text and "ATE" not in page.text
+    assert "can no longer be read" in page.text and "ATE" not in page.text
     assert page.images == 0
     true = read_tum(synthetic_stereo / "groundtruth.tum")
     write_tum(tmp_path / "mine.txt", true)

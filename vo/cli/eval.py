@@ -1,4 +1,4 @@
-"""`vo eval`: how far an estimated trajectory is from the true one."""
+"""`vo eval`: errors of an estimated trajectory against ground truth."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ import typer
 if TYPE_CHECKING:
     from vo.evaluation.inputs import Inputs
     from vo.evaluation.report import Evaluation
+
+# Headings of the options in `--help`.
+_PAIRING, _METRICS, _OUTPUT = "Association and alignment", "Metrics", "Output"
 
 
 class Align(StrEnum):
@@ -27,69 +30,90 @@ def eval_command(
     estimate: Annotated[
         Path,
         typer.Argument(
-            metavar="ESTIMATE", help="Trajectory file (TUM, KITTI or EuRoC) or the folder of a run."
+            metavar="ESTIMATE",
+            help="Trajectory file (TUM, KITTI, EuRoC), or the folder of a run.",
         ),
     ],
     reference: Annotated[
         Path,
-        typer.Argument(metavar="TRUTH", help="Ground truth file, or a recording that has one."),
+        typer.Argument(
+            metavar="TRUTH", help="Ground truth file, or a recording with ground truth."
+        ),
     ],
     align: Annotated[
         Align,
         typer.Option(
-            help="What may be changed to lay the estimate onto the truth. auto: sim3 for a mono "
-            "run, else se3."
+            help="Transform that aligns the estimate with the ground truth. auto: sim3 for a mono "
+            "run, else se3.",
+            rich_help_panel=_PAIRING,
         ),
     ] = Align.AUTO,
     tolerance: Annotated[
         float,
         typer.Option(
-            min=0.0, metavar="SECONDS", help="Largest difference between stamps that count as one."
+            min=0.0,
+            metavar="SECONDS",
+            help="Largest difference between the stamps of a pair.",
+            rich_help_panel=_PAIRING,
         ),
     ] = 0.01,
     interpolate: Annotated[
         bool,
         typer.Option(
             "--interpolate/--no-interpolate",
-            help="Interpolate the truth at the estimate's stamps instead of taking its nearest "
-            "pose.",
+            help="Interpolate the ground truth at the estimate's stamps, or take the nearest pose.",
+            rich_help_panel=_PAIRING,
         ),
     ] = False,
     delta: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Relative error over this many matched poses.")
+        int,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Step of the relative error in matched poses.",
+            rich_help_panel=_METRICS,
+        ),
     ] = 1,
     delta_m: Annotated[
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Relative error over this many metres.",
+            help="Step of the relative error in metres.",
+            rich_help_panel=_METRICS,
             show_default="about a tenth of the path",
         ),
     ] = None,
     all_segments: Annotated[
         bool,
-        typer.Option("--all-segments", help="Judge all segments of a run as one, not the longest."),
+        typer.Option(
+            "--all-segments",
+            help="Evaluate all segments of a run as one, not only the longest.",
+            rich_help_panel=_METRICS,
+        ),
     ] = False,
     json_output: Annotated[
-        bool, typer.Option("--json", help="Print JSON for machines instead of a table.")
+        bool,
+        typer.Option("--json", help="Print JSON instead of a table.", rich_help_panel=_OUTPUT),
     ] = False,
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Draw path and errors into this file: .png, .pdf or .svg."
+            metavar="FILE",
+            help="Plot path and errors to this .png, .pdf or .svg file.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
 ) -> None:
-    """Compare an estimated trajectory with the true one.
+    """Evaluate an estimated trajectory against ground truth.
 
-    Pairs the poses by stamp, lays the estimate onto the truth (Umeyama 1991)
-    and gives ATE, RPE, the drift over sub-paths as on KITTI and the error of scale.
+    Pairs poses by stamp, aligns the estimate (Umeyama 1991) and prints ATE,
+    RPE, the drift over sub-paths as in KITTI, and the scale error.
 
-    A run's folder against its sequence, with a picture:
+    Evaluate a run against the ground truth of its recording, with a plot:
 
       vo eval out/ my_sequence/ --plot out/eval.png
 
-    Two files, for a script:
+    Evaluate a trajectory file, with results for a script:
 
       vo eval trajectory.tum groundtruth.txt --align sim3 --json
     """
@@ -122,9 +146,9 @@ def eval_command(
 
 
 def _load(estimate: Path, reference: Path, all_segments: bool) -> Inputs:
-    """Both sides; the truth from a file, or else from any recording that brings it along."""
+    """Read both trajectories; the ground truth may be a file or part of any recording."""
     from vo.errors import SourceError
-    from vo.evaluation.inputs import inputs_against, load_inputs
+    from vo.evaluation.inputs import load_inputs, load_inputs_with_truth
     from vo.sources.registry import open_source
 
     try:
@@ -134,8 +158,8 @@ def _load(estimate: Path, reference: Path, all_segments: bool) -> Inputs:
             raise
     truth = open_source(reference).ground_truth
     if truth is None:
-        raise SourceError(f"{reference} has no ground truth; give the file of a trajectory")
-    return inputs_against(estimate, truth, reference, all_segments=all_segments)
+        raise SourceError(f"{reference} contains no ground truth; give a trajectory file")
+    return load_inputs_with_truth(estimate, truth, reference, all_segments=all_segments)
 
 
 def _is_recording(path: Path) -> bool:
@@ -149,9 +173,9 @@ def _is_recording(path: Path) -> bool:
 
 
 def _title(inputs: Inputs) -> str:
-    """Both files, each with the folder it lies in: the names alone say little."""
+    """Both files with their folders, as file names alone are ambiguous."""
     names = ["/".join(p.parts[-2:]) for p in (inputs.estimate_path, inputs.reference_path)]
-    return f"{names[0]}  against  {names[1]}"
+    return f"{names[0]}  vs.  {names[1]}"
 
 
 def _print_json(evaluation: Evaluation, inputs: Inputs, plot: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""An evaluation as a table for people."""
+"""Evaluation as a text table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COLUMNS = ("rmse", "mean", "median", "max")
 def print_evaluation(
     evaluation: Evaluation, inputs: Inputs, plot: Path | None = None, console: Console | None = None
 ) -> None:
-    """Print what was compared, how it was aligned, the errors, and where the plot is."""
+    """Print the inputs, the alignment, the errors and the path of the plot."""
     console = console or Console(highlight=False)
     for name, value in _facts(evaluation, inputs):
         console.print(f"[bold]{name:<10}[/]", value, soft_wrap=True)
@@ -42,7 +42,7 @@ def _facts(evaluation: Evaluation, inputs: Inputs) -> list[tuple[str, str]]:
             "matched",
             f"{len(matched)} poses, {matched.method} within {matched.tolerance_s:g} s; "
             f"{evaluation.path_m:.3f} m in {matched.seconds[-1]:.3f} s; "
-            f"{evaluation.coverage:.1%} of the truth's time, longest gap "
+            f"{evaluation.coverage:.1%} of the reference's duration, longest gap "
             f"{matched.longest_gap_s:.3f} s",
         ),
         ("alignment", f"{alignment.kind} ({alignment.reason})"),
@@ -50,7 +50,7 @@ def _facts(evaluation: Evaluation, inputs: Inputs) -> list[tuple[str, str]]:
     if alignment.kind in ("sim3", "scale"):
         facts.append(("scale", f"multiplied by {alignment.reference_from_estimate.scale:.6f}"))
     elif alignment.scale_error_percent is not None:
-        facts.append(("scale", f"estimate is off by {alignment.scale_error_percent:+.3f} %"))
+        facts.append(("scale", f"error {alignment.scale_error_percent:+.3f} %"))
     return facts
 
 
@@ -78,7 +78,7 @@ def _frames_name(delta: int) -> str:
 
 
 def _segments_table(evaluation: Evaluation, *, plain: bool) -> Table:
-    table = _table(plain, "drift over sub-paths", "number", "translation %", "rotation deg/m")
+    table = _table(plain, "drift over sub-paths", "count", "translation %", "rotation deg/m")
     segments = evaluation.segments
     assert segments is not None
     for drift in segments.lengths:
@@ -99,7 +99,7 @@ def _segments_table(evaluation: Evaluation, *, plain: bool) -> Table:
 
 
 def _table(plain: bool, first: str, *others: str) -> Table:
-    """A table with numbers to the right; without frame where no terminal shows it."""
+    """A table with right-aligned numbers; without lines unless it is shown in a terminal."""
     table = Table(box=None if plain else box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(first, no_wrap=True)
     for name in others:

@@ -1,4 +1,4 @@
-"""`vo report`: runs as one HTML page."""
+"""`vo report`: HTML report of one or several runs."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ if TYPE_CHECKING:
 def report_command(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN", help="Folders that `vo run` wrote; several are compared."),
+        typer.Argument(metavar="RUN", help="Output folders of `vo run`; several are compared."),
     ],
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="The HTML file; overwritten where it exists."
+            "--output", "-o", metavar="FILE", help="HTML file to write; overwritten if it exists."
         ),
     ] = Path("report.html"),
     truth: Annotated[
         Path | None,
         typer.Option(
             metavar="TRUTH",
-            help="Ground truth file, or a recording that has one.",
-            show_default="that of the recording, if it is still there",
+            help="Ground truth file, or a recording with ground truth.",
+            show_default="that of the run's recording",
         ),
     ] = None,
     plots: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Write each figure as PNG and PDF into this folder."),
+        typer.Option(metavar="FOLDER", help="Also save each figure as PNG and PDF in this folder."),
     ] = None,
-    images: Annotated[
-        bool, typer.Option(help="Show small images of where something happened.")
-    ] = True,
+    images: Annotated[bool, typer.Option(help="Include small images of notable frames.")] = True,
 ) -> None:
-    """Put runs into one HTML file to look at and to send to others.
+    """Write an HTML report of one or several runs.
 
-    Verdict, warnings, path against truth, errors, features, times, settings;
-    the file needs no network and nothing beside it. Where the recording is
-    still there, its truth and some of its images are taken from it.
+    The page contains verdict, warnings, paths, errors, features, timing and
+    settings, needs no other files and no network. Ground truth and images are
+    read from the recording if it still exists.
+
+    Report on one run:
 
       vo report out/
 
-    Two runs of one recording compared, figures for a paper too:
+    Compare two runs, and save the figures for a paper:
 
       vo report out/mono out/stereo -o compared.html --plots figures/
     """
@@ -82,21 +82,21 @@ def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[
 def _entry(
     name: str, number: int, run: RunRecord, zero_ns: int, truth: Path | None, images: bool
 ) -> Entry:
-    from vo.cli.report_sources import judge, open_recording, take_thumbnails
+    from vo.cli.report_sources import evaluate_run, open_recording, take_thumbnails
     from vo.report.entry import Entry
 
-    source, why_not = open_recording(run)
-    judged = judge(run, truth, source, why_not)
+    source, why_no_truth = open_recording(run)
+    evaluated = evaluate_run(run, truth, source, why_no_truth)
     return Entry(
         name,
         number,
         run,
-        judged.evaluation,
-        judged.truth,
-        judged.origin,
-        judged.notes,
+        evaluated.evaluation,
+        evaluated.truth,
+        evaluated.origin,
+        evaluated.notes,
         take_thumbnails(run, source, zero_ns) if images and source is not None else (),
         zero_ns,
-        judged.others,
-        judged.causal_ate_m,
+        evaluated.others,
+        evaluated.causal_ate_m,
     )

@@ -1,4 +1,4 @@
-"""What a report takes from the recording that a run was made of: truth and images."""
+"""Parts of a report that are read from the recording of the run: ground truth and images."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.errors import EvaluationError, SourceError, VoError
-from vo.evaluation.inputs import Inputs, inputs_against, load_inputs
+from vo.evaluation.inputs import Inputs, load_inputs, load_inputs_with_truth
 from vo.evaluation.report import Evaluation, evaluate
 from vo.report.entry import Thumbnail
 from vo.report.events import choose_events, shrink
@@ -21,8 +21,17 @@ from vo.types import Mode, Trajectory
 _NS_PER_S = 1e9
 
 
-class Judged(NamedTuple):
-    """A run against its truth, and where that came from; or why there is none."""
+class EvaluatedRun(NamedTuple):
+    """Evaluation of a run, if there is ground truth.
+
+    Attributes:
+        evaluation: evaluation of the longest segment; None without ground truth.
+        truth: the ground truth.
+        origin: origin of the ground truth, or the reason why there is no evaluation.
+        notes: notes for the reader of the figures.
+        others: evaluations of the other segments.
+        causal_ate_m: ATE of the causal trajectory.
+    """
 
     evaluation: Evaluation | None
     truth: Trajectory | None
@@ -33,7 +42,7 @@ class Judged(NamedTuple):
 
 
 def open_recording(run: RunRecord) -> tuple[Source | None, str]:
-    """The recording that a run was made of, or None; and why there is no truth if there is none."""
+    """The recording of a run, or None; and the reason to report if there is no ground truth."""
     path = Path(str(run.summary["source"]))
     mode: Mode = "mono" if run.summary["mode"] == "mono" else "auto"
     try:
@@ -45,43 +54,47 @@ def open_recording(run: RunRecord) -> tuple[Source | None, str]:
             topics=run.summary.get("topics", ()),
         )
     except VoError as error:
-        return None, f"the recording cannot be read any more: {error}"
-    return source, "the recording has none"
+        return None, f"the recording can no longer be read: {error}"
+    return source, "the recording contains none"
 
 
-def judge(run: RunRecord, truth: Path | None, source: Source | None, why_not: str) -> Judged:
-    """Compare a run with the truth that was asked for, or else with its recording's own.
+def evaluate_run(
+    run: RunRecord, truth: Path | None, source: Source | None, why_no_truth: str
+) -> EvaluatedRun:
+    """Evaluate a run against the given ground truth, by default that of its recording.
 
     Raises:
-        SourceError: the truth that was asked for is missing or damaged.
-        EvaluationError: it cannot be compared with the run.
+        SourceError: the given ground truth is missing or damaged.
+        EvaluationError: the given ground truth cannot be compared with the run.
     """
     if not len(run.trajectory):
-        return Judged(None, None, "nothing to compare: no frame has a pose")
+        return EvaluatedRun(None, None, "nothing to compare: no frame has a pose")
     if truth is not None:
-        return _compared(run, _inputs_asked(run, truth))
+        return _evaluated(run, _inputs_with_given_truth(run, truth))
     path = Path(str(run.summary["source"]))
     try:
-        inputs = _inputs_found(run, path, source)
+        inputs = _inputs_with_own_truth(run, path, source)
         if inputs is None:
-            return Judged(None, None, f"no truth: {why_not}")
-        return _compared(run, inputs)
+            return EvaluatedRun(None, None, f"no ground truth: {why_no_truth}")
+        return _evaluated(run, inputs)
     except EvaluationError as error:
-        return Judged(None, None, f"not compared with the recording's truth: {error}")
+        return EvaluatedRun(
+            None, None, f"not compared with the ground truth of the recording: {error}"
+        )
 
 
-def _inputs_asked(run: RunRecord, truth: Path) -> Inputs:
-    """A file or folder that `vo eval` knows, or any recording that has a truth."""
+def _inputs_with_given_truth(run: RunRecord, truth: Path) -> Inputs:
+    """Inputs from a ground truth file, or from any recording with ground truth."""
     if truth.is_file():
         return load_inputs(run.path, truth)
-    inputs = _inputs_found(run, truth, open_source(truth))
+    inputs = _inputs_with_own_truth(run, truth, open_source(truth))
     if inputs is None:
-        raise SourceError(f"{truth} has no ground truth; give its file")
+        raise SourceError(f"{truth} contains no ground truth; give a trajectory file")
     return inputs
 
 
-def _inputs_found(run: RunRecord, path: Path, source: Source | None) -> Inputs | None:
-    """The truth that `vo eval` would take from a recording, or that the source brings along."""
+def _inputs_with_own_truth(run: RunRecord, path: Path, source: Source | None) -> Inputs | None:
+    """Inputs from the ground truth file in a recording, or from that of the opened source."""
     if path.is_dir():
         try:
             return load_inputs(run.path, path)
@@ -89,25 +102,25 @@ def _inputs_found(run: RunRecord, path: Path, source: Source | None) -> Inputs |
             pass
     if source is None or source.ground_truth is None:
         return None
-    return inputs_against(run.path, source.ground_truth, path)
+    return load_inputs_with_truth(run.path, source.ground_truth, path)
 
 
-def _compared(run: RunRecord, inputs: Inputs) -> Judged:
+def _evaluated(run: RunRecord, inputs: Inputs) -> EvaluatedRun:
     evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
-    origin = f"compared with the truth in {inputs.reference_path}"
+    origin = f"compared with the ground truth in {inputs.reference_path}"
     notes = (*inputs.notes, *evaluation.notes)
     others = _others(run, inputs)
     if others:
-        notes = (*notes, "in the figures the other segments are aligned each by itself")
+        notes = (*notes, "in the figures, each of the other segments is aligned separately")
     causal_ate_m = _causal_ate_m(run, inputs)
-    return Judged(evaluation, inputs.reference, origin, notes, others, causal_ate_m)
+    return EvaluatedRun(evaluation, inputs.reference, origin, notes, others, causal_ate_m)
 
 
 def _others(run: RunRecord, inputs: Inputs) -> tuple[Evaluation, ...]:
-    """Segments that `inputs` leaves out, as far as they can be compared."""
-    stamps_ns, judged = run.trajectory.stamps_ns, inputs.estimate.stamps_ns
+    """Evaluations of the segments left out of `inputs`, where possible."""
+    stamps_ns, evaluated_ns = run.trajectory.stamps_ns, inputs.estimate.stamps_ns
     numbers = run.segment_of(stamps_ns)
-    numbers[np.isin(stamps_ns, judged)] = -1
+    numbers[np.isin(stamps_ns, evaluated_ns)] = -1
     found = []
     for number in np.unique(numbers[numbers >= 0]):
         rows = numbers == number
@@ -118,9 +131,9 @@ def _others(run: RunRecord, inputs: Inputs) -> tuple[Evaluation, ...]:
 
 
 def _causal_ate_m(run: RunRecord, inputs: Inputs) -> float | None:
-    """The same for the path as it was known at the time; None where that cannot be compared."""
-    stamps_ns, judged = run.causal.stamps_ns, inputs.estimate.stamps_ns
-    kept = (stamps_ns >= judged[0]) & (stamps_ns <= judged[-1])
+    """ATE of the causal trajectory; None if it cannot be evaluated."""
+    stamps_ns, evaluated_ns = run.causal.stamps_ns, inputs.estimate.stamps_ns
+    kept = (stamps_ns >= evaluated_ns[0]) & (stamps_ns <= evaluated_ns[-1])
     if not kept.any():
         return None
     causal = Trajectory(stamps_ns[kept], run.causal.world_from_cam[kept])
@@ -132,7 +145,7 @@ def _causal_ate_m(run: RunRecord, inputs: Inputs) -> float | None:
 
 
 def take_thumbnails(run: RunRecord, source: Source, zero_ns: int) -> tuple[Thumbnail, ...]:
-    """Small images of frames where something happened; those that cannot be read are left out."""
+    """Small images of frames with events; unreadable frames are left out."""
     if run.frames is None:
         return ()
     thumbnails = []

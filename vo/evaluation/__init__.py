@@ -1,1 +1,1 @@
-"""How far an estimated trajectory is from the true one."""
+"""Evaluation of estimated trajectories against ground truth (ATE, RPE, drift)."""

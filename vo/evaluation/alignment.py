@@ -1,4 +1,4 @@
-"""Laying an estimate onto the truth: which transform, why that one, and the transform itself."""
+"""Alignment of an estimate with the reference: choice of the method, and the transform."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ AlignKind = Literal["none", "se3", "sim3", "scale"]
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """How an estimate was laid onto the reference.
+    """Alignment of an estimate with the reference.
 
     Attributes:
-        kind: what was free: nothing, rotation and translation, these and scale, or scale alone.
-        reason: why that kind, in a few words.
-        reference_from_estimate: what was applied.
-        best_scale: factor that would bring the estimate to the reference's size (that of the best
-            similarity), applied or not; None where it cannot be told.
+        kind: estimated parameters: none, rotation and translation (`se3`), these and scale
+            (`sim3`), or scale alone.
+        reason: why this kind was chosen, in a few words.
+        reference_from_estimate: the transform that was applied.
+        best_scale: scale of the best similarity transform, applied or not; None where it is
+            undefined.
     """
 
     kind: AlignKind
@@ -35,21 +36,21 @@ class Alignment:
 
     @property
     def scale_error_percent(self) -> float | None:
-        """How much larger the estimate is than the truth; None where the scale was aligned."""
+        """Excess size of the estimate in percent; None if the scale was aligned."""
         if self.kind in ("sim3", "scale") or not self.best_scale:
             return None
         return 100.0 * (1.0 / self.best_scale - 1.0)
 
 
 def choose_alignment(align: AlignMethod, mode: Mode) -> tuple[AlignKind, str]:
-    """The kind of alignment and the reason for it; mono has no scale of its own."""
+    """Kind of alignment and the reason for it; the scale of a mono estimate is arbitrary."""
     if align != "auto":
-        return align, "as asked"
+        return align, "as requested"
     if mode == "mono":
-        return "sim3", "auto: the estimate is mono, its scale is free"
+        return "sim3", "auto: mono estimate, scale unknown"
     if mode == "stereo":
-        return "se3", "auto: the estimate is stereo, its scale counts"
-    return "se3", "auto: nothing says that the estimate is mono"
+        return "se3", "auto: stereo estimate, metric scale"
+    return "se3", "auto: mode of the estimate unknown, taken as metric"
 
 
 def align_poses(
@@ -58,7 +59,7 @@ def align_poses(
     """Find the alignment of matched poses, each (N, 4, 4) world_from_cam.
 
     Raises:
-        EvaluationError: too few poses, or none of the motion that an alignment needs.
+        EvaluationError: too few poses, or too little motion to determine the alignment.
     """
     kind, reason = choose_alignment(align, mode)
     similarity = _similarity(estimate, reference, with_scale=True, kind=kind)
@@ -77,7 +78,7 @@ def align_poses(
 def _similarity(
     estimate: Floats, reference: Floats, *, with_scale: bool, kind: AlignKind
 ) -> Similarity | None:
-    """The best similarity; None where there is none and nobody asked for one."""
+    """Best similarity transform; None if it is undefined and `kind` is `none`."""
     source, target = estimate[:, :3, 3], reference[:, :3, 3]
     try:
         similarity = umeyama(source, target, with_scale=with_scale)
@@ -88,13 +89,13 @@ def _similarity(
             return None
         raise EvaluationError(
             f"{len(source)} matched poses cannot be aligned ({kind}): {error}; "
-            "compare a longer stretch or use --align none"
+            "compare a longer part or use --align none"
         ) from error
-    return _with_line_settled(similarity, estimate, reference)
+    return _with_roll_resolved(similarity, estimate, reference)
 
 
 def _without_scale(similarity: Similarity, estimate: Floats, reference: Floats) -> Similarity:
-    """The best rigid motion: the same rotation (Umeyama's eq. 40 has no scale in it)."""
+    """Best rigid transform; its rotation is the same (Umeyama, eq. 40, does not contain scale)."""
     mean_estimate, mean_reference = (
         estimate[:, :3, 3].mean(axis=0),
         reference[:, :3, 3].mean(axis=0),
@@ -103,10 +104,10 @@ def _without_scale(similarity: Similarity, estimate: Floats, reference: Floats) 
     return Similarity(1.0, similarity.rotation, translation, similarity.is_on_line)
 
 
-def _with_line_settled(similarity: Similarity, estimate: Floats, reference: Floats) -> Similarity:
-    """On a straight path let the cameras' directions settle the rotation about the line.
+def _with_roll_resolved(similarity: Similarity, estimate: Floats, reference: Floats) -> Similarity:
+    """On a straight path, determine the rotation about the line from the cameras' orientations.
 
-    Maximises trace(R(angle) M) with M the sum of R R_estimate R_reference^T over the poses.
+    Maximises trace(R(angle) M), where M is the sum of R R_estimate R_reference^T over the poses.
     """
     if not similarity.is_on_line:
         return similarity

@@ -1,4 +1,4 @@
-"""Which estimated pose belongs to which true one, by time."""
+"""Association of estimated poses with reference poses by stamp."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ AssociationMethod = Literal["nearest", "interpolated"]
 
 _NS_PER_S = 1e9
 _GAP_INTERVALS = 3.0
+"""Longest gap bridged by interpolation, in typical intervals of the reference."""
 
 
 @dataclass(frozen=True, eq=False)
-class Matched:
-    """Poses of the same moments.
+class MatchedPoses:
+    """Estimated and reference poses at the same times.
 
     Attributes:
-        stamps_ns: (N,) the estimate's stamps, increasing.
+        stamps_ns: (N,) stamps of the estimate, increasing.
         estimate: (N, 4, 4) world_from_cam in the estimate's world.
         reference: (N, 4, 4) world_from_cam in the reference's world.
-        method: whether the reference's poses are its nearest ones or interpolated.
-        tolerance_s: how far apart in time two poses of one moment may be.
+        method: reference poses nearest in time, or interpolated.
+        tolerance_s: largest difference between the stamps of a pair.
     """
 
     stamps_ns: Ints
@@ -40,7 +41,7 @@ class Matched:
 
     @property
     def seconds(self) -> Floats:
-        """(N,) seconds since the first."""
+        """(N,) seconds since the first matched pose."""
         return np.asarray((self.stamps_ns - self.stamps_ns[0]) / _NS_PER_S)
 
     @property
@@ -55,18 +56,19 @@ def associate(
     *,
     tolerance_s: float = 0.01,
     interpolated: bool = False,
-) -> Matched:
+) -> MatchedPoses:
     """Pair the poses of two trajectories by stamp.
 
     Args:
-        estimate: what is judged.
-        reference: what is true.
-        tolerance_s: largest difference of stamps; with interpolation, how far beyond its ends.
-        interpolated: whether to take the reference on the SE(3) geodesic at the estimate's stamps
-            instead of its nearest pose.
+        estimate: the trajectory to evaluate.
+        reference: the ground truth.
+        tolerance_s: largest difference of stamps; with interpolation, the largest distance of a
+            stamp from the ends of the reference.
+        interpolated: interpolate the reference on SE(3) geodesics at the estimate's stamps,
+            instead of taking its nearest pose.
 
     Raises:
-        EvaluationError: not one pose of one is near one of the other.
+        EvaluationError: no pair of poses is within the tolerance.
     """
     tolerance_ns = round(tolerance_s * _NS_PER_S)
     if interpolated:
@@ -78,16 +80,16 @@ def associate(
         method = "nearest"
     if len(rows) == 0:
         raise EvaluationError(_no_overlap(estimate, reference, tolerance_s))
-    return Matched(
+    return MatchedPoses(
         estimate.stamps_ns[rows], estimate.world_from_cam[rows], poses, method, tolerance_s
     )
 
 
 def nearest_pairs(first_ns: Ints, second_ns: Ints, tolerance_ns: int) -> tuple[Ints, Ints]:
-    """Rows of increasing stamps that belong together, each row used once.
+    """One-to-one association of two lists of increasing stamps, as two arrays of row indices.
 
-    Each stamp of the shorter list takes its nearest in the longer, the earlier of two equally near;
-    where two want the same one, the nearer gets it.
+    Each stamp of the shorter list is paired with the nearest of the longer list, the earlier of two
+    equally near; of several stamps paired with the same one, only the nearest is kept.
     """
     if len(first_ns) == 0 or len(second_ns) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -97,13 +99,13 @@ def nearest_pairs(first_ns: Ints, second_ns: Ints, tolerance_ns: int) -> tuple[I
     after = np.searchsorted(second_ns, first_ns).clip(1, max(len(second_ns) - 1, 1))
     after = np.minimum(after, len(second_ns) - 1)
     before = np.maximum(after - 1, 0)
-    is_before = first_ns - second_ns[before] <= second_ns[after] - first_ns
-    partner = np.where(is_before, before, after)
-    miss = np.abs(second_ns[partner] - first_ns)
-    order = np.lexsort((miss, partner))
+    before_is_nearer = first_ns - second_ns[before] <= second_ns[after] - first_ns
+    partner = np.where(before_is_nearer, before, after)
+    difference = np.abs(second_ns[partner] - first_ns)
+    order = np.lexsort((difference, partner))
     is_best = np.concatenate([[True], np.diff(partner[order]) != 0])
     rows = np.sort(order[is_best])
-    rows = rows[miss[rows] <= tolerance_ns]
+    rows = rows[difference[rows] <= tolerance_ns]
     return rows.astype(np.int64), partner[rows].astype(np.int64)
 
 
@@ -113,14 +115,14 @@ def typical_interval_ns(stamps_ns: Ints) -> float:
 
 
 def coverage(stamps_ns: Ints, reference_ns: Ints) -> float:
-    """Share of the reference's time, 0 to 1, between the first and the last matched pose."""
+    """Fraction (0 to 1) of the reference's duration between first and last matched pose."""
     whole = float(reference_ns[-1] - reference_ns[0])
     matched = float(stamps_ns[-1] - stamps_ns[0])
     return min(matched / whole, 1.0) if whole > 0.0 else 1.0
 
 
 def _interpolated(stamps_ns: Ints, reference: Trajectory, tolerance_ns: int) -> tuple[Ints, Floats]:
-    """Rows of stamps_ns inside the reference, and its poses there; holes in it are not bridged."""
+    """Rows of `stamps_ns` inside the reference, and its poses there; gaps are not bridged."""
     limit_ns = max(2.0 * tolerance_ns, _GAP_INTERVALS * typical_interval_ns(reference.stamps_ns))
     rows, poses = [], []
     for row, stamp in enumerate(stamps_ns):
@@ -134,7 +136,7 @@ def _interpolated(stamps_ns: Ints, reference: Trajectory, tolerance_ns: int) -> 
 def _pose_at(
     stamp_ns: int, reference: Trajectory, limit_ns: float, tolerance_ns: int
 ) -> Floats | None:
-    """The reference's pose at a stamp, or None beyond its ends and in its holes."""
+    """Pose of the reference at a stamp; None beyond its ends and in its gaps."""
     stamps_ns, poses = reference.stamps_ns, reference.world_from_cam
     after = int(np.searchsorted(stamps_ns, stamp_ns))
     if after < len(stamps_ns) and stamps_ns[after] == stamp_ns:
@@ -146,8 +148,8 @@ def _pose_at(
     gap_ns = float(stamps_ns[after] - stamps_ns[before])
     if gap_ns > limit_ns:
         return None
-    share = float(stamp_ns - stamps_ns[before]) / gap_ns
-    return interpolate(poses[before], poses[after], share)
+    fraction = float(stamp_ns - stamps_ns[before]) / gap_ns
+    return interpolate(poses[before], poses[after], fraction)
 
 
 def _no_overlap(estimate: Trajectory, reference: Trajectory, tolerance_s: float) -> str:
@@ -157,5 +159,5 @@ def _no_overlap(estimate: Trajectory, reference: Trajectory, tolerance_s: float)
     )
     return (
         f"no stamps within {tolerance_s:g} s of each other: {spans}; "
-        "give the truth of the same recording, or a larger tolerance"
+        "use the ground truth of the same recording, or a larger --tolerance"
     )

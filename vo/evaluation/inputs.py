@@ -1,4 +1,4 @@
-"""What `vo eval` is given, files or folders, as two trajectories that can be compared."""
+"""Inputs of an evaluation: two comparable trajectories from files or folders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from vo.errors import EvaluationError, SourceError
 from vo.formats.trajectory import detect_format, kitti_stamps_beside, read_trajectory
 from vo.types import Floats, Mode, Trajectory
 
-_ESTIMATE_NAMES = ("trajectory.tum", "trajectory.tum.partial")  # the latter of a killed run
+_ESTIMATE_NAMES = (
+    "trajectory.tum",
+    "trajectory.tum.partial",
+)  # the latter is written until a run ends
 _REFERENCE_NAMES = (
     "groundtruth.tum",
     "groundtruth.txt",
@@ -26,15 +29,15 @@ _REFERENCE_NAMES = (
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Two trajectories and what is known about them.
+    """Two comparable trajectories and their origin.
 
     Attributes:
-        estimate_path: the file that the estimate came from.
-        reference_path: the file that the reference came from.
-        estimate: what is judged.
-        reference: what is true.
-        mode: what made the estimate, `auto` when nothing says.
-        notes: what was done to them that a reader should know.
+        estimate_path: file of the estimate.
+        reference_path: file or folder of the reference.
+        estimate: the trajectory to evaluate.
+        reference: the ground truth.
+        mode: mode of the run that made the estimate, `auto` if unknown.
+        notes: changes made to them, for the reader of the results.
     """
 
     estimate_path: Path
@@ -48,18 +51,18 @@ class Inputs:
 def load_inputs(
     estimate: Path | str, reference: Path | str, *, all_segments: bool = False
 ) -> Inputs:
-    """Read both sides.
+    """Read an estimate and its reference.
 
     Args:
-        estimate: a trajectory file or the folder of a run, with `trajectory.tum` and
+        estimate: a trajectory file, or the folder of a run with `trajectory.tum` and
             `summary.json`.
-        reference: a trajectory file or the folder of a sequence with its ground truth.
-        all_segments: whether to keep every segment of a run that was lost in between; each has a
-            world of its own, so by default only the longest is kept.
+        reference: a trajectory file, or the folder of a sequence with its ground truth.
+        all_segments: keep all segments of a run that lost track. Each has its own world frame, so
+            by default only the longest is kept.
 
     Raises:
         SourceError: a file is missing or damaged.
-        EvaluationError: only one of the two has stamps and their numbers of poses differ.
+        EvaluationError: only one of them has stamps, and their numbers of poses differ.
     """
     estimate_path, reference_path = _estimate_file(Path(estimate)), _reference_file(Path(reference))
     summary = _summary_beside(estimate_path)
@@ -76,10 +79,10 @@ def load_inputs(
     return inputs if all_segments else _with_longest_segment(inputs, summary)
 
 
-def inputs_against(
+def load_inputs_with_truth(
     estimate: Path | str, truth: Trajectory, origin: Path, *, all_segments: bool = False
 ) -> Inputs:
-    """As `load_inputs`, with a truth that is known already and came from `origin`.
+    """As `load_inputs`, with ground truth that was read from `origin` before.
 
     Raises:
         SourceError: the estimate is missing or damaged.
@@ -96,7 +99,9 @@ def _estimate_file(path: Path) -> Path:
     for name in _ESTIMATE_NAMES:
         if (path / name).is_file():
             return path / name
-    raise SourceError(f"{path} has no trajectory.tum; give a run's folder or a trajectory file")
+    raise SourceError(
+        f"{path} has no trajectory.tum; give the folder of a run or a trajectory file"
+    )
 
 
 def _reference_file(path: Path) -> Path:
@@ -106,13 +111,16 @@ def _reference_file(path: Path) -> Path:
         if (path / name).is_file():
             return path / name
     if any((path / name).is_file() for name in _ESTIMATE_NAMES):
-        raise SourceError(f"{path} is a run, which is no truth; give the run first, then the truth")
+        raise SourceError(
+            f"{path} is the output of a run, not ground truth; give the run first, then the ground "
+            "truth"
+        )
     names = ", ".join(_REFERENCE_NAMES)
-    raise SourceError(f"{path} has no ground truth ({names}); give its file")
+    raise SourceError(f"{path} has no ground truth (none of {names}); give its file")
 
 
 def _summary_beside(estimate: Path) -> dict[str, Any]:
-    """What the run said of itself; empty where it said nothing that can be read."""
+    """Summary of the run; empty if it is missing or damaged."""
     try:
         summary = json.loads(estimate.with_name("summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -128,16 +136,18 @@ def _mode(summary: dict[str, Any]) -> Mode:
 
 
 def _read_reference(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
-    """The truth of the camera: EuRoC gives that of the body, cam0 stands on it as T_BS says."""
+    """Ground truth of cam0; EuRoC records that of the body, with T_BS = body_from_cam0."""
     reference = read_trajectory(path)
     if detect_format(path) != "euroc":
         return reference, ()
     sensor = path.parent.parent / "cam0" / "sensor.yaml"
     if not sensor.is_file():
-        note = f"truth taken as the camera's own: no {sensor} says where cam0 is on the body"
+        note = f"ground truth taken as that of the camera: no {sensor} with its pose on the body"
         return reference, (note,)
     poses = reference.world_from_cam @ _body_from_cam(sensor)
-    return replace(reference, world_from_cam=poses), ("truth moved from the body to cam0 (T_BS)",)
+    return replace(reference, world_from_cam=poses), (
+        "ground truth moved from the body to cam0 (T_BS)",
+    )
 
 
 def _body_from_cam(sensor: Path) -> Floats:
@@ -146,20 +156,20 @@ def _body_from_cam(sensor: Path) -> Floats:
         data = yaml.safe_load(sensor.read_text(encoding="utf-8"))["T_BS"]["data"]
         transform = np.array(data, dtype=np.float64).reshape(4, 4)
     except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise SourceError(f"{sensor}: T_BS is not a 4x4 matrix under T_BS: data") from error
+        raise SourceError(f"{sensor}: T_BS: data is not a 4x4 matrix") from error
     if not np.isfinite(transform).all():
         raise SourceError(f"{sensor}: T_BS has numbers that are not finite")
     return transform
 
 
 def _with_common_stamps(inputs: Inputs) -> Inputs:
-    """Where only one side has stamps and both have as many poses, row belongs to row."""
+    """Pair poses row by row if only one file has stamps and both have the same number of poses."""
     estimate_bare, reference_bare = (
         detect_format(path) == "kitti" and kitti_stamps_beside(path) is None
         for path in (inputs.estimate_path, inputs.reference_path)
     )
     if estimate_bare and reference_bare:
-        note = "neither file has stamps: poses paired row by row, one row taken as one second"
+        note = "neither file has stamps: poses paired row by row, one per second"
         return replace(inputs, notes=(*inputs.notes, note))
     if estimate_bare == reference_bare:
         return inputs
@@ -192,8 +202,8 @@ def _with_longest_segment(inputs: Inputs, summary: dict[str, Any]) -> Inputs:
     if not kept.any():
         return inputs
     note = (
-        f"{len(segments)} segments, each in a world of its own: only the longest counts here, "
-        f"{np.count_nonzero(kept)} of {len(stamps_ns)} poses (--all-segments takes all)"
+        f"{len(segments)} segments, each with its own world frame: only the longest is evaluated, "
+        f"{np.count_nonzero(kept)} of {len(stamps_ns)} poses (all of them: --all-segments)"
     )
     estimate = Trajectory(stamps_ns[kept], inputs.estimate.world_from_cam[kept])
     return replace(inputs, estimate=estimate, notes=(*inputs.notes, note))

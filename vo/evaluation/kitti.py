@@ -1,4 +1,4 @@
-"""Drift in percent over sub-paths of fixed length, as on the KITTI odometry leaderboard."""
+"""Drift over sub-paths of fixed length, as on the KITTI odometry leaderboard."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vo.evaluation.statistics import path_distances, relative, rotation_angles_deg
+from vo.evaluation.statistics import path_distances, relative_poses, rotation_angles_deg
 from vo.types import Floats, Ints
 
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
@@ -21,10 +21,10 @@ class LengthDrift:
     """Mean drift over all sub-paths of one length.
 
     Attributes:
-        length_m: the length.
+        length_m: length of the sub-paths.
         count: number of sub-paths.
-        translation_percent: error of the end's position by length.
-        rotation_deg_per_m: error of the end's direction by length.
+        translation_percent: position error at the end, relative to the length.
+        rotation_deg_per_m: rotation error at the end, relative to the length.
     """
 
     length_m: float
@@ -42,16 +42,16 @@ class SegmentDrift:
     rotation_deg_per_m: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain numbers."""
+        """All figures, ready for JSON."""
         return {**asdict(self), "lengths": [asdict(drift) for drift in self.lengths]}
 
 
 def segment_drift(estimate: Floats, reference: Floats) -> SegmentDrift | None:
     """Drift of poses (N, 4, 4) over sub-paths measured along the reference (N, 4, 4).
 
-    On paths of 100 m and more the lengths are 100 to 800 m and a sub-path starts at every tenth
-    pose, as on KITTI; on shorter ones 5 to 50 m, starting at every pose. None where the path is
-    shorter than the shortest length.
+    On paths over 100 m the lengths are 100 to 800 m and a sub-path starts at every tenth pose, as
+    in KITTI; on shorter paths the lengths are 5 to 50 m and a sub-path starts at every pose. None
+    if the path is shorter than the shortest length.
 
     Source: Geiger et al., Are we ready for autonomous driving? CVPR 2012, and the KITTI odometry
         development kit.
@@ -75,7 +75,7 @@ def segment_drift(estimate: Floats, reference: Floats) -> SegmentDrift | None:
 
 
 def _pairs_of_length(distances: Floats, length_m: float, step: int) -> Ints:
-    """Pairs (P, 2): every step-th pose and the first pose further than length_m along the way."""
+    """Pairs (P, 2): every `step`-th pose, and the first pose more than `length_m` after it."""
     first = np.arange(0, len(distances), step, dtype=np.int64)
     last = np.searchsorted(distances, distances[first] + length_m, side="right")
     pairs = np.column_stack([first, last])
@@ -83,10 +83,11 @@ def _pairs_of_length(distances: Floats, length_m: float, step: int) -> Ints:
 
 
 def _drift_of_pairs(estimate: Floats, reference: Floats, pairs: Ints, length_m: float) -> Floats:
-    """Columns: translation in percent, rotation in degrees per metre; (P, 2)."""
+    """(P, 2) errors: translation in percent, rotation in degrees per metre."""
     first, last = pairs[:, 0], pairs[:, 1]
-    error = relative(
-        relative(estimate[first], estimate[last]), relative(reference[first], reference[last])
+    error = relative_poses(
+        relative_poses(estimate[first], estimate[last]),
+        relative_poses(reference[first], reference[last]),
     )
     percent = 100.0 * np.linalg.norm(error[:, :3, 3], axis=1) / length_m
     return np.column_stack([percent, rotation_angles_deg(error[:, :3, :3]) / length_m])

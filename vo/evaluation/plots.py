@@ -1,4 +1,4 @@
-"""One picture of an evaluation: the path from above and the errors over time."""
+"""Plot of an evaluation: the path from above, and the errors over time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart with every kind of colour vision.
+# Okabe and Ito's palette, safe for colour-blind readers.
 _TRUTH, _ESTIMATE, _ROTATION, _FAINT = "#333333", "#0072B2", "#D55E00", "#BBBBBB"
 _SUFFIXES = (".png", ".pdf", ".svg")
 _ALIGNED = {
@@ -29,20 +29,20 @@ _ALIGNED = {
 def save_plot(
     path: Path | str, evaluation: Evaluation, reference: Trajectory, title: str = ""
 ) -> None:
-    """Draw an evaluation into a .png, .pdf or .svg file.
+    """Save the plot of an evaluation as a .png, .pdf or .svg file.
 
     Args:
-        path: the file, overwritten where it exists.
-        evaluation: what to draw.
-        reference: the whole reference, of which the unmatched rest is drawn faintly.
-        title: what stands above the picture.
+        path: the file; overwritten if it exists.
+        evaluation: the evaluation to plot.
+        reference: the whole reference; unmatched parts are drawn in grey.
+        title: title of the figure.
 
     Raises:
-        OutputError: another suffix, or the file cannot be written.
+        OutputError: unsupported suffix, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: a plot ends in {', '.join(_SUFFIXES)}")
+        raise OutputError(f"{path}: unsupported kind of plot; use {', '.join(_SUFFIXES)}")
     figure = draw(evaluation, reference, title)
     try:
         figure.savefig(path)
@@ -51,7 +51,7 @@ def save_plot(
 
 
 def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figure:
-    """The picture as a figure that belongs to no window."""
+    """Draw the plot as a figure without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -66,7 +66,7 @@ def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figu
     ate = evaluation.ate
     _draw_errors(upper, seconds, ate.translation_m, "position error", "m", _ESTIMATE)
     if evaluation.alignment.kind in ("se3", "sim3"):
-        angles, name = evaluation.rotation_alone_deg, "rotation alone, error"
+        angles, name = evaluation.rotation_alone_deg, "rotation-alone error"
     else:
         angles, name = ate.rotation_deg, "rotation error"
     _draw_errors(lower, seconds, angles, name, "deg", _ROTATION)
@@ -81,7 +81,9 @@ def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> Non
     across, up = axes_from_above(evaluation.matched.reference)
     whole = reference.positions
     axes.plot(whole[:, across], whole[:, up], color=_FAINT, lw=0.8, zorder=1)
-    axes.plot(truth[:, across], truth[:, up], "--", color=_TRUTH, lw=1.2, label="truth", zorder=3)
+    axes.plot(
+        truth[:, across], truth[:, up], "--", color=_TRUTH, lw=1.2, label="ground truth", zorder=3
+    )
     label = f"estimate, {_ALIGNED[evaluation.alignment.kind]}"
     axes.plot(estimate[:, across], estimate[:, up], color=_ESTIMATE, lw=2.4, label=label, zorder=2)
     start, end = truth[0, [across, up]], truth[-1, [across, up]]
@@ -119,10 +121,10 @@ def _tidy(axes: Axes) -> None:
 
 
 def axes_from_above(world_from_cam: Floats) -> tuple[int, int]:
-    """World axes (0, 1, 2 for x, y, z) to the right and upwards on paper, seen from above.
+    """Horizontal world axes (0, 1, 2 for x, y, z) to plot rightwards and upwards, seen from above.
 
-    Cameras are carried upright more often than not: the world axis nearest to their mean y axis is
-    the vertical. The order of the other two is the one that does not mirror the path.
+    Cameras are mostly held upright, so the world axis nearest to their mean y axis is taken as the
+    vertical. The order of the other two is chosen so that the path is not mirrored.
     """
     down = world_from_cam[:, :3, 1].mean(axis=0)
     vertical = int(np.argmax(np.abs(down)))

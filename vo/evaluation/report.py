@@ -1,4 +1,4 @@
-"""The whole comparison of two trajectories: `evaluate`, and the record that it gives."""
+"""Evaluation of an estimated trajectory: `evaluate`, and the record of its results."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ import numpy as np
 from vo.errors import EvaluationError
 from vo.evaluation.alignment import Alignment, AlignMethod, align_poses
 from vo.evaluation.ape import absolute_errors, rotation_errors_alone
-from vo.evaluation.association import Matched, associate, coverage
+from vo.evaluation.association import MatchedPoses, associate, coverage
 from vo.evaluation.kitti import SegmentDrift, segment_drift
 from vo.evaluation.rpe import pairs_over_frames, pairs_over_metres, relative_errors
 from vo.evaluation.statistics import PoseErrors, Statistics, path_distances
 from vo.types import Floats, Ints, Mode, Trajectory
 
-_LOOSE_ROLL_RAD = 0.1
+_UNCERTAIN_ROLL_RAD = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What came out of comparing an estimate with a reference.
+    """Results of an evaluation.
 
     Attributes:
-        matched: poses of the same moments, the estimate as given.
-        alignment: how the estimate was laid onto the reference.
-        aligned: (N, 4, 4) the matched estimated poses after that, in the reference's world.
+        matched: poses of the same times, before alignment.
+        alignment: alignment of the estimate with the reference.
+        aligned: (N, 4, 4) aligned estimated poses, in the reference's world.
         ate: absolute errors of the aligned poses.
-        rotation_alone_deg: (N,) angles left when rotations are aligned by themselves, which a
-            straight path does not spoil.
-        rpe_frames: errors of the motion over `delta_frames` matched poses; None with too few poses.
-        rpe_metres: errors of the motion over `delta_m` metres; None where no pair fits.
-        segments: drift over sub-paths; None where the path is too short.
-        delta_frames: number of matched poses for `rpe_frames`.
-        delta_m: metres for `rpe_metres`.
-        path_m: length of the reference's path through the matched poses.
-        coverage: share of the reference's time between first and last matched pose, 0 to 1.
+        rotation_alone_deg: (N,) rotation errors after an alignment by rotations alone, reliable on
+            straight paths too.
+        rpe_frames: relative errors over `delta_frames` matched poses; None with too few poses.
+        rpe_metres: relative errors over `delta_m` metres; None if there is no such pair.
+        segments: drift over sub-paths; None if the path is too short.
+        delta_frames: step for `rpe_frames`, in matched poses.
+        delta_m: step for `rpe_metres`, in metres.
+        path_m: length of the reference path through the matched poses.
+        coverage: fraction (0 to 1) of the reference's duration between first and last matched pose.
         estimate_poses: number of poses in the estimate.
         reference_poses: number of poses in the reference.
-        notes: what a reader of the numbers should know.
+        notes: caveats for the reader of the figures.
     """
 
-    matched: Matched
+    matched: MatchedPoses
     alignment: Alignment
     aligned: Floats
     ate: PoseErrors
@@ -60,7 +60,7 @@ class Evaluation:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the arrays, ready for JSON; units stand in the keys."""
+        """All figures but the arrays, ready for JSON; keys contain units."""
         return {
             "matched": len(self.matched),
             "estimate_poses": self.estimate_poses,
@@ -97,21 +97,21 @@ def evaluate(
     delta_frames: int = 1,
     delta_m: float | None = None,
 ) -> Evaluation:
-    """Compare an estimated trajectory with the true one.
+    """Compare an estimated trajectory with the ground truth.
 
     Args:
-        estimate: what is judged.
-        reference: what is true, poses of the same camera.
-        align: what may be changed to lay the estimate onto the reference; `auto` is `sim3` for a
-            mono estimate, else `se3`.
-        mode: what made the estimate; `auto` when that is not known.
-        tolerance_s: largest difference between stamps of one moment.
-        interpolated: whether to interpolate the reference at the estimate's stamps.
-        delta_frames: number of matched poses over which the relative error is taken.
-        delta_m: metres over which it is taken; by default about a tenth of the path, at most 100.
+        estimate: the trajectory to evaluate.
+        reference: the ground truth, poses of the same camera.
+        align: kind of alignment; `auto` is `sim3` for a mono estimate, else `se3`.
+        mode: mode of the run that made the estimate; `auto` if unknown.
+        tolerance_s: largest difference between the stamps of a pair.
+        interpolated: interpolate the reference at the estimate's stamps.
+        delta_frames: step of the relative error in matched poses.
+        delta_m: step of the relative error in metres; by default about a tenth of the path, at
+            most 100.
 
     Raises:
-        EvaluationError: no common moments, or too little to align.
+        EvaluationError: no common stamps, or too few poses or too little motion to align.
     """
     _check_settings(tolerance_s, delta_frames, delta_m)
     matched = associate(estimate, reference, tolerance_s=tolerance_s, interpolated=interpolated)
@@ -143,11 +143,11 @@ def evaluate(
 
 def _check_settings(tolerance_s: float, delta_frames: int, delta_m: float | None) -> None:
     if not (math.isfinite(tolerance_s) and tolerance_s >= 0.0):
-        raise EvaluationError(f"tolerance is {tolerance_s} s; give 0 or more")
+        raise EvaluationError(f"the tolerance is {tolerance_s} s; it must be 0 or more")
     if delta_frames < 1:
-        raise EvaluationError(f"delta is {delta_frames} frames; give 1 or more")
+        raise EvaluationError(f"the delta is {delta_frames} frames; it must be 1 or more")
     if delta_m is not None and not (math.isfinite(delta_m) and delta_m > 0.0):
-        raise EvaluationError(f"delta is {delta_m} m; give more than 0")
+        raise EvaluationError(f"the delta is {delta_m} m; it must be above 0")
 
 
 def _rpe(estimate: Floats, reference: Floats, pairs: Ints) -> PoseErrors | None:
@@ -155,7 +155,7 @@ def _rpe(estimate: Floats, reference: Floats, pairs: Ints) -> PoseErrors | None:
 
 
 def _round_tenth(path_m: float) -> float:
-    """The number of …, 0.5, 1, 2, 5, …, 100 that is nearest to a tenth of the path."""
+    """A tenth of the path, rounded to 1, 2 or 5 times a power of ten; at most 100."""
     tenth = min(path_m / 10.0, 100.0)
     if tenth <= 0.0:
         return 1.0
@@ -164,29 +164,29 @@ def _round_tenth(path_m: float) -> float:
 
 
 def _notes(
-    matched: Matched, alignment: Alignment, ate: PoseErrors, possible: int
+    matched: MatchedPoses, alignment: Alignment, ate: PoseErrors, possible: int
 ) -> tuple[str, ...]:
     notes = []
     if len(matched) < 0.5 * possible:
         notes.append(
-            f"only {len(matched)} of {possible} poses have a partner within "
-            f"{matched.tolerance_s:g} s; interpolating the reference may find more"
+            f"only {len(matched)} of {possible} poses have a counterpart within "
+            f"{matched.tolerance_s:g} s; --interpolate may find more"
         )
     if alignment.reference_from_estimate.is_on_line:
-        notes.append("the path is one straight line: the roll about it comes from the rotations")
-    elif alignment.kind in ("se3", "sim3") and _is_roll_loose(matched.reference, ate):
+        notes.append("the path is a straight line: the roll about it is aligned by rotations")
+    elif alignment.kind in ("se3", "sim3") and _is_roll_uncertain(matched.reference, ate):
         notes.append(
-            "the path is nearly straight, so errors of position decide the roll about it: "
-            "judge rotation by 'rotation alone' and RPE, not by ATE"
+            "the path is nearly straight, so the alignment's roll about it depends on position "
+            "errors: judge rotation by 'rotation alone' and RPE, not by ATE"
         )
     return tuple(notes)
 
 
-def _is_roll_loose(reference: Floats, ate: PoseErrors) -> bool:
-    """Whether the position errors could turn an alignment by some degrees about the path's line."""
+def _is_roll_uncertain(reference: Floats, ate: PoseErrors) -> bool:
+    """Whether position errors could turn the alignment about the path by several degrees."""
     positions = reference[:, :3, 3] - reference[:, :3, 3].mean(axis=0)
     spreads = np.linalg.svd(positions, compute_uv=False) / math.sqrt(len(positions))
-    return bool(ate.translation.rmse > _LOOSE_ROLL_RAD * spreads[1])
+    return bool(ate.translation.rmse > _UNCERTAIN_ROLL_RAD * spreads[1])
 
 
 def _alignment_dict(alignment: Alignment) -> dict[str, Any]:

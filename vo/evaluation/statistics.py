@@ -1,4 +1,4 @@
-"""Errors of poses as arrays, and the six numbers that sum them up."""
+"""Pose errors as arrays, and their statistics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vo.types import Floats
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a set of errors amounts to, in the errors' own unit.
+    """Statistics of a set of errors, in the unit of the errors.
 
     Attributes:
         rmse: root of the mean square.
@@ -49,7 +49,7 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """Errors of N poses or N steps.
+    """Errors of N poses or N motions.
 
     Attributes:
         translation_m: (N,) lengths in metres.
@@ -80,7 +80,7 @@ class PoseErrors:
         }
 
 
-def relative(first: Floats, second: Floats) -> Floats:
+def relative_poses(first: Floats, second: Floats) -> Floats:
     """first_from_second, (N, 4, 4), of two poses (N, 4, 4) in the same world."""
     return inverse(first) @ second
 
