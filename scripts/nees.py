@@ -24,7 +24,7 @@ from vo.backend.sliding_window import Window, take_in
 from vo.backend.solution import WindowSolution
 from vo.config import Config, load_config
 from vo.evaluation.association import associate
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse, se3_log
 from vo.mapping.local_map import Keyframe, Map
 from vo.sources.registry import open_source
@@ -60,12 +60,17 @@ class Watch:
         self._blocks: dict[tuple[int, int], Floats] = {}
 
     def take_in(
-        self, world: Map, window: Window, solution: WindowSolution, rig: WorkingRig, config: Config
+        self,
+        world: Map,
+        window: Window,
+        solution: WindowSolution,
+        rig: RectifiedRig,
+        config: Config,
     ) -> list[Keyframe]:
         """What the odometry calls; the same, and watched."""
         moved = take_in(world, window, solution, rig, config)
         if solution.converged:
-            self.turn = adjoint(rig.cam0_from_working)
+            self.turn = adjoint(rig.cam0_from_rectified)
             self._note([keyframe.id for keyframe in window.keyframes], solution)
         return moved
 

@@ -6,13 +6,13 @@ import tracemalloc
 
 import numpy as np
 
-from vo.trajectory.store import History
+from vo.trajectory.store import TrajectoryStore
 from vo.types import KeyframePose
 
 FRAMES = 5000
 
 
-def _keep(history: History, first: int, last: int) -> None:
+def _keep(history: TrajectoryStore, first: int, last: int) -> None:
     """Frames of which every third is a keyframe."""
     for number in range(first, last):
         if number % 3 == 0:
@@ -22,7 +22,7 @@ def _keep(history: History, first: int, last: int) -> None:
 
 
 def test_the_path_takes_less_than_300_bytes_a_frame() -> None:
-    history = History()
+    history = TrajectoryStore()
     _keep(history, 0, 300)
     tracemalloc.start()
     try:

@@ -14,7 +14,7 @@ import pytest
 from data_synth.film import film
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
-from vo.backend.optimizer import SmootherHere
+from vo.backend.optimizer import InProcessOptimizer
 from vo.config import Config, FeaturesConfig, KeyframeConfig
 from vo.geometry.similarity import Similarity, umeyama
 from vo.geometry.transforms import inverse, rotation_angle, se3_log
@@ -325,13 +325,13 @@ def test_the_calibration_is_not_asked_for_where_it_is_to_be_left_alone(
 def _asked(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Whether each window that is handed in from here on is to tell of the calibration."""
     asked: list[bool] = []
-    ask = SmootherHere.ask
+    ask = InProcessOptimizer.ask
 
-    def noted(self: SmootherHere, problem: WindowProblem) -> None:
+    def noted(self: InProcessOptimizer, problem: WindowProblem) -> None:
         asked.append(problem.calibrates)
         ask(self, problem)
 
-    monkeypatch.setattr(SmootherHere, "ask", noted)
+    monkeypatch.setattr(InProcessOptimizer, "ask", noted)
     return asked
 
 

@@ -17,8 +17,8 @@ import pytest
 from vo.config import Config, load_config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import read_tum
-from vo.frontend.lazy_future import Later
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.lazy_future import LazyFuture
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
 from vo.results.summary import Summary
@@ -170,7 +170,7 @@ def test_an_error_keeps_what_was_computed(
 ) -> None:
     step = Odometry._step
 
-    def failing(self: Odometry, coming: Later[WorkingFrame]) -> Estimate:
+    def failing(self: Odometry, coming: LazyFuture[PreprocessedFrame]) -> Estimate:
         if coming.result().index == 3:
             raise ZeroDivisionError("division\nby zero")
         return step(self, coming)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from vo.backend.process import SmootherProcess
+from vo.backend.process import OptimizerProcess
 from vo.config import load_config
 from vo.run import run
 from vo.types import Estimate, WindowProblem
@@ -51,14 +51,14 @@ def test_a_smoother_killed_in_every_window_makes_no_difference(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     alone = _run(synthetic_stereo, tmp_path / "alone", 1)
-    ask, killed = SmootherProcess.ask, []
+    ask, killed = OptimizerProcess.ask, []
 
-    def kill_and_ask(self: SmootherProcess, problem: WindowProblem) -> None:
+    def kill_and_ask(self: OptimizerProcess, problem: WindowProblem) -> None:
         killed.append(self._child.pid)
         os.kill(killed[-1], signal.SIGKILL)
         ask(self, problem)
 
-    monkeypatch.setattr(SmootherProcess, "ask", kill_and_ask)
+    monkeypatch.setattr(OptimizerProcess, "ask", kill_and_ask)
     assert _run(synthetic_stereo, tmp_path / "killed", 2) == alone
     assert len(set(killed)) == len(killed) > 1
     assert len([r for r in caplog.records if "died" in r.getMessage()]) == len(killed)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vo.config import Config
-from vo.frontend.preprocessing import Preparation
-from vo.geometry.rectification import working_rig
+from vo.frontend.preprocessing import FramePreprocessor
+from vo.geometry.rectification import rectified_rig
 from vo.scheduling import give_way
 from vo.types import Camera, Frame, Rig
 
@@ -27,9 +27,9 @@ def test_only_the_thread_that_asks_gives_way() -> None:
 
 def test_frames_are_made_ready_by_threads_that_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
     policies: list[int] = []
-    rig = working_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
+    rig = rectified_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
     image = np.random.default_rng(0).integers(0, 255, (120, 200), dtype=np.uint8)
-    preparation = Preparation(Config(), threads=2)
+    preparation = FramePreprocessor(Config(), threads=2)
     monkeypatch.setattr(
         "vo.frontend.preprocessing.smaller_images",
         lambda image: policies.append(os.sched_getscheduler(0)) or (),

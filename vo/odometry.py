@@ -15,28 +15,33 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vo.backend.calibration_residual import Miscalibration
-from vo.backend.optimizer import make_smoother
+from vo.backend.calibration_residual import CalibrationResidual
+from vo.backend.optimizer import make_optimizer
 from vo.backend.sliding_window import Window, cull, make_window, take_in
 from vo.backend.solution import WindowSolution
 from vo.config import Config
 from vo.cores import available_cores
-from vo.frontend.exposure import fault_of
-from vo.frontend.lazy_future import Later
-from vo.frontend.preprocessing import Preparation, WorkingFrame
+from vo.frontend.exposure import image_defect
+from vo.frontend.lazy_future import LazyFuture
+from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
 from vo.geometry.lens_error import edge_px
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.right_camera import right_camera
 from vo.geometry.row_errors import RowErrors
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.keyframes import add_keyframe, add_tracked, change_since
 from vo.mapping.local_map import Keyframe, Map
-from vo.mapping.triangulate_mono import grow_mono
-from vo.mapping.triangulate_stereo import grow_stereo, incline, look_back, looks_swapped
-from vo.refinement.disparity_bias import DisparityWatch, is_from_yaw
-from vo.refinement.radial_distortion import LensWatch
+from vo.mapping.triangulate_mono import triangulate_between_keyframes
+from vo.mapping.triangulate_stereo import (
+    estimate_normals,
+    look_back,
+    looks_swapped,
+    triangulate_stereo,
+)
+from vo.refinement.disparity_bias import DisparityBiasEstimator, is_from_yaw
+from vo.refinement.radial_distortion import RadialDistortionEstimator
 from vo.snapshot import (
-    Seen,
+    LastFrame,
     landmarks_of,
     make_view,
     neighbours_of,
@@ -44,14 +49,20 @@ from vo.snapshot import (
     with_matches,
 )
 from vo.stopwatch import Stopwatch
-from vo.tracking.essential_matrix import essential_step
+from vo.tracking.essential_matrix import essential_matrix_fallback
 from vo.tracking.keyframe_forecast import KeyframeForecast
 from vo.tracking.keyframe_policy import needs_keyframe
-from vo.tracking.monocular_initializer import MonoStart, map_from_pair
+from vo.tracking.monocular_initializer import MonocularInitializer, map_from_pair
 from vo.tracking.motion_model import ConstantVelocity
-from vo.tracking.sparse_image_alignment import direct_step
-from vo.tracking.tracker import Tracked, as_tracked, place_anywhere, place_near, refine
-from vo.trajectory.store import History
+from vo.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.tracking.tracker import (
+    TrackedFrame,
+    as_tracked_frame,
+    refine,
+    relocalize,
+    track_by_projection,
+)
+from vo.trajectory.store import TrajectoryStore
 from vo.types import (
     Estimate,
     Floats,
@@ -103,27 +114,27 @@ class Odometry:
         self, rig: Rig, config: Config, smoother_process: Popen[bytes] | None = None
     ) -> None:
         cv2.setRNGSeed(config.seed)
-        self.history = History()
+        self.history = TrajectoryStore()
         self.details = True
         self._config = config
-        self._rig = working_rig(rig)
+        self._rig = rectified_rig(rig)
         # Depth cameras have other errors than a wrong rectification.
         self._corrects_disparities = config.stereo.offset_correction and not rig.has_depth
-        self._disparity_watch = DisparityWatch(self._rig)
-        self._lens_watch = LensWatch(self._rig)
+        self._disparity_watch = DisparityBiasEstimator(self._rig)
+        self._lens_watch = RadialDistortionEstimator(self._rig)
         threads = config.threads or available_cores()
-        self._smoother = make_smoother(config.smoothing, threads, smoother_process)
-        self._preparation = Preparation(config, threads=threads)
+        self._smoother = make_optimizer(config.smoothing, threads, smoother_process)
+        self._preparation = FramePreprocessor(config, threads=threads)
         capacity = config.smoothing.window + config.smoothing.fixed
         self._map = Map(capacity, self._rig.height, self._rig.width)
         self._motion = ConstantVelocity()
-        self._mono_start = MonoStart(config)
+        self._mono_start = MonocularInitializer(config)
         self._rows: RowErrors | None = None  # of the right camera, if a pair has told
         self._corrected = RowErrors()  # what of that is corrected in right images
         self._state = State.STARTING
         self._segment = 0
-        self._lost: list[WorkingFrame] = []  # the newest frames, since the map was lost
-        self._last: Seen | None = None
+        self._lost: list[PreprocessedFrame] = []  # the newest frames, since the map was lost
+        self._last: LastFrame | None = None
         self._window: Window | None = None  # that the smoother works on
         self._windows = 0  # handed in so far
         self._answer_after = _ANSWER_AFTER_STEREO if rig.is_metric else _ANSWER_AFTER_MONO
@@ -163,7 +174,7 @@ class Odometry:
         for coming in self._preparation.ahead(frames, self._rig):
             yield self._step(coming)
 
-    def _step(self, coming: Later[WorkingFrame]) -> Estimate:
+    def _step(self, coming: LazyFuture[PreprocessedFrame]) -> Estimate:
         clock = Stopwatch()
         with clock.stage("features"):
             working = coming.result()
@@ -178,8 +189,8 @@ class Odometry:
         return self._estimate(working, tracked, keyframe, reason, clock)
 
     def _advance(
-        self, frame: WorkingFrame, clock: Stopwatch
-    ) -> tuple[str, Tracked | None, Keyframe | None]:
+        self, frame: PreprocessedFrame, clock: Stopwatch
+    ) -> tuple[str, TrackedFrame | None, Keyframe | None]:
         """Place a frame, in a map of its own if need be: why it failed, what it sees, keyframe."""
         self._frames_since_asked += 1
         step = self._look(frame, clock)  # while the smoother works
@@ -210,17 +221,19 @@ class Odometry:
 
     # --- placing a frame in the map ---------------------------------------------------------
 
-    def _look(self, frame: WorkingFrame, clock: Stopwatch) -> Floats | None:
+    def _look(self, frame: PreprocessedFrame, clock: Stopwatch) -> Floats | None:
         """last_from_cam by how the last frame looked, whatever smoothing makes of its pose."""
         if self._last is None or self._state is not State.TRACKING:
             return None
         predicted = self._motion.predict(frame.stamp_ns)
         with clock.stage("match"):
-            return direct_step(
+            return sparse_image_alignment(
                 self._map, self._last, self._motion.last, frame, predicted, self._rig
             )
 
-    def _track(self, frame: WorkingFrame, step: Floats | None, clock: Stopwatch) -> Tracked | None:
+    def _track(
+        self, frame: PreprocessedFrame, step: Floats | None, clock: Stopwatch
+    ) -> TrackedFrame | None:
         """Each first pose is tried until patches confirm one."""
         poses, best = self._first_poses(frame, step), None
         while True:
@@ -236,7 +249,7 @@ class Odometry:
                 return tracked
             best = tracked
 
-    def _first_poses(self, frame: WorkingFrame, step: Floats | None) -> Iterator[FirstPose]:
+    def _first_poses(self, frame: PreprocessedFrame, step: Floats | None) -> Iterator[FirstPose]:
         """By how the last frame looked; by descriptors, near the prediction and farther away.
 
         The prediction as it is comes between these; mono's last resort are two views.
@@ -246,26 +259,30 @@ class Odometry:
             looked = self._motion.last @ step
             yield FirstPose(looked, enough=_CLEAR * int(self._last.inlier.sum()))
         predicted = self._motion.predict(frame.stamp_ns)
-        near = place_near(world, frame, predicted, rig, config)
+        near = track_by_projection(world, frame, predicted, rig, config)
         if near is not None:
             yield FirstPose(near)
         if self._state is State.TRACKING:
             yield FirstPose(predicted)
         else:  # it may have stopped as well as gone on
-            near = place_near(world, frame, self._motion.last, rig, config, lost=True)
+            near = track_by_projection(world, frame, self._motion.last, rig, config, lost=True)
             if near is not None:
                 yield FirstPose(near)
-        anywhere = place_anywhere(world, frame, rig, config)
+        anywhere = relocalize(world, frame, rig, config)
         if anywhere is not None:
             yield FirstPose(anywhere)
         if not rig.is_stereo and self._last is not None:
-            step = essential_step(world, self._last, self._motion.last, frame, rig, config)
+            step = essential_matrix_fallback(
+                world, self._last, self._motion.last, frame, rig, config
+            )
             if step is not None:
                 yield FirstPose(step)
 
     # --- extending the map ------------------------------------------------------------------
 
-    def _extend(self, frame: WorkingFrame, tracked: Tracked, clock: Stopwatch) -> Keyframe | None:
+    def _extend(
+        self, frame: PreprocessedFrame, tracked: TrackedFrame, clock: Stopwatch
+    ) -> Keyframe | None:
         """Take in a tracked frame; make it a keyframe if the map needs one."""
         self._state, self._lost = State.TRACKING, []
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
@@ -290,12 +307,14 @@ class Odometry:
             self._smooth(keyframe, clock)
         return keyframe
 
-    def _grow(self, keyframe: Keyframe, frame: WorkingFrame) -> None:
+    def _grow(self, keyframe: Keyframe, frame: PreprocessedFrame) -> None:
         if frame.has_disparity:
-            grow_stereo(self._map, keyframe, frame, self._rig, self._config)
+            triangulate_stereo(self._map, keyframe, frame, self._rig, self._config)
         else:
-            grow_mono(self._map, keyframe, frame.image0, self._rig, self._config)
-        incline(self._map, keyframe, self._rig, only_new=True)
+            triangulate_between_keyframes(
+                self._map, keyframe, frame.image0, self._rig, self._config
+            )
+        estimate_normals(self._map, keyframe, self._rig, only_new=True)
         look_back(self._map, keyframe, self._rig, self._config)
 
     # --- smoothing --------------------------------------------------------------------------
@@ -340,7 +359,7 @@ class Odometry:
             if solution.left is not None:
                 self._watch_calibration(solution.left, speaks_for)
             cull(self._map, self._config)
-            incline(self._map, self._map.keyframes[-1], self._rig)
+            estimate_normals(self._map, self._map.keyframes[-1], self._rig)
         self._motion.carry(newest.world_from_cam @ inverse(before))
 
     def _settle(self, solution: WindowSolution) -> None:
@@ -350,7 +369,7 @@ class Odometry:
         self._store(moved)
         self._moved.update(k.id for k in moved)
 
-    def _watch_calibration(self, left: Miscalibration, windows: int) -> None:
+    def _watch_calibration(self, left: CalibrationResidual, windows: int) -> None:
         """Move the map, and all that follows, to what the calibration should be, once sure."""
         if self._rig.is_stereo:
             error = self._disparity_watch.update(left, windows)
@@ -399,8 +418,8 @@ class Odometry:
     # --- beginning and losing ---------------------------------------------------------------
 
     def _start(
-        self, frame: WorkingFrame, clock: Stopwatch
-    ) -> tuple[str, Tracked | None, Keyframe | None]:
+        self, frame: PreprocessedFrame, clock: Stopwatch
+    ) -> tuple[str, TrackedFrame | None, Keyframe | None]:
         with clock.stage("start"):
             started = self._start_stereo(frame) if self._rig.is_stereo else self._start_mono(frame)
         if isinstance(started, str):
@@ -408,9 +427,9 @@ class Odometry:
         self._state, self._lost = State.TRACKING, []
         self._motion.restart(started.stamp_ns, started.world_from_cam)
         self._smooth(started, clock)
-        return "", as_tracked(self._map, started), started
+        return "", as_tracked_frame(self._map, started), started
 
-    def _start_stereo(self, frame: WorkingFrame) -> Keyframe | str:
+    def _start_stereo(self, frame: PreprocessedFrame) -> Keyframe | str:
         if not frame.has_disparity:
             return "the right image, or depth, is missing"
         self._map.clear()
@@ -418,7 +437,7 @@ class Odometry:
         anchor = self._motion.last
         keyframe = add_keyframe(self._map, frame, anchor, self._segment, everything, self._rig)
         keyframe.covariance = np.zeros((6, 6))  # what comes later is measured against it
-        count = grow_stereo(self._map, keyframe, frame, self._rig, self._config)
+        count = triangulate_stereo(self._map, keyframe, frame, self._rig, self._config)
         if count >= self._config.start.min_points:
             return keyframe
         self._map.clear()
@@ -427,7 +446,7 @@ class Odometry:
         needed = self._config.start.min_points
         return f"{count} landmarks with a depth, {needed} needed"
 
-    def _start_mono(self, frame: WorkingFrame) -> Keyframe | str:
+    def _start_mono(self, frame: PreprocessedFrame) -> Keyframe | str:
         pair = self._mono_start.attempt(frame, self._rig)
         if isinstance(pair, str):
             return pair
@@ -445,9 +464,9 @@ class Odometry:
         self._mono_start.restart()
         return second
 
-    def _place(self, frame: WorkingFrame, first: Keyframe) -> None:
+    def _place(self, frame: PreprocessedFrame, first: Keyframe) -> None:
         """Give a frame that waited for the first map its pose in it, if it has one there."""
-        pose = place_anywhere(self._map, frame, self._rig, self._config)
+        pose = relocalize(self._map, frame, self._rig, self._config)
         tracked = None if pose is None else refine(self._map, frame, pose, self._rig, self._config)
         if tracked is not None:
             in_world = self._cam0(tracked.world_from_cam)
@@ -466,12 +485,12 @@ class Odometry:
             self._remember(frame, tracked, keyframe)
 
     def _remember(
-        self, frame: WorkingFrame, tracked: Tracked | None, keyframe: Keyframe | None
+        self, frame: PreprocessedFrame, tracked: TrackedFrame | None, keyframe: Keyframe | None
     ) -> None:
         """Keep what the next frame needs of this one, and what the next estimate has to tell."""
         if tracked is not None:
             image_xy = tracked.observed.image_xy
-            self._last = Seen(frame, tracked.ids, image_xy, tracked.inlier)
+            self._last = LastFrame(frame, tracked.ids, image_xy, tracked.inlier)
         if keyframe is not None:
             self._moved.add(keyframe.id)
 
@@ -488,7 +507,7 @@ class Odometry:
         if not keyframes:
             return
         poses = self._cam0(np.stack([k.world_from_cam for k in keyframes]))
-        turn = adjoint(self._rig.cam0_from_working)
+        turn = adjoint(self._rig.cam0_from_rectified)
         for keyframe, pose in zip(keyframes, poses, strict=True):
             covariance = keyframe.covariance
             if covariance is not None:
@@ -496,15 +515,15 @@ class Odometry:
             place = keyframe.frame_index, keyframe.stamp_ns, keyframe.segment
             self.history.store(keyframe.id, KeyframePose(*place, pose, covariance))
 
-    def _cam0(self, world_from_working: Floats) -> Floats:
+    def _cam0(self, world_from_rectified: Floats) -> Floats:
         """The same poses (..., 4, 4) for the recorded cam0, in a world that is cam0 at first."""
-        turn = self._rig.cam0_from_working
-        return np.asarray(turn @ world_from_working @ inverse(turn))
+        turn = self._rig.cam0_from_rectified
+        return np.asarray(turn @ world_from_rectified @ inverse(turn))
 
     def _estimate(
         self,
-        frame: WorkingFrame,
-        tracked: Tracked | None,
+        frame: PreprocessedFrame,
+        tracked: TrackedFrame | None,
         keyframe: Keyframe | None,
         reason: str,
         clock: Stopwatch,
@@ -522,7 +541,7 @@ class Odometry:
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             state=self._state,
-            reason=reason if tracked is not None else fault_of(frame) or reason,
+            reason=reason if tracked is not None else image_defect(frame) or reason,
             segment=self._segment,
             world_from_cam0=None if pose is None else self._cam0(pose),
             is_keyframe=keyframe is not None,

@@ -31,7 +31,7 @@ from vo.sources.registry import open_source
 from vo.sources.source import Source
 from vo.stopwatch import Stopwatch
 from vo.trajectory.pose_log import PoseLog
-from vo.trajectory.store import Untracked
+from vo.trajectory.store import InterpolatedFrames
 from vo.types import Estimate, Frame, Mode
 
 _log = logging.getLogger(__name__)
@@ -115,7 +115,7 @@ def run(
     frames = opened.frames(start, end, stride * every)
     with claimed(Path(output)), closing(Odometry(opened.rig, config, smoother_process)) as odometry:
         if every > 1:
-            odometry.history.untracked = Untracked(opened.stamps_ns, stride, every)
+            odometry.history.untracked = InterpolatedFrames(opened.stamps_ns, stride, every)
         recorder = recorder or _make_recorder(rrd, rrd_images, viewer)
         recorder = with_exports(recorder, exports)
         odometry.details = not isinstance(recorder, NullRecorder)

@@ -7,30 +7,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import Keyframe, Map
 from vo.mapping.lookup import rows_of
-from vo.tracking.tracker import Tracked
+from vo.tracking.tracker import TrackedFrame
 from vo.types import Bools, FeatureState, Floats, Floats32, Ints, Landmarks, Sightings, View
 
 
-class Seen(NamedTuple):
+class LastFrame(NamedTuple):
     """A tracked frame, the landmarks (n,) in it, where they were (n, 2), which agree (n,).
 
     The ids of the landmarks grow.
     """
 
-    frame: WorkingFrame
+    frame: PreprocessedFrame
     ids: Ints
     image_xy: Floats
     inlier: Bools
 
 
-def make_view(frame: WorkingFrame, tracked: Tracked | None, rig: WorkingRig) -> View:
+def make_view(frame: PreprocessedFrame, tracked: TrackedFrame | None, rig: RectifiedRig) -> View:
     """Landmarks that were found in a frame; beside them its features, if they were used."""
     features_xy = frame.used_keypoints_xy
     if tracked is None:
@@ -51,16 +51,16 @@ def make_view(frame: WorkingFrame, tracked: Tracked | None, rig: WorkingRig) -> 
         camera_matrix=rig.matrix,
         lens=rig.lens,
         baseline_m=rig.baseline_m,
-        cam0_from_image0=rig.cam0_from_working,
+        cam0_from_image0=rig.cam0_from_rectified,
         path=frame.path,
     )
 
 
 def with_matches(
     view: View,
-    tracked: Tracked | None,
-    last: Seen | None,
-    rig: WorkingRig,
+    tracked: TrackedFrame | None,
+    last: LastFrame | None,
+    rig: RectifiedRig,
     world: Map,
     world_from_cam: Floats | None,
 ) -> View:
@@ -76,12 +76,12 @@ def with_matches(
     return replace(view, previous_xy=previous_xy, right_u=right_u, error_px=error_px)
 
 
-def points_of(world: Map, rig: WorkingRig) -> Landmarks:
+def points_of(world: Map, rig: RectifiedRig) -> Landmarks:
     """The map's points alone."""
-    return Landmarks(world.id.copy(), transform_points(rig.cam0_from_working, world.xyz))
+    return Landmarks(world.id.copy(), transform_points(rig.cam0_from_rectified, world.xyz))
 
 
-def landmarks_of(world: Map, rig: WorkingRig, sigma_disparity_px: float) -> Landmarks:
+def landmarks_of(world: Map, rig: RectifiedRig, sigma_disparity_px: float) -> Landmarks:
     """The map's points, with what their patches look like and how far they can be trusted."""
     keyframes = world.keyframes
     u, v = np.rint(world.reference_xy).astype(np.int64).T
@@ -119,7 +119,7 @@ def neighbours_of(world: Map, keyframe: Keyframe) -> dict[int, int]:
 
 
 def _reprojection_error(
-    world: Map, tracked: Tracked, rig: WorkingRig, world_from_cam: Floats
+    world: Map, tracked: TrackedFrame, rig: RectifiedRig, world_from_cam: Floats
 ) -> Floats:
     """In ideal pixels; NaN where the landmark has been dropped since."""
     rows = world.rows(tracked.ids)
@@ -131,7 +131,7 @@ def _reprojection_error(
     return error_px
 
 
-def _positions_in(last: Seen | None, ids: Ints) -> Floats32:
+def _positions_in(last: LastFrame | None, ids: Ints) -> Floats32:
     result = np.full((len(ids), 2), np.nan, np.float32)
     if last is not None:
         there = rows_of(ids, last.ids)

@@ -248,7 +248,7 @@ class State(StrEnum):
     LOST = "lost"
 
 
-class Light(StrEnum):
+class ImageDefect(StrEnum):
     """What is wrong with an image in which nothing is to be seen."""
 
     BLACK = "almost black"
@@ -256,9 +256,9 @@ class Light(StrEnum):
     ONE_GREY = "of one grey"
 
     @staticmethod
-    def of(reason: str) -> Light | None:
+    def of(reason: str) -> ImageDefect | None:
         """That which a frame's reason to have no pose speaks of, if it does."""
-        return next((light for light in Light if reason.endswith(light.value)), None)
+        return next((light for light in ImageDefect if reason.endswith(light.value)), None)
 
 
 class FeatureState:

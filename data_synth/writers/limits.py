@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.errors import ConfigError
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.types import Rig
 
 _SAME = 1e-9
@@ -54,7 +54,7 @@ def check_mcap(rig: Rig, has_drops: bool) -> None:
     Raises:
         CalibrationError: the second camera is not to the right of the first.
     """
-    working_rig(rig)
+    rectified_rig(rig)
 
 
 def check_nothing(rig: Rig, has_drops: bool) -> None:

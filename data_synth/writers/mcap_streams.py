@@ -20,7 +20,7 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import inverse
 from vo.types import Camera, Floats, Ints, Rig
 
@@ -190,8 +190,8 @@ def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:
     """For each camera the rotation into its rectified one (3, 3) and the projection of that."""
     if rig.cam1_from_cam0 is None:
         return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
-    working = working_rig(rig)
-    left_turn = working.cam0_from_working[:3, :3].T
+    working = rectified_rig(rig)
+    left_turn = working.cam0_from_rectified[:3, :3].T
     left = np.column_stack([working.matrix, np.zeros(3)])
     right = left.copy()
     right[0, 3] = -working.fx * working.baseline_m

@@ -16,8 +16,8 @@ import pytest
 from windows import drive
 
 from vo.backend import launch as child_module
-from vo.backend.optimizer import SmootherHere, make_smoother, smooth
-from vo.backend.process import SmootherProcess
+from vo.backend.optimizer import InProcessOptimizer, make_optimizer, smooth
+from vo.backend.process import OptimizerProcess
 from vo.backend.solution import WindowSolution
 from vo.config import SmoothingConfig
 from vo.types import WindowProblem
@@ -26,8 +26,8 @@ CONFIG = SmoothingConfig()
 
 
 @pytest.fixture
-def smoother() -> Iterator[SmootherProcess]:
-    smoother = SmootherProcess(CONFIG)
+def smoother() -> Iterator[OptimizerProcess]:
+    smoother = OptimizerProcess(CONFIG)
     yield smoother
     smoother.close()
 
@@ -44,7 +44,7 @@ def _assert_same(found: WindowSolution, expected: WindowSolution) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def _pid(smoother: SmootherProcess) -> int:
+def _pid(smoother: OptimizerProcess) -> int:
     return smoother._child.pid
 
 
@@ -58,14 +58,14 @@ def _has_ended(pid: int) -> bool:
     return False
 
 
-def test_the_answer_is_the_same_as_in_this_process(smoother: SmootherProcess) -> None:
+def test_the_answer_is_the_same_as_in_this_process(smoother: OptimizerProcess) -> None:
     for seed in (1, 2):
         smoother.ask(_problem(seed))
         _assert_same(smoother.answer(), smooth(_problem(seed), CONFIG))
 
 
 def test_a_killed_process_costs_a_warning_and_nothing_else(
-    smoother: SmootherProcess, caplog: pytest.LogCaptureFixture
+    smoother: OptimizerProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
     expected = smooth(_problem(), CONFIG)
     smoother.ask(_problem())
@@ -84,7 +84,7 @@ def test_a_killed_process_costs_a_warning_and_nothing_else(
     assert not caplog.records
 
 
-def test_a_process_killed_at_work_is_replaced_too(smoother: SmootherProcess) -> None:
+def test_a_process_killed_at_work_is_replaced_too(smoother: OptimizerProcess) -> None:
     smoother.ask(_problem())
     smoother.answer()
     os.kill(_pid(smoother), signal.SIGSTOP)  # it cannot have answered when it is killed
@@ -94,7 +94,7 @@ def test_a_process_killed_at_work_is_replaced_too(smoother: SmootherProcess) -> 
 
 
 def test_a_window_that_kills_its_process_again_is_left_as_it_is(
-    smoother: SmootherProcess, monkeypatch: pytest.MonkeyPatch
+    smoother: OptimizerProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     smoother.ask(_problem())
     smoother.answer()
@@ -108,7 +108,7 @@ def test_a_window_that_kills_its_process_again_is_left_as_it_is(
 
 def test_a_process_that_never_starts_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child_module, "_PROGRAM", "raise SystemExit(3) # {path!r}")
-    smoother = SmootherProcess(CONFIG)
+    smoother = OptimizerProcess(CONFIG)
     smoother.ask(_problem())
     with pytest.raises(RuntimeError, match="does not start"):
         smoother.answer()
@@ -120,11 +120,11 @@ def test_where_no_process_can_be_started_the_work_is_done_here(
 ) -> None:
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     with caplog.at_level(logging.WARNING):
-        assert isinstance(make_smoother(CONFIG, threads=2), SmootherHere)
+        assert isinstance(make_optimizer(CONFIG, threads=2), InProcessOptimizer)
     assert "no other can be started" in caplog.text
 
 
-def test_an_error_in_the_process_is_told(smoother: SmootherProcess) -> None:
+def test_an_error_in_the_process_is_told(smoother: OptimizerProcess) -> None:
     smoother.ask("no window")  # type: ignore[arg-type]
     with pytest.raises(RuntimeError, match="the smoother failed"):
         smoother.answer()
@@ -133,7 +133,7 @@ def test_an_error_in_the_process_is_told(smoother: SmootherProcess) -> None:
 
 
 def test_closing_ends_the_process_whatever_it_is_doing() -> None:
-    smoother = SmootherProcess(CONFIG)
+    smoother = OptimizerProcess(CONFIG)
     pid = _pid(smoother)
     smoother.ask(_problem())
     smoother.close()
@@ -143,7 +143,7 @@ def test_closing_ends_the_process_whatever_it_is_doing() -> None:
 
 
 def test_a_forgotten_smoother_takes_its_process_along() -> None:
-    smoother = SmootherProcess(CONFIG)
+    smoother = OptimizerProcess(CONFIG)
     pid = _pid(smoother)
     del smoother
     assert _has_ended(pid)
@@ -151,9 +151,9 @@ def test_a_forgotten_smoother_takes_its_process_along() -> None:
 
 _SCRIPT = """
 import os, signal, sys
-from vo.backend.process import SmootherProcess
+from vo.backend.process import OptimizerProcess
 from vo.config import SmoothingConfig
-smoother = SmootherProcess(SmoothingConfig())
+smoother = OptimizerProcess(SmoothingConfig())
 print(smoother._child.pid, flush=True)
 {end}
 """

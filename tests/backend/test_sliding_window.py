@@ -10,13 +10,13 @@ import pytest
 from vo.backend.sliding_window import make_window, take_in
 from vo.backend.solution import smooth
 from vo.config import Config
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse, se3_exp, se3_log, transform_points
 from vo.mapping.local_map import Keyframe, Map
 from vo.types import Floats, Ints, Keypoints
 
 WIDTH, HEIGHT = 64, 40  # of images that nothing looks at
-RIG = WorkingRig(WIDTH, HEIGHT, 500.0, 500.0, 320.0, 200.0, 0.25, np.eye(4))
+RIG = RectifiedRig(WIDTH, HEIGHT, 500.0, 500.0, 320.0, 200.0, 0.25, np.eye(4))
 KEYFRAMES, SHARED, NEWEST = 6, 200, 60
 
 
@@ -68,7 +68,7 @@ def _add_keyframe(world: Map, number: int, pose: Floats) -> Keyframe:
         image=np.zeros((HEIGHT, WIDTH), np.uint8),
         world_from_cam=pose,
         keypoints=nothing,
-        ideal_xy=np.empty((0, 2)),
+        undistorted_xy=np.empty((0, 2)),
         free=np.empty(0, dtype=bool),
     )
 

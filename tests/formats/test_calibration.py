@@ -8,7 +8,7 @@ import pytest
 from vo.errors import CalibrationError, OutputError
 from vo.formats.calibration import FORMATS, read_calibration, write_calibration
 from vo.formats.calibration.lenses import COUNTS, DISTORTION_NAMES
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import se3_exp
 from vo.types import Camera, Rig
 
@@ -365,7 +365,7 @@ def test_documented_examples_can_be_read(tmp_path: Path) -> None:
                 calibration = read_calibration(file, (1226, 370))
                 kinds.append(title)
                 assert calibration.kind == title
-                pairs.append(working_rig(calibration.rig).is_stereo)
+                pairs.append(rectified_rig(calibration.rig).is_stereo)
     assert (kinds[:3], pairs[:3]) == (["vo"] * 3, [False, True, True])
     assert set(kinds) == set(FORMATS)
 

@@ -12,7 +12,7 @@ import pytest
 from vo.errors import CalibrationError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.geometry.cameras import distort, normalise, project
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import inverse, make_transform, so3_exp, transform_points
 from vo.types import Floats, Rig
 
@@ -106,8 +106,8 @@ def test_kitti_raw_as_recorded(tmp_path: Path) -> None:
     # R_01, T_01 take points of camera 00 to camera 01, which is to its right.
     np.testing.assert_allclose(_pair(rig)[:3, 3], [-0.537, 4.822061e-03, -0.01252488], atol=1e-9)
     # Rectifying gives what KITTI's own rectification gave.
-    assert working_rig(rig).baseline_m == pytest.approx(387.5744 / 721.5377, rel=1e-3)
-    turn = working_rig(rig).cam0_from_working[:3, :3].T
+    assert rectified_rig(rig).baseline_m == pytest.approx(387.5744 / 721.5377, rel=1e-3)
+    turn = rectified_rig(rig).cam0_from_rectified[:3, :3].T
     kitti = np.array([[float(x) for x in KITTI_RAW.split("R_rect_00: ")[1].split()[:9]]])
     np.testing.assert_allclose(turn, kitti.reshape(3, 3), atol=0.02)
 
@@ -353,7 +353,7 @@ def test_orb_slam_fisheye_pair(tmp_path: Path) -> None:
     # T_c1_c2 is where camera 2 is in camera 1: 10 cm to its right.
     place = inverse(_pair(rig))
     np.testing.assert_allclose(place[:3, 3], [0.101063427, 0.001946204, 0.001015350], atol=1e-8)
-    assert working_rig(rig).baseline_m == pytest.approx(0.1011, abs=1e-4)
+    assert rectified_rig(rig).baseline_m == pytest.approx(0.1011, abs=1e-4)
     assert calibration.body_from_cam0 is not None
     np.testing.assert_allclose(calibration.body_from_cam0[:3, 3], [0.1, 0.2, 0.3])
 

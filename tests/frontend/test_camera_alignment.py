@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from feature_scenes import Waves, as_image, pixels
 
-from vo.frontend.camera_alignment import align_camera, smaller_images
+from vo.frontend.camera_alignment import align_sparse, smaller_images
 from vo.geometry.transforms import se3_exp, transform_points
 from vo.types import Bytes, Floats
 
@@ -36,7 +36,7 @@ def seen_after(target_from_reference: Floats) -> Floats:
 def aligned(target: Bytes, start: Floats, xy: Floats) -> tuple[float, Floats]:
     """Mean error of where points are seen, in pixels, and the scores."""
     points = points_at(xy)
-    found = align_camera(
+    found = align_sparse(
         *(smaller_images(as_image(seen_after(np.eye(4)))), xy, smaller_images(target), points),
         *(start, np.tile(np.eye(2, 3), (len(xy), 1, 1)), (F, F, CX, CY)),
     )
@@ -80,7 +80,7 @@ def test_lens_is_undone_on_the_way_to_the_image(xy: Floats) -> None:
     points = points_at(xy)
     turned = np.tile(np.array([[-1.0, 0.0, WIDTH - 1], [0.0, -1.0, HEIGHT - 1]]), (len(xy), 1, 1))
     reference = as_image(seen_after(np.eye(4)))[::-1, ::-1]
-    found = align_camera(
+    found = align_sparse(
         smaller_images(np.ascontiguousarray(reference)),
         (WIDTH - 1, HEIGHT - 1) - xy,
         smaller_images(np.ascontiguousarray(as_image(seen_after(MOTION))[::-1, ::-1])),
@@ -92,7 +92,7 @@ def test_lens_is_undone_on_the_way_to_the_image(xy: Floats) -> None:
 def test_images_without_texture_move_nothing(xy: Floats) -> None:
     grey = smaller_images(np.full((HEIGHT, WIDTH), 90, np.uint8))
     maps = np.tile(np.eye(2, 3), (len(xy), 1, 1))
-    found = align_camera(grey, xy, grey, points_at(xy), MOTION, maps, (F, F, CX, CY))
+    found = align_sparse(grey, xy, grey, points_at(xy), MOTION, maps, (F, F, CX, CY))
     assert (found.score == -1.0).all()
     np.testing.assert_allclose(found.target_from_reference, MOTION, atol=1e-12)
 
@@ -102,7 +102,7 @@ def test_points_behind_the_camera_and_outside_are_left_out(xy: Floats) -> None:
     points[:40, 2] *= -1.0
     far[40:60] += 1000.0
     images = smaller_images(as_image(seen_after(MOTION)))
-    found = align_camera(
+    found = align_sparse(
         *(smaller_images(as_image(seen_after(np.eye(4)))), far, images, points, np.eye(4)),
         *(np.tile(np.eye(2, 3), (len(xy), 1, 1)), (F, F, CX, CY)),
     )

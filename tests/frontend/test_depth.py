@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from vo.frontend.depth import disparity_from_depth
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.types import Camera, Floats32, Rig
 
 CAMERA = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
-RIG = working_rig(Rig(CAMERA, has_depth=True))
+RIG = rectified_rig(Rig(CAMERA, has_depth=True))
 
 
 def plane() -> Floats32:
@@ -40,6 +40,6 @@ def test_knows_nothing_at_holes_edges_and_outside() -> None:
 
 def test_only_a_rig_with_depth_has_the_virtual_baseline() -> None:
     assert RIG.is_stereo
-    assert not working_rig(Rig(CAMERA)).is_stereo
+    assert not rectified_rig(Rig(CAMERA)).is_stereo
     assert not Rig(CAMERA, has_depth=True).is_stereo
     assert Rig(CAMERA, has_depth=True).is_metric

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from vo.config import Config, FeaturesConfig
-from vo.frontend.lazy_future import Later
-from vo.frontend.preprocessing import Preparation
-from vo.geometry.rectification import working_rig
+from vo.frontend.lazy_future import LazyFuture
+from vo.frontend.preprocessing import FramePreprocessor
+from vo.geometry.rectification import rectified_rig
 from vo.types import Camera, Frame, Rig
 
-RIG = working_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
+RIG = rectified_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
 
 
 def _frames(count: int, error: Exception | None = None) -> Iterator[Frame]:
@@ -27,13 +27,17 @@ def _frames(count: int, error: Exception | None = None) -> Iterator[Frame]:
 
 
 @pytest.fixture(params=[1, 2])
-def preparation(request: pytest.FixtureRequest) -> Iterator[Preparation]:
-    preparation = Preparation(Config(features=FeaturesConfig(count=100)), threads=request.param)
+def preparation(request: pytest.FixtureRequest) -> Iterator[FramePreprocessor]:
+    preparation = FramePreprocessor(
+        Config(features=FeaturesConfig(count=100)), threads=request.param
+    )
     yield preparation
     preparation.close()
 
 
-def test_every_frame_comes_in_order_and_is_the_same_as_alone(preparation: Preparation) -> None:
+def test_every_frame_comes_in_order_and_is_the_same_as_alone(
+    preparation: FramePreprocessor,
+) -> None:
     ahead = [coming.result() for coming in preparation.ahead(_frames(4), RIG)]
     alone = [preparation.later(frame, RIG).result() for frame in _frames(4)]
     assert [frame.index for frame in ahead] == [0, 1, 2, 3]
@@ -42,7 +46,7 @@ def test_every_frame_comes_in_order_and_is_the_same_as_alone(preparation: Prepar
         np.testing.assert_array_equal(one.keypoints.xy, other.keypoints.xy)
 
 
-def test_one_frame_is_read_ahead_and_no_more(preparation: Preparation) -> None:
+def test_one_frame_is_read_ahead_and_no_more(preparation: FramePreprocessor) -> None:
     read: list[int] = []
 
     def frames() -> Iterator[Frame]:
@@ -56,14 +60,14 @@ def test_one_frame_is_read_ahead_and_no_more(preparation: Preparation) -> None:
         assert read == list(range(last + 1))
 
 
-def test_frames_before_an_error_are_handed_out(preparation: Preparation) -> None:
+def test_frames_before_an_error_are_handed_out(preparation: FramePreprocessor) -> None:
     ahead = preparation.ahead(_frames(2, OSError("unplugged")), RIG)
     assert [next(ahead).result().index for _ in range(2)] == [0, 1]
     with pytest.raises(OSError, match="unplugged"):
         next(ahead)
 
 
-def test_no_frames_are_no_trouble(preparation: Preparation) -> None:
+def test_no_frames_are_no_trouble(preparation: FramePreprocessor) -> None:
     assert list(preparation.ahead(_frames(0), RIG)) == []
 
 
@@ -75,15 +79,15 @@ def test_what_comes_later_is_worked_out_once_wherever_it_was_begun() -> None:
         return 7
 
     with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
-        begun = Later(work, pool)
+        begun = LazyFuture(work, pool)
         begun.begin()
         begun.begin()
         assert (begun.result(), begun.result()) == (7, 7)
         assert len(threads) == 1 and threads[0].startswith("beside")
-        asked = Later(work, pool)
+        asked = LazyFuture(work, pool)
         assert (asked.result(), asked.result()) == (7, 7)
         assert len(threads) == 2 and threads[1] == threads[0]  # one detector, one thread
-    nowhere = Later(work, None)
+    nowhere = LazyFuture(work, None)
     nowhere.begin()
     assert len(threads) == 2
     assert nowhere.result() == 7
@@ -91,7 +95,7 @@ def test_what_comes_later_is_worked_out_once_wherever_it_was_begun() -> None:
 
 
 def test_work_that_failed_fails_again_when_asked_again() -> None:
-    later = Later(lambda: 1 // 0, None)
+    later = LazyFuture(lambda: 1 // 0, None)
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             later.result()

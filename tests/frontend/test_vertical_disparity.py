@@ -10,8 +10,8 @@ import pytest
 
 from vo.config import Config
 from vo.frontend.orb import OrbDetector
-from vo.frontend.vertical_disparity import RowAlignment, View
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera import right_camera
 from vo.geometry.row_errors import RowErrors
 from vo.refinement.disparity_bias import is_from_yaw
@@ -23,8 +23,8 @@ INSIDE = np.s_[20:-20, 20:-20]
 
 
 @pytest.fixture(scope="module")
-def rig(synthetic_stereo: Path) -> WorkingRig:
-    return working_rig(open_source(synthetic_stereo).rig)
+def rig(synthetic_stereo: Path) -> RectifiedRig:
+    return rectified_rig(open_source(synthetic_stereo).rig)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def _view(image: Bytes) -> View:
     return View(image, OrbDetector(CONFIG.features).detect(image))
 
 
-def _seen_by_turned(image: Bytes, rig: WorkingRig, pitch_deg: float, roll_deg: float) -> Bytes:
+def _seen_by_turned(image: Bytes, rig: RectifiedRig, pitch_deg: float, roll_deg: float) -> Bytes:
     """The image of a camera that looks up and is turned counter-clockwise."""
     turn, _ = cv2.Rodrigues(np.deg2rad([-pitch_deg, 0.0, roll_deg]))
     matrix = rig.matrix @ np.asarray(turn) @ np.linalg.inv(rig.matrix)
@@ -47,14 +47,14 @@ def _seen_by_turned(image: Bytes, rig: WorkingRig, pitch_deg: float, roll_deg: f
     return np.asarray(seen, dtype=np.uint8)
 
 
-def _learned(left: Bytes, right: Bytes, rig: WorkingRig) -> RowAlignment:
-    alignment = RowAlignment(CONFIG)
+def _learned(left: Bytes, right: Bytes, rig: RectifiedRig) -> VerticalDisparityCorrection:
+    alignment = VerticalDisparityCorrection(CONFIG)
     assert alignment.asks()
     assert alignment.learn(_view(left), _view(right), rig) == (alignment.corrected != RowErrors())
     return alignment
 
 
-def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: WorkingRig) -> None:
+def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: RectifiedRig) -> None:
     alignment = _learned(*pair, rig)
     assert alignment.corrected == RowErrors()
     assert alignment.aligned(rig) is rig
@@ -65,7 +65,7 @@ def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: Work
 
 @pytest.mark.parametrize("angles", [(0.5, 0.0), (-2.0, 0.0), (0.0, 0.5), (0.0, -1.0), (-0.6, 0.8)])
 def test_a_turned_camera_is_found_and_turned_back(
-    pair: tuple[Bytes, Bytes], rig: WorkingRig, angles: tuple[float, float]
+    pair: tuple[Bytes, Bytes], rig: RectifiedRig, angles: tuple[float, float]
 ) -> None:
     left, right = pair
     seen = _seen_by_turned(right, rig, *angles)
@@ -82,7 +82,7 @@ def test_a_turned_camera_is_found_and_turned_back(
 
 
 def test_a_pair_without_features_says_nothing_and_others_are_asked(
-    pair: tuple[Bytes, Bytes], rig: WorkingRig
+    pair: tuple[Bytes, Bytes], rig: RectifiedRig
 ) -> None:
     grey = np.full_like(pair[0], 100)
     alignment = _learned(grey, grey, rig)
@@ -92,9 +92,9 @@ def test_a_pair_without_features_says_nothing_and_others_are_asked(
     assert alignment.corrected.pitch_px > 1.0
 
 
-def test_one_does_not_ask_for_ever(rig: WorkingRig, pair: tuple[Bytes, Bytes]) -> None:
+def test_one_does_not_ask_for_ever(rig: RectifiedRig, pair: tuple[Bytes, Bytes]) -> None:
     grey = _view(np.full_like(pair[0], 100))
-    alignment = RowAlignment(CONFIG)
+    alignment = VerticalDisparityCorrection(CONFIG)
     asked = 0
     for _ in range(100):
         if alignment.asks():
@@ -105,7 +105,7 @@ def test_one_does_not_ask_for_ever(rig: WorkingRig, pair: tuple[Bytes, Bytes]) -
 
 
 def test_in_the_dark_pairs_are_not_asked_more_often(
-    rig: WorkingRig, pair: tuple[Bytes, Bytes]
+    rig: RectifiedRig, pair: tuple[Bytes, Bytes]
 ) -> None:
     alignment, grey = _learned(*pair, rig), _view(np.full_like(pair[0], 100))
     asked = []
@@ -117,11 +117,11 @@ def test_in_the_dark_pairs_are_not_asked_more_often(
 
 
 def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
-    rig: WorkingRig, pair: tuple[Bytes, Bytes]
+    rig: RectifiedRig, pair: tuple[Bytes, Bytes]
 ) -> None:
     """As where the cameras were not triggered together while they turned."""
     left, right = pair
-    alignment, found = RowAlignment(CONFIG), {}
+    alignment, found = VerticalDisparityCorrection(CONFIG), {}
     for number in range(1, 32):
         if alignment.asks():
             seen = _seen_by_turned(right, rig, 0.4 if number == 1 else 0.2, 0.0)
@@ -134,14 +134,14 @@ def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
     assert found[31] == pytest.approx(0.2 + 0.2 / 5, abs=0.03)
 
 
-def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: WorkingRig) -> None:
+def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: RectifiedRig) -> None:
     left, right = pair
     assert _learned(right, left, rig).corrected == RowErrors()
 
 
 def test_it_can_be_switched_off() -> None:
     stereo = CONFIG.stereo.model_copy(update={"row_correction": False})
-    assert not RowAlignment(CONFIG.model_copy(update={"stereo": stereo})).asks()
+    assert not VerticalDisparityCorrection(CONFIG.model_copy(update={"stereo": stereo})).asks()
 
 
 @pytest.mark.parametrize(

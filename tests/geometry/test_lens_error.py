@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from vo.geometry.lens_error import bend_of_k1, edge_px
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.types import Camera, Rig
 
 
-def _rig(*distortion: float) -> WorkingRig:
+def _rig(*distortion: float) -> RectifiedRig:
     model = "radtan" if distortion else "none"
     lens = Camera(640, 400, 420.0, 420.0, 319.5, 199.5, model, distortion)
-    return working_rig(Rig(lens))
+    return rectified_rig(Rig(lens))
 
 
 def test_an_error_moves_the_corners_most() -> None:
@@ -35,7 +35,7 @@ def test_undistorting_changes_how_much_ideal_points_are_bent(
 ) -> None:
     rig = _rig(*distortion)
     xy = np.random.default_rng(0).uniform((0.0, 0.0), (639.0, 399.0), (500, 2))
-    ideal, wrong = rig.ideal_from_image(xy), rig.with_lens_error(0.002).ideal_from_image(xy)
+    ideal, wrong = rig.undistort(xy), rig.with_lens_error(0.002).undistort(xy)
     ray = (ideal - (319.5, 199.5)) / 420.0
     bent = ideal - 0.002 * bend_of_k1(rig) * 420.0 * ray * np.sum(ray**2, axis=1, keepdims=True)
     left, was = (np.linalg.norm(at - wrong, axis=1) for at in (bent, ideal))

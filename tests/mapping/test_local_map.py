@@ -31,7 +31,7 @@ def _keyframe(world: Map, number: int = 0) -> Keyframe:
         image=np.full((HEIGHT, WIDTH), number % 256, np.uint8),
         world_from_cam=pose,
         keypoints=_keypoints(),
-        ideal_xy=np.zeros((2, 2)),
+        undistorted_xy=np.zeros((2, 2)),
         free=np.ones(2, dtype=bool),
     )
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from vo.config import Config
-from vo.frontend.preprocessing import Preparation, WorkingFrame
+from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
 from vo.geometry.neighbours import far_from
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.local_map import Keyframe, Map
-from vo.mapping.triangulate_mono import grow_mono
-from vo.mapping.triangulate_stereo import grow_stereo, look_back, stereo_disparity
+from vo.mapping.triangulate_mono import triangulate_between_keyframes
+from vo.mapping.triangulate_stereo import look_back, stereo_disparity, triangulate_stereo
 from vo.tracking.monocular_initializer import add_keyframe
 from vo.types import Bytes, Camera, Floats, Frame, Rig
 
@@ -64,11 +64,11 @@ class Scene:
 
     def __init__(self, texture: Bytes, rig: Rig) -> None:
         self.texture = texture
-        self.rig: WorkingRig = working_rig(rig)
-        self.preparation = Preparation(CONFIG, threads=1)
+        self.rig: RectifiedRig = rectified_rig(rig)
+        self.preparation = FramePreprocessor(CONFIG, threads=1)
         self.map = Map(4, HEIGHT, WIDTH)
 
-    def frame(self, world_from_cam: Floats, *, shift_right_px: float = 0.0) -> WorkingFrame:
+    def frame(self, world_from_cam: Floats, *, shift_right_px: float = 0.0) -> PreprocessedFrame:
         right = world_from_cam @ make_transform(np.eye(3), np.array([BASELINE_M, 0.0, 0.0]))
         image1 = _view(self.texture, right)
         if shift_right_px:
@@ -81,7 +81,7 @@ class Scene:
         frame = Frame(number, number, image0, image1)
         return self.preparation.later(frame, self.rig).result()
 
-    def keyframe(self, frame: WorkingFrame, world_from_cam: Floats) -> Keyframe:
+    def keyframe(self, frame: PreprocessedFrame, world_from_cam: Floats) -> Keyframe:
         free = np.ones(len(frame.keypoints), dtype=bool)
         return add_keyframe(self.map, frame, world_from_cam, 0, free, self.rig)
 
@@ -94,7 +94,7 @@ class Scene:
 def _seed(scene: Scene, keyframe: Keyframe, count: int = 60) -> None:
     """Landmarks on the wall for some features of a keyframe, as an earlier frame would give."""
     rows = np.arange(0, len(keyframe.keypoints), len(keyframe.keypoints) // count)
-    rays = scene.rig.back_project(keyframe.ideal_xy[rows], np.ones(len(rows)))
+    rays = scene.rig.back_project(keyframe.undistorted_xy[rows], np.ones(len(rows)))
     keypoints = keyframe.keypoints
     ids = scene.map.add_landmarks(
         _on_wall(rays, keyframe.world_from_cam),
@@ -105,7 +105,7 @@ def _seed(scene: Scene, keyframe: Keyframe, count: int = 60) -> None:
         keypoints.xy[rows].astype(np.float64),
         keyframe,
     )
-    xy = keyframe.ideal_xy[rows]
+    xy = keyframe.undistorted_xy[rows]
     nothing, sigma = np.full(len(ids), np.nan), np.full(len(ids), 0.5)
     keyframe.add_observations(ids, xy, keypoints.xy[rows].astype(np.float64), nothing, sigma)
     keyframe.free[rows] = False
@@ -118,7 +118,7 @@ def test_stereo_landmarks_lie_on_the_wall(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = scene.frame(SIDEWAYS)
     keyframe = scene.keyframe(frame, SIDEWAYS)
-    count = grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
+    count = triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
     assert count == len(scene.map) == len(keyframe.landmark) > 250
     errors = scene.depth_errors()
     assert np.median(np.abs(errors)) < 0.003
@@ -146,7 +146,7 @@ def test_a_known_disparity_offset_is_taken_off(texture: Bytes) -> None:
     scene.rig = replace(scene.rig, disparity_offset_px=0.6)
     frame = scene.frame(np.eye(4), shift_right_px=0.6)
     keyframe = scene.keyframe(frame, np.eye(4))
-    grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
+    triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
     assert abs(np.median(scene.depth_errors())) < 0.002
 
 
@@ -154,7 +154,7 @@ def test_without_a_right_image_nothing_grows(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = replace(scene.frame(np.eye(4)), image1=None)
     keyframe = scene.keyframe(frame, np.eye(4))
-    assert grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) == 0
+    assert triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) == 0
     assert len(scene.map) == 0 and keyframe.free.all()
 
 
@@ -164,7 +164,7 @@ def test_a_right_image_of_something_else_gives_next_to_nothing(texture: Bytes) -
     other = np.ascontiguousarray(frame.image0[::-1])
     frame = replace(frame, image1=other)
     keyframe = scene.keyframe(frame, np.eye(4))
-    assert grow_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) < 15
+    assert triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) < 15
 
 
 def test_new_landmarks_are_found_in_the_keyframe_before(texture: Bytes) -> None:
@@ -172,7 +172,7 @@ def test_new_landmarks_are_found_in_the_keyframe_before(texture: Bytes) -> None:
     first = scene.keyframe(scene.frame(np.eye(4)), np.eye(4))
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
-    count = grow_stereo(scene.map, second, frame, scene.rig, CONFIG)
+    count = triangulate_stereo(scene.map, second, frame, scene.rig, CONFIG)
     look_back(scene.map, second, scene.rig, CONFIG)
     assert len(first.landmark) > 0.5 * count
     rows = scene.map.rows(first.landmark)
@@ -193,7 +193,7 @@ def test_mono_landmarks_lie_on_the_wall(texture: Bytes) -> None:
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
     before = len(scene.map)
-    count = grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG)
+    count = triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG)
     assert count == len(scene.map) - before > 100
     errors = scene.depth_errors()[before:]
     assert np.median(np.abs(errors)) < 0.01
@@ -212,7 +212,7 @@ def test_a_map_grows_from_a_keyframe_far_behind(texture: Bytes) -> None:
     ahead = make_transform(np.eye(3), np.array([0.2, 0.0, 0.9]))  # depth is 5 and more
     frame = scene.frame(ahead)
     second = scene.keyframe(frame, ahead)
-    assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) > 50
+    assert triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) > 50
     assert np.mean(np.abs(scene.depth_errors()[before:]) > 0.05) < 0.05
 
 
@@ -229,7 +229,7 @@ def _grown(texture: Bytes, pose: Floats, known: int) -> tuple[int, Floats]:
     if known:
         _seed(scene, second, known)
     before = len(scene.map)
-    added = grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG)
+    added = triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG)
     return added, scene.depth_errors()[before:]
 
 
@@ -262,12 +262,14 @@ def test_no_feature_makes_two_landmarks(texture: Bytes) -> None:
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
     for _ in range(3):
-        assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) <= 600
+        assert (
+            triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) <= 600
+        )
     for keyframe in (first, second):
         assert len(np.unique(keyframe.landmark)) == len(keyframe.landmark)
         assert len(np.unique(keyframe.xy, axis=0)) == len(keyframe.xy)
     assert np.sum(~first.free) == len(first.landmark)
-    assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) < 10
+    assert triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) < 10
 
 
 def test_without_translation_no_mono_landmarks_grow(texture: Bytes) -> None:
@@ -277,7 +279,7 @@ def test_without_translation_no_mono_landmarks_grow(texture: Bytes) -> None:
     turned = make_transform(cv2.Rodrigues(np.array([0.0, 0.05, 0.0]))[0], np.zeros(3))
     frame = scene.frame(turned)
     second = scene.keyframe(frame, turned)
-    assert grow_mono(scene.map, second, frame.image0, scene.rig, CONFIG) == 0
+    assert triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) == 0
 
 
 # Spread

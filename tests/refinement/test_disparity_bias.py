@@ -3,22 +3,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vo.backend.calibration_residual import Miscalibration
-from vo.geometry.rectification import working_rig
-from vo.refinement.disparity_bias import DisparityWatch
+from vo.backend.calibration_residual import CalibrationResidual
+from vo.geometry.rectification import rectified_rig
+from vo.refinement.disparity_bias import DisparityBiasEstimator
 from vo.types import Camera, Rig
 
-RIG = working_rig(Rig(Camera(1240, 376, 720.0, 720.0, 620.0, 188.0)))
+RIG = rectified_rig(Rig(Camera(1240, 376, 720.0, 720.0, 620.0, 188.0)))
 
 
-def _left(offset_px: float, sigma: float, curve_px: float = 0.0) -> Miscalibration:
+def _left(offset_px: float, sigma: float, curve_px: float = 0.0) -> CalibrationResidual:
     """What a window says that is as sure of the curve as of the offset."""
-    return Miscalibration(np.array([offset_px, curve_px]), np.eye(2) * sigma**-2)
+    return CalibrationResidual(np.array([offset_px, curve_px]), np.eye(2) * sigma**-2)
 
 
 def _corrections(offsets: list[float], sigma: float = 0.02) -> list[tuple[int, float]]:
     """Number of the window and offset of each correction; what is corrected is seen no more."""
-    watch, found = DisparityWatch(RIG), []
+    watch, found = DisparityBiasEstimator(RIG), []
     for i, offset in enumerate(offsets):
         wanted = watch.update(_left(offset - float(watch.applied[0]), sigma))
         if wanted is not None:
@@ -59,7 +59,7 @@ def test_less_than_a_tenth_of_a_pixel_is_never_corrected() -> None:
 
 
 def test_a_curve_is_corrected_without_an_offset() -> None:
-    watch, found = DisparityWatch(RIG), []
+    watch, found = DisparityBiasEstimator(RIG), []
     for i in range(20):
         wanted = watch.update(_left(0.04, 0.02, -1.2 - float(watch.applied[1])))
         if wanted is not None:
@@ -68,9 +68,9 @@ def test_a_curve_is_corrected_without_an_offset() -> None:
 
 
 def test_what_a_curve_is_at_the_sides_of_the_image_counts() -> None:
-    narrow = working_rig(Rig(Camera(1240, 376, 2880.0, 2880.0, 620.0, 188.0)))
+    narrow = rectified_rig(Rig(Camera(1240, 376, 2880.0, 2880.0, 620.0, 188.0)))
     for rig, corrected in ((RIG, True), (narrow, False)):
-        watch = DisparityWatch(rig)
+        watch = DisparityBiasEstimator(rig)
         changes = [watch.update(_left(0.0, 0.02, 0.6)) is not None for _ in range(200)]
         assert any(changes) == corrected
 
@@ -91,7 +91,7 @@ def test_unsure_windows_change_nothing() -> None:
 
 
 def test_sure_windows_count_more_than_unsure_ones() -> None:
-    watch = DisparityWatch(RIG)
+    watch = DisparityBiasEstimator(RIG)
     watch.update(_left(5.0, 10.0))
     for _ in range(2):
         wanted = watch.update(_left(0.4, 0.02))
@@ -100,14 +100,14 @@ def test_sure_windows_count_more_than_unsure_ones() -> None:
 
 
 def test_a_trace_of_an_offset_beside_a_curve_is_left_out() -> None:
-    watch = DisparityWatch(RIG)
+    watch = DisparityBiasEstimator(RIG)
     for _ in range(10):
         watch.update(_left(0.13 - float(watch.applied[0]), 0.02, -1.2 - float(watch.applied[1])))
     assert watch.applied.tolist() == [0.0, pytest.approx(-1.2)]
 
 
 def test_an_offset_and_a_curve_are_corrected_together() -> None:
-    watch = DisparityWatch(RIG)
+    watch = DisparityBiasEstimator(RIG)
     for _ in range(3):
         wanted = watch.update(_left(0.6, 0.02, -1.2))
     assert wanted is not None
@@ -115,7 +115,7 @@ def test_an_offset_and_a_curve_are_corrected_together() -> None:
 
 
 def test_a_window_may_speak_for_several() -> None:
-    one, other = DisparityWatch(RIG), DisparityWatch(RIG)
+    one, other = DisparityBiasEstimator(RIG), DisparityBiasEstimator(RIG)
     left = _left(0.6, 0.02, -1.2)
     assert [one.update(left) is None for _ in range(3)] == [True, True, False]
     assert other.update(left, 3) is not None

@@ -3,26 +3,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vo.backend.calibration_residual import Miscalibration
+from vo.backend.calibration_residual import CalibrationResidual
 from vo.geometry.lens_error import bend_of_k1, edge_px
-from vo.geometry.rectification import WorkingRig, working_rig
-from vo.refinement.radial_distortion import LensWatch
+from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.refinement.radial_distortion import RadialDistortionEstimator
 from vo.types import Camera, Rig
 
 
-def _rig(focal: float = 460.0) -> WorkingRig:
-    return working_rig(Rig(Camera(752, 480, focal, focal, 376.0, 240.0)))
+def _rig(focal: float = 460.0) -> RectifiedRig:
+    return rectified_rig(Rig(Camera(752, 480, focal, focal, 376.0, 240.0)))
 
 
 def _corrections(
-    k1: list[float], sigma: float | list[float] = 0.001, rig: WorkingRig | None = None
+    k1: list[float], sigma: float | list[float] = 0.001, rig: RectifiedRig | None = None
 ) -> list[tuple[int, float]]:
     """Number of the window and k1 of each correction; what is corrected is seen no more."""
-    watch, found = LensWatch(rig or _rig()), []
+    watch, found = RadialDistortionEstimator(rig or _rig()), []
     sigmas = np.broadcast_to(sigma, len(k1)).tolist()
     for i, (value, s) in enumerate(zip(k1, sigmas, strict=True)):
         wanted = watch.update(
-            Miscalibration(np.array([value - watch.applied]), np.array([[s**-2]]))
+            CalibrationResidual(np.array([value - watch.applied]), np.array([[s**-2]]))
         )
         if wanted is not None:
             found.append((i, wanted))
@@ -72,7 +72,7 @@ def test_what_moves_the_corners_by_a_fifth_of_a_pixel_is_not_corrected() -> None
 def test_what_a_lens_hides_at_its_edges_is_reckoned_with() -> None:
     # Ideal points look 1.8 times as bent as k1 is wrong by.
     lens = Camera(752, 480, 460.0, 460.0, 376.0, 240.0, "radtan", (-0.28, 0.07, 0.0, 0.0))
-    rig = working_rig(Rig(lens))
+    rig = rectified_rig(Rig(lens))
     bend = bend_of_k1(rig)
     assert 1.7 < bend < 1.9
     ((_, wanted), *_) = _corrections([0.005 * bend] * 3, rig=rig)
@@ -80,8 +80,8 @@ def test_what_a_lens_hides_at_its_edges_is_reckoned_with() -> None:
 
 
 def test_a_window_may_speak_for_several() -> None:
-    one, other = LensWatch(_rig()), LensWatch(_rig())
-    left = Miscalibration(np.array([0.006]), np.array([[1e6]]))
+    one, other = RadialDistortionEstimator(_rig()), RadialDistortionEstimator(_rig())
+    left = CalibrationResidual(np.array([0.006]), np.array([[1e6]]))
     assert [one.update(left) is None for _ in range(3)] == [True, True, False]
     assert other.update(left, 3) is not None
     assert other.applied == pytest.approx(one.applied, rel=1e-12)

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from vo.config import Config
-from vo.frontend.preprocessing import Preparation
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.frontend.preprocessing import FramePreprocessor
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp, transform_points
-from vo.tracking.monocular_initializer import FirstPair, MonoStart
+from vo.tracking.monocular_initializer import InitialPair, MonocularInitializer
 from vo.tracking.two_view import start_two_view
 from vo.types import Bytes, Camera, Floats, Frame, Rig
 
 WIDTH, HEIGHT, FOCAL = 480, 360, 360.0
-RIG = working_rig(Rig(Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)))
+RIG = rectified_rig(Rig(Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)))
 NORMAL, AWAY = np.array([0.0, 0.6, 0.8]), 6.0  # of the ground, seen by the first camera
 FLIGHT = np.array([0.01, -0.02, 0.01, -0.1, 1.2, -1.5])  # cam_from_first after all frames
 FRAMES = 24
@@ -51,14 +51,16 @@ def _image(texture: Floats, frame: int) -> Bytes:
     return np.asarray(np.clip(np.round(grey + noise), 0, 255), dtype=np.uint8)
 
 
-def _started(images: list[Bytes], rig: WorkingRig, config: Config) -> tuple[FirstPair, list[str]]:
-    preparation = Preparation(config, threads=1)
-    start = MonoStart(config)
+def _started(
+    images: list[Bytes], rig: RectifiedRig, config: Config
+) -> tuple[InitialPair, list[str]]:
+    preparation = FramePreprocessor(config, threads=1)
+    start = MonocularInitializer(config)
     reasons: list[str] = []
     for index, image in enumerate(images):
         frame = preparation.later(Frame(index, index, image), rig).result()
         found = start.attempt(frame, rig)
-        if isinstance(found, FirstPair):
+        if isinstance(found, InitialPair):
             return found, reasons
         reasons.append(found)
     pytest.fail(f"no map: {reasons}")
@@ -68,7 +70,7 @@ def test_over_flat_ground_the_frames_between_begin_a_map(images: list[Bytes]) ->
     config = Config()
     pair, reasons = _started(images, RIG, config)
     assert "the plane in view allows two motions" in reasons
-    reference_xy = RIG.ideal_from_image(pair.reference.keypoints.xy[pair.query])
+    reference_xy = RIG.undistort(pair.reference.keypoints.xy[pair.query])
     alone = start_two_view(reference_xy, pair.xy, RIG.matrix, config.start)
     assert alone == "the plane in view allows two motions"
 

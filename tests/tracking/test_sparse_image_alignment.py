@@ -11,16 +11,16 @@ import pytest
 from vo.config import load_config
 from vo.formats.trajectory import read_tum
 from vo.frontend.camera_alignment import smaller_images
-from vo.frontend.preprocessing import Preparation, WorkingFrame
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp, transform_points
 from vo.mapping.keyframes import add_keyframe
 from vo.mapping.local_map import Map
-from vo.mapping.triangulate_stereo import grow_stereo
-from vo.snapshot import Seen
+from vo.mapping.triangulate_stereo import triangulate_stereo
+from vo.snapshot import LastFrame
 from vo.sources.registry import open_source
-from vo.tracking.sparse_image_alignment import direct_step
-from vo.tracking.tracker import as_tracked
+from vo.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.tracking.tracker import as_tracked_frame
 from vo.types import Bytes, Floats
 
 CONFIG = load_config("fast")
@@ -31,31 +31,31 @@ class Scene:
     """A map from one stereo frame, what that sees, a later frame, and its true pose."""
 
     map: Map
-    rig: WorkingRig
-    last: Seen
-    frame: WorkingFrame
+    rig: RectifiedRig
+    last: LastFrame
+    frame: PreprocessedFrame
     pose: Floats
 
-    def step(self, predicted: Floats, frame: WorkingFrame | None = None) -> Floats | None:
+    def step(self, predicted: Floats, frame: PreprocessedFrame | None = None) -> Floats | None:
         frame = frame or self.frame
-        return direct_step(self.map, self.last, np.eye(4), frame, predicted, self.rig)
+        return sparse_image_alignment(self.map, self.last, np.eye(4), frame, predicted, self.rig)
 
-    def showing(self, image: Bytes) -> WorkingFrame:
+    def showing(self, image: Bytes) -> PreprocessedFrame:
         return replace(self.frame, image0=image, smaller=smaller_images(image))
 
 
 @pytest.fixture(scope="module")
 def scene(synthetic_stereo: Path) -> Scene:
     source = open_source(synthetic_stereo)
-    rig, preparation = working_rig(source.rig), Preparation(CONFIG, threads=1)
+    rig, preparation = rectified_rig(source.rig), FramePreprocessor(CONFIG, threads=1)
     preparation.begins_features = False
     first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
     world = Map(4, rig.height, rig.width)
     free = np.ones(len(first.keypoints), dtype=bool)
     keyframe = add_keyframe(world, first, np.eye(4), 0, free, rig)
-    grow_stereo(world, keyframe, first, rig, CONFIG)
-    seen = as_tracked(world, keyframe)
-    last = Seen(first, seen.ids, seen.observed.image_xy, seen.inlier)
+    triangulate_stereo(world, keyframe, first, rig, CONFIG)
+    seen = as_tracked_frame(world, keyframe)
+    last = LastFrame(first, seen.ids, seen.observed.image_xy, seen.inlier)
     true = read_tum(synthetic_stereo / "groundtruth.tum").world_from_cam
     return Scene(world, rig, last, later, inverse(true[0]) @ true[2])
 
@@ -75,7 +75,7 @@ def test_the_step_is_the_same_when_smoothing_has_moved_everything(scene: Scene) 
     before = scene.map.xyz.copy()
     scene.map.xyz = transform_points(motion, before)
     predicted = motion @ scene.pose
-    moved = direct_step(scene.map, scene.last, motion, scene.frame, predicted, scene.rig)
+    moved = sparse_image_alignment(scene.map, scene.last, motion, scene.frame, predicted, scene.rig)
     scene.map.xyz = before
     step = scene.step(scene.pose)
     assert step is not None and moved is not None
@@ -96,5 +96,5 @@ def test_another_scene_or_none_gives_no_pose(scene: Scene) -> None:
 
 
 def test_too_few_landmarks_give_no_pose(scene: Scene) -> None:
-    few = Seen(scene.last.frame, *(part[:15] for part in scene.last[1:]))
+    few = LastFrame(scene.last.frame, *(part[:15] for part in scene.last[1:]))
     assert replace(scene, last=few).step(scene.pose) is None

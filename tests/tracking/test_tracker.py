@@ -11,14 +11,14 @@ import pytest
 
 from vo.config import Config, load_config
 from vo.formats.trajectory import read_tum
-from vo.frontend.preprocessing import Preparation, WorkingFrame
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp
 from vo.mapping.keyframes import add_keyframe
 from vo.mapping.local_map import Map
-from vo.mapping.triangulate_stereo import grow_stereo
+from vo.mapping.triangulate_stereo import triangulate_stereo
 from vo.sources.registry import open_source
-from vo.tracking.tracker import Tracked, refine
+from vo.tracking.tracker import TrackedFrame, refine
 from vo.types import Floats
 
 CONFIG = load_config("fast")
@@ -29,11 +29,11 @@ class Scene:
     """A map from one stereo frame, a later frame, and its true pose in the map."""
 
     map: Map
-    rig: WorkingRig
-    frame: WorkingFrame
+    rig: RectifiedRig
+    frame: PreprocessedFrame
     pose: Floats
 
-    def refine(self, pose: Floats, config: Config = CONFIG) -> Tracked | None:
+    def refine(self, pose: Floats, config: Config = CONFIG) -> TrackedFrame | None:
         return refine(self.map, self.frame, pose, self.rig, config)
 
     def with_landmarks(self, count: int) -> Scene:
@@ -53,12 +53,12 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene(synthetic_stereo: Path) -> Scene:
     source = open_source(synthetic_stereo)
-    rig, preparation = working_rig(source.rig), Preparation(CONFIG, threads=1)
+    rig, preparation = rectified_rig(source.rig), FramePreprocessor(CONFIG, threads=1)
     first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
     world = Map(4, rig.height, rig.width)
     free = np.ones(len(first.keypoints), dtype=bool)
     keyframe = add_keyframe(world, first, np.eye(4), 0, free, rig)
-    assert grow_stereo(world, keyframe, first, rig, CONFIG) > 200
+    assert triangulate_stereo(world, keyframe, first, rig, CONFIG) > 200
     true = read_tum(synthetic_stereo / "groundtruth.tum").world_from_cam
     return Scene(world, rig, later, inverse(true[0]) @ true[2])
 

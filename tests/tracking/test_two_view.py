@@ -5,7 +5,7 @@ import pytest
 
 from vo.config import StartConfig
 from vo.geometry.transforms import rotation_angle, se3_exp, se3_log, transform_points
-from vo.tracking.two_view import Between, TwoView, _trial, start_two_view
+from vo.tracking.two_view import IntermediateView, TwoView, _trial, start_two_view
 from vo.types import Floats
 
 MATRIX = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
@@ -123,7 +123,7 @@ def _over_fields(
     first, second, between = seen(0.0), seen(1.0), []
     for part in np.arange(1, frames + 1) / (frames + 1):
         rows = np.flatnonzero(rng.random(400) < 2 / 3)
-        between.append(Between(rows, seen(part)[rows]))
+        between.append(IntermediateView(rows, seen(part)[rows]))
     return start_two_view(first, second, MATRIX, CONFIG, between), se3_exp(course)
 
 

@@ -9,23 +9,23 @@ import pytest
 
 from vo.geometry.transforms import se3_exp
 from vo.stopwatch import Stopwatch
-from vo.trajectory.store import History, Untracked
+from vo.trajectory.store import InterpolatedFrames, TrajectoryStore
 from vo.types import Floats, KeyframePose
 
-# History
+# TrajectoryStore
 
 
 def _pose(number: float) -> Floats:
     return se3_exp(np.array([0.02, -0.01, 0.03, 0.5, 0.1, 1.0]) * number)
 
 
-def _store(history: History, keyframe: int, frame: int, pose: Floats) -> None:
+def _store(history: TrajectoryStore, keyframe: int, frame: int, pose: Floats) -> None:
     history.store(keyframe, KeyframePose(frame, 100 * frame, 0, pose, None))
 
 
-def _history() -> History:
+def _history() -> TrajectoryStore:
     """Frames 0 to 9, of which 0, 4 and 8 are keyframes."""
-    history = History()
+    history = TrajectoryStore()
     for frame in range(10):
         keyframe = frame // 4
         if frame % 4 == 0:
@@ -71,7 +71,7 @@ def test_only_what_is_new_or_has_moved_is_a_change() -> None:
 
 def test_a_covariance_comes_out_as_it_went_in() -> None:
     root = np.random.default_rng(0).normal(size=(6, 6))
-    history = History()
+    history = TrajectoryStore()
     history.store(5, KeyframePose(7, 700, 2, _pose(1), root @ root.T))
     (only,) = history.keyframes()
     assert (only.frame_index, only.stamp_ns, only.segment) == (7, 700, 2)
@@ -82,10 +82,10 @@ def test_a_covariance_comes_out_as_it_went_in() -> None:
 STAMPS_NS = np.arange(40, dtype=np.int64) * 100 + np.arange(40) % 3 * 20  # uneven
 
 
-def _every_third(numbers: Sequence[int], segment_of: Callable[[int], int]) -> History:
+def _every_third(numbers: Sequence[int], segment_of: Callable[[int], int]) -> TrajectoryStore:
     """Of frames in constant motion every third is tracked, every second of these a keyframe."""
-    history = History()
-    history.untracked = Untracked(STAMPS_NS, 1, 3)
+    history = TrajectoryStore()
+    history.untracked = InterpolatedFrames(STAMPS_NS, 1, 3)
     for row, number in enumerate(numbers):
         stamp_ns, segment, pose = int(STAMPS_NS[number]), segment_of(number), _moving(number)
         if row % 2 == 0:
@@ -127,7 +127,7 @@ def test_interpolated_frames_move_with_either_neighbour() -> None:
 
 
 def test_without_frames_the_path_is_empty() -> None:
-    trajectory = History().trajectory()
+    trajectory = TrajectoryStore().trajectory()
     assert len(trajectory) == 0
     assert trajectory.positions.shape == (0, 3)
 

@@ -43,7 +43,7 @@ def reduced(  # type: ignore[no-untyped-def]
     """Normal equations of the poses that may move, the points eliminated.
 
     With `calibrates` six rows follow, of which the first are those of what the calibration leaves
-    (`Miscalibration`): to the blocks it is one more pose, which all observations share.
+    (`CalibrationResidual`): to the blocks it is one more pose, which all observations share.
     """
     free = slot.max() + 1
     size = free + 1 if calibrates else free

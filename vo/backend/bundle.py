@@ -68,7 +68,7 @@ class Bundle:
         """Linearise at poses (K, 4, 4) and their points; later searches for points start there.
 
         With `calibrates` more rows at the end are those of what the calibration leaves
-        (`Miscalibration`), which is 0 so far.
+        (`CalibrationResidual`), which is 0 so far.
         """
         at = self._at(world_from_cam)
         self._points = at.points

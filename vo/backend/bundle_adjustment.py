@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from vo.backend.bundle import Bundle, NormalEquations
-from vo.backend.gauge import Anchors, anchors
+from vo.backend.gauge import Gauge, gauge_of
 from vo.backend.residuals import residuals
 from vo.types import Bools, Floats, WindowProblem
 
@@ -46,7 +46,7 @@ class AdjustedWindow(NamedTuple):
 def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWindow | None:
     """Adjust a window; None where no landmark holds its poses."""
     point_ok = _well_seen(problem)
-    anchor = anchors(problem)
+    anchor = gauge_of(problem)
     if anchor.held.all() or not point_ok[problem.point].any():
         return None
     bundle = Bundle(replace(problem, fixed=anchor.held), point_ok, config)
@@ -60,7 +60,7 @@ def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWi
 
 
 def _optimised(
-    world_from_cam: Floats, anchor: Anchors, bundle: Bundle, config: SmoothingConfig
+    world_from_cam: Floats, anchor: Gauge, bundle: Bundle, config: SmoothingConfig
 ) -> Floats:
     """Poses (K, 4, 4) at the least cost, found by Levenberg and Marquardt."""
     free = np.flatnonzero(~anchor.held).tolist()

@@ -22,7 +22,7 @@ from vo.types import Floats
 _UNDETERMINED = 1e-10  # eigenvalue, against the greatest, below which poses are left alone
 
 
-class Miscalibration(NamedTuple):
+class CalibrationResidual(NamedTuple):
     """What is left of an error of the calibration.
 
     Attributes:
@@ -37,7 +37,9 @@ class Miscalibration(NamedTuple):
     information: Floats
 
 
-def miscalibration(normal: NormalEquations, unknowns: int) -> Miscalibration | None:
+def estimate_calibration_residual(
+    normal: NormalEquations, unknowns: int
+) -> CalibrationResidual | None:
     """Estimate it together with all poses but one and all points of a smoothed window.
 
     One Gauss-Newton step. None if the window does not determine it.
@@ -59,4 +61,4 @@ def miscalibration(normal: NormalEquations, unknowns: int) -> Miscalibration | N
     gradient = normal.gradient[-unknowns:] - along.T @ (vectors.T @ normal.gradient[:-unknowns])
     if not (np.linalg.eigvalsh(information) > 0.0).all():
         return None
-    return Miscalibration(np.asarray(-np.linalg.solve(information, gradient)), information)
+    return CalibrationResidual(np.asarray(-np.linalg.solve(information, gradient)), information)

@@ -9,7 +9,7 @@ import numpy as np
 from vo.types import Bools, Floats, WindowProblem
 
 
-class Anchors(NamedTuple):
+class Gauge(NamedTuple):
     """What of a window of K poses is held.
 
     Attributes:
@@ -23,12 +23,12 @@ class Anchors(NamedTuple):
     sigmas: Floats
 
 
-def anchors(problem: WindowProblem) -> Anchors:
+def gauge_of(problem: WindowProblem) -> Gauge:
     """Hold the fixed poses; a window without any is held by its first pose, and mono's scale."""
     held, poses = problem.fixed.copy(), problem.world_from_cam
     if not held.any():
         held[0] = True
-    nothing = Anchors(held, None, np.full(6, np.inf))
+    nothing = Gauge(held, None, np.full(6, np.inf))
     if problem.fixed.sum() >= 2 or problem.baseline_m > 0.0 or len(poses) < 2:
         return nothing
     anchor = int(np.flatnonzero(held)[0])
@@ -37,4 +37,4 @@ def anchors(problem: WindowProblem) -> Anchors:
     if farthest == anchor:
         return nothing
     length = float(distance[farthest])
-    return Anchors(held, farthest, np.r_[np.full(3, 1.0), np.full(3, 0.02 * length)])
+    return Gauge(held, farthest, np.r_[np.full(3, 1.0), np.full(3, 0.02 * length)])

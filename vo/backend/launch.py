@@ -34,7 +34,7 @@ main()
 
 @contextmanager
 def child_started_early(threads: int) -> Iterator[subprocess.Popen[bytes] | None]:
-    """A process for the `SmootherProcess` to come, ended afterwards whatever happened.
+    """A process for the `OptimizerProcess` to come, ended afterwards whatever happened.
 
     None where one thread is to do all the work, and where no process can be started.
     """

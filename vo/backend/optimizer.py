@@ -6,7 +6,7 @@ import logging
 from subprocess import Popen
 from typing import Protocol
 
-from vo.backend.process import SmootherProcess
+from vo.backend.process import OptimizerProcess
 from vo.backend.solution import WindowSolution, smooth
 from vo.config import SmoothingConfig
 from vo.types import WindowProblem
@@ -14,7 +14,7 @@ from vo.types import WindowProblem
 _log = logging.getLogger(__name__)
 
 
-class Smoother(Protocol):
+class WindowOptimizer(Protocol):
     """Adjusts one window at a time; whichever it is, the same window gives the same bits."""
 
     def ask(self, problem: WindowProblem) -> None:
@@ -30,7 +30,7 @@ class Smoother(Protocol):
         ...
 
 
-class SmootherHere:
+class InProcessOptimizer:
     """Does the work in this process, when the answer is asked for."""
 
     def __init__(self, config: SmoothingConfig) -> None:
@@ -52,13 +52,13 @@ class SmootherHere:
         """There is nothing to let go of."""
 
 
-def make_smoother(
+def make_optimizer(
     config: SmoothingConfig, threads: int, child: Popen[bytes] | None = None
-) -> Smoother:
+) -> WindowOptimizer:
     """A process of its own if there are cores for it: `child`, where that was started early."""
     if threads > 1:
         try:
-            return SmootherProcess(config, child)
+            return OptimizerProcess(config, child)
         except OSError as error:
             _log.warning("smoothing in the same process, no other can be started: %s", error)
-    return SmootherHere(config)
+    return InProcessOptimizer(config)

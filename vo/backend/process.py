@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 _ATTEMPTS = 2
 
 
-class SmootherProcess:
+class OptimizerProcess:
     """Hands windows to another process, which works on them until their answers are asked for.
 
     Args:

@@ -13,7 +13,7 @@ from vo.backend.residuals import residuals
 from vo.backend.solution import WindowSolution
 from vo.config import Config
 from vo.geometry.points import best_points
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, orthonormalised
 from vo.mapping.local_map import Keyframe, Map
 from vo.types import Bools, Floats, Ints, WindowProblem
@@ -39,7 +39,7 @@ class Window:
 
 def make_window(
     world: Map,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
     *,
     whole_map: bool = False,
@@ -62,7 +62,7 @@ def make_window(
 
 
 def take_in(
-    world: Map, window: Window, solution: WindowSolution, rig: WorkingRig, config: Config
+    world: Map, window: Window, solution: WindowSolution, rig: RectifiedRig, config: Config
 ) -> list[Keyframe]:
     """Write a window's poses and points into the map as it is now; drop what disagrees.
 
@@ -129,7 +129,7 @@ def cull(world: Map, config: Config) -> None:
     world.keep_landmarks((seen > 0) & ~rarely & ~weak)
 
 
-def _everything(world: Map, rig: WorkingRig, fixed: Bools) -> WindowProblem:
+def _everything(world: Map, rig: RectifiedRig, fixed: Bools) -> WindowProblem:
     """All keyframes, landmarks and observations of the map; its points are the map's rows."""
     keyframes = world.keyframes
     number, row = world.sightings()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vo.backend.bundle import Bundle
-from vo.backend.calibration_residual import Miscalibration, miscalibration
-from vo.backend.gauge import anchors
+from vo.backend.calibration_residual import CalibrationResidual, estimate_calibration_residual
+from vo.backend.gauge import gauge_of
 from vo.backend.information import pose_information
 from vo.backend.linearisation import linearise
 from vo.types import Bools, Floats, WindowProblem
@@ -38,7 +38,7 @@ class WindowSolution(NamedTuple):
     information: Floats
     points: Floats
     point_ok: Bools
-    left: Miscalibration | None
+    left: CalibrationResidual | None
     converged: bool
 
 
@@ -50,7 +50,7 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     if adjusted is None:
         return unsolved(problem)
     poses, points, ok = adjusted
-    held, scaled, sigmas = anchors(problem)
+    held, scaled, sigmas = gauge_of(problem)
     linear = linearise(problem, poses, points, ok, config)
     information = pose_information(linear, config.covariance_scale)
     if scaled is not None:
@@ -60,7 +60,9 @@ def smooth(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     if problem.calibrates:
         only_first = np.arange(len(poses)) == 0
         bundle = Bundle(replace(problem, points=points, fixed=only_first), ok, config)
-        left = miscalibration(bundle.normal_equations(poses, calibrates=True), bundle.unknowns)
+        left = estimate_calibration_residual(
+            bundle.normal_equations(poses, calibrates=True), bundle.unknowns
+        )
     return WindowSolution(poses, held, information, points, ok, left, True)
 
 
@@ -69,4 +71,4 @@ def unsolved(problem: WindowProblem) -> WindowSolution:
     poses, points = problem.world_from_cam, problem.points
     nothing = np.zeros((6 * len(poses), 6 * len(poses)))
     ok = np.ones(len(points), dtype=bool)
-    return WindowSolution(poses, anchors(problem).held, nothing, points, ok, None, False)
+    return WindowSolution(poses, gauge_of(problem).held, nothing, points, ok, None, False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from vo.results.summary import Summary
-from vo.types import Light
+from vo.types import ImageDefect
 
 Grade = Literal["good", "caution", "bad"]
 
@@ -14,9 +14,9 @@ _MOST_RANGES = 3
 _MOSTLY = 0.5
 _LONG_WITHOUT_MAP = 0.1  # of all frames
 _CAUSES = {
-    Light.BLACK: "exposure too short, lens cap on, lights off?",
-    Light.WHITE: "exposure too long?",
-    Light.ONE_GREY: "is the lens covered, or the camera out of focus?",
+    ImageDefect.BLACK: "exposure too short, lens cap on, lights off?",
+    ImageDefect.WHITE: "exposure too long?",
+    ImageDefect.ONE_GREY: "is the lens covered, or the camera out of focus?",
 }
 
 
@@ -55,7 +55,7 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
     """What can be done about what was wrong, most promising first; empty after a good run."""
     lines = []
     mono = summary.facts.mode == "mono"
-    lights = dict.fromkeys(Light.of(r.reason) for r in summary.without_pose)
+    lights = dict.fromkeys(ImageDefect.of(r.reason) for r in summary.without_pose)
     lines += [
         f"images are {light.value}: {_CAUSES[light]} vo info --contact-sheet sheet.png shows them"
         for light in lights

@@ -46,13 +46,13 @@ def smaller_images(image: Bytes) -> tuple[Bytes, ...]:
     return tuple(images)
 
 
-def align_camera(
+def align_sparse(
     reference: tuple[Bytes, ...],
     reference_xy: Floats,
     target: tuple[Bytes, ...],
     points: Floats,
     start: Floats,
-    image_from_ideal: Floats,
+    distort: Floats,
     intrinsics: tuple[float, float, float, float],
 ) -> CameraAlignment:
     """Move a camera until it sees the points' patches as another image shows them.
@@ -63,7 +63,7 @@ def align_camera(
         target: `smaller_images` of the camera's own image.
         points: (N, 3) in the reference camera's frame.
         start: (4, 4) target_from_reference to begin with.
-        image_from_ideal: (N, 2, 3) affine, from ideal pinhole pixels near where the point should
+        distort: (N, 2, 3) affine, from ideal pinhole pixels near where the point should
             be to those of the target image.
         intrinsics: fx, fy, cx, cy of the ideal pinhole.
 
@@ -76,7 +76,7 @@ def align_camera(
         templates, sums = patch_kernels.cut_all(
             reference[level], (reference_xy + 0.5) * scale - 0.5, _HALF_PX
         )
-        pixel_from_ideal = image_from_ideal * scale
+        pixel_from_ideal = distort * scale
         pixel_from_ideal[:, :, 2] += 0.5 * scale - 0.5
         for _ in range(_ITERATIONS):
             h, b, per_pixel, score = patch_kernels.step_together(

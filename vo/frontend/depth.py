@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.types import Floats, Floats32
 
 _MOST_SPREAD = 1.05  # of the depths around a pixel, farthest over nearest; more is an edge
 
 
-def disparity_from_depth(depth: Floats32, image_xy: Floats, rig: WorkingRig) -> Floats:
+def disparity_from_depth(depth: Floats32, image_xy: Floats, rig: RectifiedRig) -> Floats:
     """Disparity (n,) in pixels at working-image pixels (n, 2), NaN where depth is not known.
 
     With it, all that is made for stereo holds for depth: a landmark, a residual and a window know

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Later(Generic[T]):
+class LazyFuture(Generic[T]):
     """A result that is worked out when it is asked for, or in a thread before that.
 
     Args:

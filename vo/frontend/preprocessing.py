@@ -11,17 +11,17 @@ import numpy as np
 
 from vo.config import Config
 from vo.frontend.camera_alignment import smaller_images
-from vo.frontend.lazy_future import Later
+from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.orb import OrbDetector
-from vo.frontend.vertical_disparity import RowAlignment, View
-from vo.geometry.rectification import WorkingRig
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.row_errors import RowErrors
 from vo.scheduling import give_way
 from vo.types import Bools, Bytes, Floats32, Frame, Keypoints
 
 
 @dataclass(frozen=True, eq=False)
-class WorkingFrame:
+class PreprocessedFrame:
     """What tracking works on.
 
     Attributes:
@@ -44,8 +44,8 @@ class WorkingFrame:
     image0: Bytes
     image1: Bytes | None
     smaller: tuple[Bytes, ...]
-    left: Later[Keypoints]
-    right: Later[Keypoints] | None = None
+    left: LazyFuture[Keypoints]
+    right: LazyFuture[Keypoints] | None = None
     depth: Floats32 | None = None
     path: Path | None = None
     rows: RowErrors | None = None
@@ -73,7 +73,7 @@ class WorkingFrame:
         return self.image1 is not None or self.depth is not None
 
 
-class Preparation:
+class FramePreprocessor:
     """Makes frames ready, left and right each in a thread of its own if there are cores for it.
 
     Rows of the right images are brought in line on the way, see `vo.frontend.vertical_disparity`.
@@ -85,21 +85,23 @@ class Preparation:
 
     def __init__(self, config: Config, *, threads: int) -> None:
         self.begins_features = True
-        self._rows = RowAlignment(config)
+        self._rows = VerticalDisparityCorrection(config)
         self._detectors = (OrbDetector(config.features), OrbDetector(config.features))
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
         ]
 
-    def later(self, frame: Frame, rig: WorkingRig) -> Later[WorkingFrame]:
+    def later(self, frame: Frame, rig: RectifiedRig) -> LazyFuture[PreprocessedFrame]:
         """A frame that will be made ready."""
         pool = self._pools[0] if self._pools else None
-        return Later(lambda: self._prepare(frame, rig), pool)
+        return LazyFuture(lambda: self._prepare(frame, rig), pool)
 
-    def ahead(self, frames: Iterable[Frame], rig: WorkingRig) -> Iterator[Later[WorkingFrame]]:
+    def ahead(
+        self, frames: Iterable[Frame], rig: RectifiedRig
+    ) -> Iterator[LazyFuture[PreprocessedFrame]]:
         """All frames, each begun while the one before it is worked on."""
-        waiting: Later[WorkingFrame] | None = None
+        waiting: LazyFuture[PreprocessedFrame] | None = None
         try:
             for frame in frames:
                 coming = self.later(frame, rig)
@@ -119,22 +121,22 @@ class Preparation:
         for pool in self._pools:
             pool.shutdown(cancel_futures=True)
 
-    def _prepare(self, frame: Frame, rig: WorkingRig) -> WorkingFrame:
+    def _prepare(self, frame: Frame, rig: RectifiedRig) -> PreprocessedFrame:
         """Rectify a frame; have its features looked for."""
         image0 = rig.rectify(frame.image0, 0)
-        left = Later(lambda: self._left(image0, rig), self._pool_of_left(rig))
+        left = LazyFuture(lambda: self._left(image0, rig), self._pool_of_left(rig))
         image1, right = None, None
         if rig.is_stereo and frame.image1 is not None:
             image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
             right = self._right(image1)
             if self._rows.asks():
                 keypoints = self._left(image0, rig)
-                left = Later(lambda: keypoints, None)  # a thread cannot wait for itself
+                left = LazyFuture(lambda: keypoints, None)  # a thread cannot wait for itself
                 one, other = View(image0, keypoints), View(image1, right.result())
                 if self._rows.learn(one, other, rig):
                     image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
                     right = self._right(image1)
-        working = WorkingFrame(
+        working = PreprocessedFrame(
             frame.index,
             frame.stamp_ns,
             image0,
@@ -151,23 +153,23 @@ class Preparation:
             working.begin_features()
         return working
 
-    def _pool_of_left(self, rig: WorkingRig) -> ThreadPoolExecutor | None:
+    def _pool_of_left(self, rig: RectifiedRig) -> ThreadPoolExecutor | None:
         """The thread for features of left images; of a single camera the other, which is idle."""
         if not self._pools:
             return None
         return self._pools[0 if rig.is_stereo else 1]
 
-    def _left(self, image: Bytes, rig: WorkingRig) -> Keypoints:
+    def _left(self, image: Bytes, rig: RectifiedRig) -> Keypoints:
         # Nothing in the left images' thread waits for features of a single camera, so that these
         # may wait for it.
         helper = self._pools[0] if self._pools and not rig.is_stereo else None
         keypoints = self._detectors[0].detect(image, helper)
-        inside = np.asarray(np.isfinite(rig.ideal_from_image(keypoints.xy)).all(axis=1))
+        inside = np.asarray(np.isfinite(rig.undistort(keypoints.xy)).all(axis=1))
         return keypoints if inside.all() else select(keypoints, inside)
 
-    def _right(self, image: Bytes) -> Later[Keypoints]:
+    def _right(self, image: Bytes) -> LazyFuture[Keypoints]:
         pool = self._pools[1] if self._pools else None
-        return Later(lambda: self._detectors[1].detect(image), pool)
+        return LazyFuture(lambda: self._detectors[1].detect(image), pool)
 
 
 def select(keypoints: Keypoints, rows: Bools) -> Keypoints:

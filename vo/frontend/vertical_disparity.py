@@ -20,7 +20,7 @@ import numpy as np
 from vo.config import Config
 from vo.frontend.alignment import align_between
 from vo.frontend.matching import match_segments
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.right_camera import is_worth_correcting, largest_change
 from vo.geometry.row_errors import RowErrors, RowFit
 from vo.types import Bytes, Floats, Keypoints
@@ -40,7 +40,7 @@ class View(NamedTuple):
     keypoints: Keypoints
 
 
-class RowAlignment:
+class VerticalDisparityCorrection:
     """Learns from pairs, ever more seldom, and corrects those that follow.
 
     The first pair that tells is corrected at once; pairs number 3, 7, 15, 31 … make it more exact:
@@ -56,7 +56,7 @@ class RowAlignment:
         self.corrected = RowErrors()
         self._config = config
         self._fit = RowFit()
-        self._aligned: WorkingRig | None = None
+        self._aligned: RectifiedRig | None = None
         self._pairs = 0
         self._next = 0
 
@@ -66,7 +66,7 @@ class RowAlignment:
         is_over = self.found is None and self._pairs > _MOST_PAIRS
         return self._config.stereo.row_correction and self._pairs > self._next and not is_over
 
-    def learn(self, left: View, right: View, rig: WorkingRig) -> bool:
+    def learn(self, left: View, right: View, rig: RectifiedRig) -> bool:
         """Take in a pair, as it is corrected now; whether the correction has changed."""
         tells = self._take_in(left, right, rig)
         if tells or self.found is not None:  # also in the dark, a pair is asked but now and then
@@ -83,11 +83,11 @@ class RowAlignment:
         self._aligned = rig.with_right_corrected(wanted)
         return True
 
-    def aligned(self, rig: WorkingRig) -> WorkingRig:
+    def aligned(self, rig: RectifiedRig) -> RectifiedRig:
         """The rig with its right images corrected, if there is something to correct."""
         return rig if self._aligned is None else self._aligned
 
-    def _take_in(self, left: View, right: View, rig: WorkingRig) -> bool:
+    def _take_in(self, left: View, right: View, rig: RectifiedRig) -> bool:
         """Learn from a pair, if it tells."""
         xy, found = _matched(left, right, self._config)
         if len(xy) < _FEWEST:

@@ -4,35 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.types import Floats
 
 _STEP = 1e-6  # of k1, for derivatives
 _GRID = 24  # points along each side of the image
 
 
-def edge_px(rig: WorkingRig, k1: float) -> float:
+def edge_px(rig: RectifiedRig, k1: float) -> float:
     """How far outwards points at the image's edges are moved by a k1 that is larger by so much."""
-    ideal = rig.ideal_from_image(_grid(rig))
-    bent = rig.with_lens_error(rig.lens_error + _STEP).image_from_ideal(ideal)
-    moved = np.linalg.norm(bent - rig.image_from_ideal(ideal), axis=1)
+    ideal = rig.undistort(_grid(rig))
+    bent = rig.with_lens_error(rig.lens_error + _STEP).distort(ideal)
+    moved = np.linalg.norm(bent - rig.distort(ideal), axis=1)
     return float(k1 / _STEP * np.nanmax(moved))
 
 
-def bend_of_k1(rig: WorkingRig) -> float:
+def bend_of_k1(rig: RectifiedRig) -> float:
     """How much ideal points seem to be bent, x (1 - bend r^2), by a k1 that is larger by 1.
 
     1 for a lens without distortion. Undistorting an image that a lens shrinks at its edges
     stretches what is wrong there too: 1.8 for k1 = -0.28 at 90 degrees.
     """
     xy = _grid(rig)
-    ideal = rig.ideal_from_image(xy)
-    moved = rig.with_lens_error(rig.lens_error + _STEP).ideal_from_image(xy) - ideal
+    ideal = rig.undistort(xy)
+    moved = rig.with_lens_error(rig.lens_error + _STEP).undistort(xy) - ideal
     ray = (ideal - (rig.cx, rig.cy)) / (rig.fx, rig.fy)
     bend = ray * np.sum(ray**2, axis=1, keepdims=True) * (rig.fx, rig.fy)
     return float(-np.nansum(moved * bend) / np.nansum(bend**2) / _STEP)
 
 
-def _grid(rig: WorkingRig) -> Floats:
+def _grid(rig: RectifiedRig) -> Floats:
     u, v = np.meshgrid(np.linspace(0, rig.width - 1, _GRID), np.linspace(0, rig.height - 1, _GRID))
     return np.column_stack([u.ravel(), v.ravel()])

@@ -34,7 +34,7 @@ _MAX_RAY = np.tan(np.deg2rad(75.0))
 
 
 @dataclass(frozen=True, eq=False)
-class WorkingRig:
+class RectifiedRig:
     """The ideal pinhole cameras that the odometry computes with.
 
     Attributes:
@@ -44,7 +44,7 @@ class WorkingRig:
         cy: principal point, v.
         baseline_m: distance from the left to the right camera, 0 in mono; where depth is measured,
             that to a right camera that is not there (`VIRTUAL_BASELINE_M`).
-        cam0_from_working: (4, 4) turns the working (rectified) left camera into the recorded cam0.
+        cam0_from_rectified: (4, 4) turns the rectified left camera into the recorded cam0.
         lens: the distorted camera whose images are used as recorded, or None if there is nothing
             to undo; with its error corrected.
         maps: OpenCV's rectification maps of each camera, None for images that are used as is.
@@ -62,7 +62,7 @@ class WorkingRig:
     cx: float
     cy: float
     baseline_m: float
-    cam0_from_working: Floats
+    cam0_from_rectified: Floats
     lens: Camera | None = None
     maps: tuple[_Maps | None, ...] = (None, None)
     lens_error: float = 0.0
@@ -94,7 +94,7 @@ class WorkingRig:
         nearest = cv2.remap(depth, self.maps[0][0], None, cv2.INTER_NEAREST)
         return np.asarray(nearest, dtype=np.float32)
 
-    def with_right_corrected(self, errors: RowErrors) -> WorkingRig:
+    def with_right_corrected(self, errors: RowErrors) -> RectifiedRig:
         """The same rig whose right images are taken from where points are really seen."""
         v, u = np.ogrid[: self.height, : self.width]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
@@ -105,7 +105,7 @@ class WorkingRig:
             at_u, at_v = (_looked_up(side, at_u, at_v) for side in recorded)
         return replace(self, maps=(self.maps[0], cv2.convertMaps(at_u, at_v, cv2.CV_16SC2)))
 
-    def with_lens_error(self, k1: float) -> WorkingRig:
+    def with_lens_error(self, k1: float) -> RectifiedRig:
         """The same rig with a lens whose k1 is larger by so much than calibrated."""
         return replace(self, lens=_bent(self.any_lens, k1 - self.lens_error), lens_error=k1)
 
@@ -121,7 +121,7 @@ class WorkingRig:
         x = (right_u - self.cx) / self.fx
         return np.asarray(self.disparity_offset_px + self.disparity_curve_px * x**2)
 
-    def ideal_from_image(self, xy: Floats | Floats32) -> Floats:
+    def undistort(self, xy: Floats | Floats32) -> Floats:
         """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""
         at = np.asarray(xy, dtype=np.float64)
         if self.lens is None:
@@ -133,7 +133,7 @@ class WorkingRig:
         rays[np.linalg.norm(rays, axis=1) > _MAX_RAY] = np.nan
         return np.asarray(rays * (self.fx, self.fy) + (self.cx, self.cy))
 
-    def image_from_ideal(self, xy: Floats) -> Floats:
+    def distort(self, xy: Floats) -> Floats:
         """Working-image pixels (N, 2) of ideal pinhole pixels (N, 2)."""
         if self.lens is None:
             return xy
@@ -149,7 +149,7 @@ class WorkingRig:
         return np.column_stack([rays * depth[:, None], depth])
 
 
-def working_rig(rig: Rig) -> WorkingRig:
+def rectified_rig(rig: Rig) -> RectifiedRig:
     """Choose the working cameras of a rig, and what it takes to get there.
 
     Raises:
@@ -161,18 +161,18 @@ def working_rig(rig: Rig) -> WorkingRig:
     _check_baseline(inverse(rig.cam1_from_cam0)[:3, 3])
     if _is_rectified(rig):
         baseline = -float(rig.cam1_from_cam0[0, 3])
-        return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4))
+        return RectifiedRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4))
     return _rectified(c, rig.cam1, rig.cam1_from_cam0)
 
 
-def _single(c: Camera, baseline: float) -> WorkingRig:
+def _single(c: Camera, baseline: float) -> RectifiedRig:
     if not _is_wide(c):
         lens = c if c.is_distorted else None
-        return WorkingRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4), lens)
+        return RectifiedRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4), lens)
     fx, fy = _central_focal(c)
     matrix = np.array([[fx, 0.0, c.cx], [0.0, fy, c.cy], [0.0, 0.0, 1.0]])
     maps = (_wide_maps(c, np.eye(3), matrix, (c.width, c.height)), None)
-    return WorkingRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), None, maps)
+    return RectifiedRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), None, maps)
 
 
 def _bent(lens: Camera, k1: float) -> Camera:
@@ -193,7 +193,7 @@ def _is_rectified(rig: Rig) -> bool:
     return bool(same_matrix and same_size and parallel and sideways and undistorted)
 
 
-def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> WorkingRig:
+def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> RectifiedRig:
     size = (a.width, a.height)
     rotation, translation = cam1_from_cam0[:3, :3].copy(), cam1_from_cam0[:3, 3:4].copy()
     if _is_wide(a) or _is_wide(b):
@@ -214,8 +214,10 @@ def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> WorkingRig:
         maps = (_narrow_maps(a, r0, p0, size), _narrow_maps(b, r1, p1, size))
     baseline = -float(p1[0, 3] / p1[0, 0])
     fx, fy, cx, cy = float(p0[0, 0]), float(p0[1, 1]), float(p0[0, 2]), float(p0[1, 2])
-    cam0_from_working = make_transform(r0.T, np.zeros(3))
-    return WorkingRig(a.width, a.height, fx, fy, cx, cy, baseline, cam0_from_working, None, maps)
+    cam0_from_rectified = make_transform(r0.T, np.zeros(3))
+    return RectifiedRig(
+        a.width, a.height, fx, fy, cx, cy, baseline, cam0_from_rectified, None, maps
+    )
 
 
 def _is_wide(camera: Camera) -> bool:

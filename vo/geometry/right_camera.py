@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.row_errors import FittedRows, RowErrors, sigma_of_rows
 from vo.types import Floats, RightCamera
 
@@ -13,7 +13,7 @@ _SURE = 2.0  # standard deviations
 _WORTH_PX, _WORTH_WITH_SKEW_PX = 0.5, 2.0
 
 
-def is_worth_correcting(fitted: FittedRows, rig: WorkingRig) -> bool:
+def is_worth_correcting(fitted: FittedRows, rig: RectifiedRig) -> bool:
     """Whether errors at the corners of the image are large and surely there."""
     x, y = _corners(rig)
     sure = np.abs(fitted.errors.rows_px(x, y)) > _SURE * sigma_of_rows(fitted, x, y)
@@ -23,7 +23,7 @@ def is_worth_correcting(fitted: FittedRows, rig: WorkingRig) -> bool:
     return bool((sure & ((along > _WORTH_PX) | (across > _WORTH_WITH_SKEW_PX))).any())
 
 
-def largest_change(one: RowErrors, other: RowErrors, rig: WorkingRig) -> float:
+def largest_change(one: RowErrors, other: RowErrors, rig: RectifiedRig) -> float:
     """By how many pixels two corrections differ at the corners of the image, at most."""
     x, y = _corners(rig)
     rows = one.rows_px(x, y) - other.rows_px(x, y)
@@ -31,7 +31,7 @@ def largest_change(one: RowErrors, other: RowErrors, rig: WorkingRig) -> float:
     return float(max(np.abs(rows).max(), np.abs(columns).max()))
 
 
-def right_camera(corrected: RowErrors, rig: WorkingRig) -> RightCamera | None:
+def right_camera(corrected: RowErrors, rig: RectifiedRig) -> RightCamera | None:
     """The same in words of the right camera, and how it looks sideways, if that is known."""
     yaw_px = -rig.disparity_offset_px if rig.offset_is_yaw else 0.0
     if corrected == RowErrors() and yaw_px == 0.0:
@@ -45,7 +45,7 @@ def right_camera(corrected: RowErrors, rig: WorkingRig) -> RightCamera | None:
     )
 
 
-def _corners(rig: WorkingRig) -> tuple[Floats, Floats]:
+def _corners(rig: RectifiedRig) -> tuple[Floats, Floats]:
     """Those of the image, in pixels from the principal point over focal length."""
     u, v = np.array([(u, v) for u in (0, rig.width - 1) for v in (0, rig.height - 1)]).T
     return (u - rig.cx) / rig.fx, (v - rig.cy) / rig.fy

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from vo.errors import CalibrationError
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.inspection.records import CameraReport, Finding, LensReport, Report
 from vo.types import Rig
 
@@ -55,7 +55,7 @@ def in_pair(report: Report, rig: Rig) -> Iterator[Finding]:
         return
     yield from _baseline(float(np.linalg.norm(rig.cam1_from_cam0[:3, 3])))
     try:
-        working_rig(rig)
+        rectified_rig(rig)
     except CalibrationError as error:
         yield Finding("error", str(error))
     stereo = report.stereo

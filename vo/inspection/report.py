@@ -6,7 +6,7 @@ import numpy as np
 
 from vo.errors import CalibrationError
 from vo.geometry.cameras import normalise
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.inspection.findings import find_all
 from vo.inspection.inertial import look_at_imus
 from vo.inspection.material import CameraShots, Material, collected_warnings
@@ -109,7 +109,7 @@ def _calibration(rig: Rig) -> CalibrationReport:
         return CalibrationReport(tuple(lenses), None, None)
     lenses.append(_lens("cam1", rig.cam1))
     try:
-        is_rectified = working_rig(rig).maps[0] is None
+        is_rectified = rectified_rig(rig).maps[0] is None
     except CalibrationError:
         is_rectified = False
     baseline_m = float(np.linalg.norm(rig.cam1_from_cam0[:3, 3]))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vo.errors import CalibrationError
-from vo.geometry.rectification import WorkingRig, working_rig
+from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera import is_worth_correcting, right_camera
 from vo.geometry.row_errors import RowFit
 from vo.inspection.records import StereoReport
@@ -55,7 +55,7 @@ def compare(pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None) -> StereoRepo
 
 
 def _right_camera(
-    found: Sequence[tuple[tuple[Bytes, Bytes], Floats]], rig: WorkingRig
+    found: Sequence[tuple[tuple[Bytes, Bytes], Floats]], rig: RectifiedRig
 ) -> RightCamera | None:
     """What the rows of all pairs together say, if they say it surely."""
     fit = RowFit()
@@ -98,10 +98,10 @@ def match(left: Bytes, right: Bytes) -> Floats:
     return np.asarray(np.hstack([a, b])[agree.ravel() > 0], dtype=np.float64)
 
 
-def _working(rig: Rig | None) -> WorkingRig | None:
+def _working(rig: Rig | None) -> RectifiedRig | None:
     if rig is None or not rig.is_stereo:
         return None
     try:
-        return working_rig(rig)
+        return rectified_rig(rig)
     except CalibrationError:
         return None

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from vo.config import Config
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.mapping.local_map import Keyframe, Map
 from vo.tracking.keyframe_policy import Change, median_parallax
 from vo.tracking.observations import predicted_octave
-from vo.tracking.tracker import Tracked
+from vo.tracking.tracker import TrackedFrame
 from vo.types import Bools, Floats, Ints
 
 _TRACKABLE = 0.9  # share of the landmarks tried in a frame that is found in easy ones
@@ -19,7 +19,9 @@ _PATCH_SCALE = 1.3  # patches of landmarks that have changed size by more are ta
 _PATCH_SCORE = 0.9  # and those that correlate less
 
 
-def change_since(world: Map, frame: WorkingFrame, tracked: Tracked, config: Config) -> Change:
+def change_since(
+    world: Map, frame: PreprocessedFrame, tracked: TrackedFrame, config: Config
+) -> Change:
     """How much less of the map a tracked frame sees than the last keyframe, and how differently."""
     last = world.keyframes[-1]
     rows = tracked.observed.rows[tracked.inlier]
@@ -35,11 +37,11 @@ def change_since(world: Map, frame: WorkingFrame, tracked: Tracked, config: Conf
 
 def add_keyframe(
     world: Map,
-    frame: WorkingFrame,
+    frame: PreprocessedFrame,
     world_from_cam: Floats,
     segment: int,
     free: Bools,
-    rig: WorkingRig,
+    rig: RectifiedRig,
 ) -> Keyframe:
     """Store a working frame; `free` (N,) marks its features that have no landmark."""
     return world.add_keyframe(
@@ -49,17 +51,17 @@ def add_keyframe(
         image=frame.image0,
         world_from_cam=world_from_cam,
         keypoints=frame.keypoints,
-        ideal_xy=rig.ideal_from_image(frame.keypoints.xy),
+        undistorted_xy=rig.undistort(frame.keypoints.xy),
         free=free,
     )
 
 
 def add_tracked(
     world: Map,
-    frame: WorkingFrame,
-    tracked: Tracked,
+    frame: PreprocessedFrame,
+    tracked: TrackedFrame,
     segment: int,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
 ) -> Keyframe:
     """Store a tracked frame with the landmarks that it sees."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.mapping.lookup import rows_of
 from vo.types import Bools, Bytes, Floats, Ints, Keypoints
 
@@ -26,7 +26,7 @@ class Keyframe:
         covariance: (6, 6) in the camera's frame, or None before it was smoothed.
         shared: (6, 6) with keyframes before it, by their ids: rows its own errors, columns theirs.
         keypoints: its features.
-        ideal_xy: (N, 2) undistorted pixels of its features.
+        undistorted_xy: (N, 2) undistorted pixels of its features.
         free: (N,) features that have no landmark.
         landmark: (n,) ids of the landmarks it sees.
         xy: (n, 2) ideal pixels where it sees them.
@@ -44,7 +44,7 @@ class Keyframe:
     covariance: Floats | None
     shared: dict[int, Floats]
     keypoints: Keypoints
-    ideal_xy: Floats
+    undistorted_xy: Floats
     free: Bools
     landmark: Ints
     xy: Floats
@@ -52,10 +52,10 @@ class Keyframe:
     disparity: Floats
     sigma_px: Floats
 
-    def see_through(self, rig: WorkingRig) -> None:
+    def see_through(self, rig: RectifiedRig) -> None:
         """Find the ideal pixels anew, for a lens that bends the image otherwise."""
-        self.xy = rig.ideal_from_image(self.image_xy)
-        self.ideal_xy = rig.ideal_from_image(self.keypoints.xy)
+        self.xy = rig.undistort(self.image_xy)
+        self.undistorted_xy = rig.undistort(self.keypoints.xy)
 
     def add_observations(
         self, landmark: Ints, xy: Floats, image_xy: Floats, disparity: Floats, sigma_px: Floats
@@ -138,7 +138,7 @@ class Map:
         image: Bytes,
         world_from_cam: Floats,
         keypoints: Keypoints,
-        ideal_xy: Floats,
+        undistorted_xy: Floats,
         free: Bools,
     ) -> Keyframe:
         """Store a keyframe, in place of the oldest if there is no room."""
@@ -156,7 +156,7 @@ class Map:
             covariance=None,
             shared={},
             keypoints=keypoints,
-            ideal_xy=ideal_xy,
+            undistorted_xy=undistorted_xy,
             free=free.copy(),
             landmark=np.empty(0, np.int64),
             xy=np.empty((0, 2)),

@@ -9,7 +9,7 @@ import numpy as np
 from vo.config import TrackingConfig
 from vo.frontend.alignment import align_between
 from vo.geometry.patch_prediction import predict_patches
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.mapping.local_map import Map
 from vo.types import Floats, Ints
 
@@ -35,7 +35,7 @@ class FoundPatches(NamedTuple):
 
 
 def find_patches(
-    world: Map, rows: Ints, camera: Ints, rig: WorkingRig, config: TrackingConfig
+    world: Map, rows: Ints, camera: Ints, rig: RectifiedRig, config: TrackingConfig
 ) -> FoundPatches:
     """Find landmarks (N,), by row, to sub-pixel in keyframes of the map (N,) that may show them."""
     reference = world.reference - world.keyframes[0].id
@@ -44,7 +44,7 @@ def find_patches(
     intrinsics = (rig.fx, rig.fy, rig.cx, rig.cy)
     seen = predict_patches(world.xyz, world.normal, reference, rows, camera, poses, intrinsics)
     kept = np.flatnonzero((seen.scale < _SCALE_RANGE) & (seen.scale > 1.0 / _SCALE_RANGE))
-    expected = rig.image_from_ideal(seen.xy[kept])
+    expected = rig.distort(seen.xy[kept])
     farthest = (rig.width - _BORDER_PX, rig.height - _BORDER_PX)
     inside = ((expected >= _BORDER_PX) & (expected < farthest)).all(axis=1)
     kept, expected = kept[inside], expected[inside]
@@ -60,7 +60,7 @@ def find_patches(
         half_px=config.patch_half_px,
     )
     shift = np.linalg.norm(found.xy - expected, axis=1)
-    ideal = rig.ideal_from_image(found.xy)
+    ideal = rig.undistort(found.xy)
     good = found.converged & (found.score >= config.min_patch_score)
     good &= (shift <= config.max_shift_px) & np.isfinite(ideal).all(axis=1)
     return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])

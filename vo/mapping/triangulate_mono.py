@@ -12,7 +12,7 @@ from vo.frontend.matching import agree_in_rotation, match_segments
 from vo.geometry.epipolar_segments import epipolar_segments
 from vo.geometry.patch_prediction import predict_patches
 from vo.geometry.quantiles import median
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.surfaces import surface_normals
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import SoundPoints, sound_points
@@ -40,8 +40,8 @@ class _Parallax(NamedTuple):
     share: float
 
 
-def grow_mono(
-    world: Map, keyframe: Keyframe, image: np.ndarray, rig: WorkingRig, config: Config
+def triangulate_between_keyframes(
+    world: Map, keyframe: Keyframe, image: np.ndarray, rig: RectifiedRig, config: Config
 ) -> int:
     """Landmarks from features that a keyframe shares with some keyframes before it.
 
@@ -68,7 +68,7 @@ def _grow_between(
     keyframe: Keyframe,
     other: Keyframe,
     image: np.ndarray,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
     room: int,
     parallax: _Parallax,
@@ -103,18 +103,18 @@ def _grow_between(
     good = found.converged & (found.score >= config.tracking.min_patch_score)
     good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * size
     query, train, image_xy = query[good], train[good], found.xy[good]
-    xy = rig.ideal_from_image(image_xy)
+    xy = rig.undistort(image_xy)
     points, good, _ = _points_between(
-        other.ideal_xy[query], xy, now_from_other, rig, config, parallax
+        other.undistorted_xy[query], xy, now_from_other, rig, config, parallax
     )
     query, train, image_xy = query[good], train[good], image_xy[good]
     found = _on_surfaces(world, keyframe, other, image, query, image_xy, points[good], rig, config)
     good = found.converged & (found.score >= config.tracking.min_patch_score)
     good &= np.linalg.norm(found.xy - image_xy, axis=1) <= _MOST_MOVED_PX
     query, train, image_xy = query[good], train[good], found.xy[good]
-    xy = rig.ideal_from_image(image_xy)
+    xy = rig.undistort(image_xy)
     points, good, angle = _points_between(
-        other.ideal_xy[query], xy, now_from_other, rig, config, parallax
+        other.undistorted_xy[query], xy, now_from_other, rig, config, parallax
     )
     chosen = np.flatnonzero(good)
     if len(chosen) > room:
@@ -126,7 +126,7 @@ def _grow_between(
     none = np.full(len(ids), np.nan)
     sigma = np.full(len(ids), config.tracking.sigma_px)
     other_xy = other.keypoints.xy[query].astype(np.float64)
-    other.add_observations(ids, other.ideal_xy[query], other_xy, none, sigma)
+    other.add_observations(ids, other.undistorted_xy[query], other_xy, none, sigma)
     keyframe.add_observations(ids, xy, image_xy, none, sigma)
     other.free[query] = False
     keyframe.free[train] = False
@@ -140,7 +140,7 @@ def _on_surfaces(
     query: Ints,
     image_xy: Floats,
     points: Floats,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
 ) -> Alignment:
     """Find features again, now that a first depth tells how the camera sees them from here.
@@ -160,7 +160,7 @@ def _on_surfaces(
     rows = world.rows(other.landmark)
     landmarks = transform_points(inverse(pose), world.xyz[rows])
     known = (rows >= 0) & (landmarks[:, 2] > 0)
-    xy = np.concatenate([other.ideal_xy[query], other.xy[known]])
+    xy = np.concatenate([other.undistorted_xy[query], other.xy[known]])
     depth = np.concatenate([points[:, 2], landmarks[known, 2]])
     number, first = np.arange(len(query)), np.zeros(len(query), dtype=np.int64)
     seen = predict_patches(
@@ -200,7 +200,7 @@ def _match_between(
     matched = match_segments(
         other.keypoints.octave[query],
         other.keypoints.descriptor[query],
-        keyframe.ideal_xy[train],
+        keyframe.undistorted_xy[train],
         keypoints.octave[train],
         keypoints.descriptor[train],
         segment_start,
@@ -216,11 +216,11 @@ def _match_between(
 
 
 def _segments(
-    other: Keyframe, query: Ints, now_from_other: Floats, depth: float, rig: WorkingRig
+    other: Keyframe, query: Ints, now_from_other: Floats, depth: float, rig: RectifiedRig
 ) -> tuple[Ints, Floats, Floats]:
     """Features whose depths are all in front of both cameras, and where their segments end now."""
     start, end, possible = epipolar_segments(
-        other.ideal_xy[query],
+        other.undistorted_xy[query],
         now_from_other,
         _NEAREST * depth,
         _FARTHEST * depth,
@@ -234,7 +234,7 @@ def _points_between(
     xy_other: Floats,
     xy_now: Floats,
     now_from_other: Floats,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
     parallax: _Parallax,
 ) -> SoundPoints:

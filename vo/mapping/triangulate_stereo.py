@@ -8,11 +8,11 @@ import numpy as np
 
 from vo.config import Config
 from vo.frontend.depth import disparity_from_depth
-from vo.frontend.lazy_future import Later
+from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.matching import match_segments
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import NEIGHBOURS, median_of_nearest
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.surfaces import inverse_depth_slopes, surface_normals
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import Keyframe, Map
@@ -21,11 +21,11 @@ from vo.tracking.observations import measure_disparity
 from vo.types import Floats, Ints
 
 
-def grow_stereo(
+def triangulate_stereo(
     world: Map,
     keyframe: Keyframe,
-    frame: WorkingFrame,
-    rig: WorkingRig,
+    frame: PreprocessedFrame,
+    rig: RectifiedRig,
     config: Config,
 ) -> int:
     """Landmarks from the free features of a keyframe that have a disparity."""
@@ -37,7 +37,7 @@ def grow_stereo(
     matched = np.flatnonzero(disparity >= config.stereo.min_disparity_px)
     rows = _strongest(keyframe, matched, config.mapping.new_per_keyframe)
     disparity = disparity[rows]
-    xy = keyframe.ideal_xy[rows]
+    xy = keyframe.undistorted_xy[rows]
     in_cam = rig.back_project(xy, rig.fx * rig.baseline_m / disparity)
     add_new(
         world,
@@ -54,7 +54,9 @@ def grow_stereo(
     return len(rows)
 
 
-def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: Config) -> Floats:
+def stereo_disparity(
+    frame: PreprocessedFrame, rows: Ints, rig: RectifiedRig, config: Config
+) -> Floats:
     """Sub-pixel disparities (n,) of some of a frame's features, NaN where there is none."""
     if frame.depth is not None:
         xy = frame.keypoints.xy[rows].astype(np.float64)
@@ -90,7 +92,7 @@ def stereo_disparity(frame: WorkingFrame, rows: Ints, rig: WorkingRig, config: C
     return _on_surfaces(disparity, rows, frame, rig, config)
 
 
-def looks_swapped(frame: WorkingFrame, rig: WorkingRig, config: Config) -> bool:
+def looks_swapped(frame: PreprocessedFrame, rig: RectifiedRig, config: Config) -> bool:
     """Whether the right image would make a good left one: features lie on the wrong side."""
     if frame.image1 is None or frame.right is None:
         return False
@@ -99,15 +101,15 @@ def looks_swapped(frame: WorkingFrame, rig: WorkingRig, config: Config) -> bool:
         frame,
         image0=frame.image1,
         image1=frame.image0,
-        left=Later(lambda: keypoints, None),
-        right=Later(lambda: left, None),
+        left=LazyFuture(lambda: keypoints, None),
+        right=LazyFuture(lambda: left, None),
     )
     disparity = stereo_disparity(mirrored, np.arange(len(keypoints)), rig, config)
     return int((disparity >= config.stereo.min_disparity_px).sum()) >= config.start.min_points
 
 
 def _filled_from_neighbours(
-    disparity: Floats, xy: Floats, frame: WorkingFrame, rig: WorkingRig, config: Config
+    disparity: Floats, xy: Floats, frame: PreprocessedFrame, rig: RectifiedRig, config: Config
 ) -> Floats:
     """Try features without a partner, such as those in grass, at the disparity of those beside."""
     assert frame.image1 is not None
@@ -123,13 +125,13 @@ def _filled_from_neighbours(
 
 
 def _on_surfaces(
-    disparity: Floats, rows: Ints, frame: WorkingFrame, rig: WorkingRig, config: Config
+    disparity: Floats, rows: Ints, frame: PreprocessedFrame, rig: RectifiedRig, config: Config
 ) -> Floats:
     """Measure disparities again, now that those around tell how the right camera sees a patch."""
     assert frame.image1 is not None
     known = np.flatnonzero(disparity > 0.0)
     xy, guess = frame.keypoints.xy[rows[known]].astype(np.float64), disparity[known]
-    slope = inverse_depth_slopes(rig.ideal_from_image(xy), guess, np.arange(len(known)))
+    slope = inverse_depth_slopes(rig.undistort(xy), guess, np.arange(len(known)))
     again = measure_disparity(
         frame.image0, frame.image1, xy, guess, rig, config.tracking, config.stereo, slope
     )
@@ -138,7 +140,9 @@ def _on_surfaces(
     return measured
 
 
-def incline(world: Map, keyframe: Keyframe, rig: WorkingRig, *, only_new: bool = False) -> None:
+def estimate_normals(
+    world: Map, keyframe: Keyframe, rig: RectifiedRig, *, only_new: bool = False
+) -> None:
     """Tell from landmarks beside each other in a keyframe how their surfaces are inclined."""
     rows = world.rows(keyframe.landmark)
     seen = np.flatnonzero(rows >= 0)
@@ -152,7 +156,7 @@ def incline(world: Map, keyframe: Keyframe, rig: WorkingRig, *, only_new: bool =
     world.normal[rows[of]] = surface_normals(keyframe.xy[seen], depth, of, pose, intrinsics)
 
 
-def look_back(world: Map, keyframe: Keyframe, rig: WorkingRig, config: Config) -> None:
+def look_back(world: Map, keyframe: Keyframe, rig: RectifiedRig, config: Config) -> None:
     """Find the newest landmarks in the keyframes before, which did not know them yet."""
     new = np.flatnonzero((world.last_seen == keyframe.id) & (world.found <= 1))
     others = world.keyframes[-1 - config.mapping.look_back : -1]

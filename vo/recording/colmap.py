@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vo.errors import OutputError
 from vo.formats.colmap import MODEL_FILES, knows_lens, write_model
 from vo.geometry import cameras
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.recording.image_folder import ImageFolder
 from vo.recording.reconstruction import Model, Reconstruction, camera_of, pinhole_of
 from vo.types import Camera, Estimate, Floats32, Rig, Trajectory, View
@@ -46,7 +46,7 @@ class ColmapRecorder:
         Raises:
             OutputError: it cannot be written to.
         """
-        self._is_rectified = working_rig(rig).maps[0] is not None
+        self._is_rectified = rectified_rig(rig).maps[0] is not None
         try:
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
             for old in (self._folder / _MODELS).glob("[0-9]*"):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.backend.calibration_residual import Miscalibration
-from vo.geometry.rectification import WorkingRig
+from vo.backend.calibration_residual import CalibrationResidual
+from vo.geometry.rectification import RectifiedRig
 from vo.types import Floats
 
 # Windows of the same recording differ by more than their noise explains: uneven rectification,
@@ -18,14 +18,14 @@ _YAW_PX, _LEAST_YAW, _MOST_YAW = 0.3, 0.5, 1.5
 _OVERLAP = 10  # windows from one to the next that shares no keyframe with it
 
 
-class DisparityWatch:
+class DisparityBiasEstimator:
     """Averages what the windows say of the total error.
 
     Attributes:
         applied: (2,) the offset and the curve that are corrected, pixels.
     """
 
-    def __init__(self, rig: WorkingRig) -> None:
+    def __init__(self, rig: RectifiedRig) -> None:
         self.applied: Floats = np.zeros(2)
         edge = max(rig.cx, rig.width - rig.cx) / rig.fx
         self._edge = np.array([1.0, edge**2])  # what each of the two is at the image's sides
@@ -33,7 +33,7 @@ class DisparityWatch:
         self._information, self._sum = np.zeros((2, 2)), np.zeros(2)
         self._windows = 0
 
-    def update(self, left: Miscalibration, windows: int = 1) -> Floats | None:
+    def update(self, left: CalibrationResidual, windows: int = 1) -> Floats | None:
         """Take in the estimate of a window that speaks for so many.
 
         Windows overlap: one in ten counts for how sure their mean is.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.backend.calibration_residual import Miscalibration
+from vo.backend.calibration_residual import CalibrationResidual
 from vo.geometry.lens_error import bend_of_k1, edge_px
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 
 # At the image's edges: what is too little to tell from uneven patches, and to correct anew.
 _SYSTEMATIC_PX, _LEAST_CHANGE_PX = 0.2, 0.2
@@ -17,10 +17,10 @@ _LEAST_WINDOWS = 3
 _OVERLAP = 10  # windows from one to the next that shares no keyframe with it
 
 
-class LensWatch:
+class RadialDistortionEstimator:
     """Averages what the windows say of the total error of k1."""
 
-    def __init__(self, rig: WorkingRig) -> None:
+    def __init__(self, rig: RectifiedRig) -> None:
         self.applied = 0.0
         self._bend = bend_of_k1(rig)
         k1_of_px = 1.0 / edge_px(rig, 1.0)
@@ -30,7 +30,7 @@ class LensWatch:
         self._sum = 0.0
         self._windows = 0
 
-    def update(self, left: Miscalibration, windows: int = 1) -> float | None:
+    def update(self, left: CalibrationResidual, windows: int = 1) -> float | None:
         """Take in the estimate of a window that speaks for so many.
 
         Windows overlap: ten together count for how sure their mean is like one.

@@ -12,7 +12,7 @@ from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import Floats, Ints, LensError, Light, PlacedFrames, RightCamera, Skipped, State
+from vo.types import Floats, ImageDefect, Ints, LensError, PlacedFrames, RightCamera, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -234,7 +234,7 @@ def _warnings(summary: Summary) -> list[str]:
         warnings.append(f"no frame was tracked ({reasons[-1] if reasons else 'no frame read'})")
     elif summary.starting > _LONG_START * frames:
         warnings.append(f"{summary.starting} of {frames} frames while there was no map")
-    for light in Light:
+    for light in ImageDefect:
         warnings += _of_light(summary.without_pose, light)
     if lost:
         warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
@@ -272,8 +272,8 @@ def _of_far_scene(disparity_px: float) -> str:
     )
 
 
-def _of_light(without_pose: Sequence[FrameRange], light: Light) -> list[str]:
-    ranges = [r for r in without_pose if Light.of(r.reason) is light]
+def _of_light(without_pose: Sequence[FrameRange], light: ImageDefect) -> list[str]:
+    ranges = [r for r in without_pose if ImageDefect.of(r.reason) is light]
     if not ranges:
         return []
     said = [str(r.first) if r.frames == 1 else f"{r.first} to {r.last}" for r in ranges]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.results.account import Account
-from vo.types import Ints, Light, Skipped, State
+from vo.types import ImageDefect, Ints, Skipped, State
 
 _LEFT_OUT = "untracked", "left out by tracking.every, and not between two tracked frames"
 
@@ -47,7 +47,11 @@ def unplaced_ranges(
         state, reason = _LEFT_OUT if frame in left_out else _why(account, unreadable, frame)
         count[state] += 1
         before = ranges[-1] if after else None
-        if before and before.state == state and Light.of(before.reason) is Light.of(reason):
+        if (
+            before
+            and before.state == state
+            and ImageDefect.of(before.reason) is ImageDefect.of(reason)
+        ):
             ranges[-1] = before._replace(last=frame, frames=before.frames + 1, reason=reason)
         else:
             ranges.append(FrameRange(frame, frame, 1, state, reason))

@@ -6,12 +6,12 @@ import numpy as np
 
 from vo.config import Config
 from vo.frontend.matching import agree_in_rotation, match_everywhere
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry import epipolar
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import Map
-from vo.snapshot import Seen
+from vo.snapshot import LastFrame
 from vo.tracking.scale import scale_from_points
 from vo.types import Floats, Floats32, Ints
 
@@ -19,12 +19,12 @@ _MIN_SUPPORT = 6
 _SAME_PX = 3.0
 
 
-def essential_step(
+def essential_matrix_fallback(
     world: Map,
-    last: Seen,
+    last: LastFrame,
     world_from_last: Floats,
-    frame: WorkingFrame,
-    rig: WorkingRig,
+    frame: PreprocessedFrame,
+    rig: RectifiedRig,
     config: Config,
 ) -> Floats | None:
     """world_from_cam by frame-to-frame motion; None unless some landmarks confirm its scale.
@@ -46,7 +46,7 @@ def essential_step(
     query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
     if len(query) < config.start.min_matches:
         return None
-    first, second = (rig.ideal_from_image(xy) for xy in (a.xy[query], b.xy[matched[query]]))
+    first, second = (rig.undistort(xy) for xy in (a.xy[query], b.xy[matched[query]]))
     found = epipolar.find_essential(first, second, rig.matrix, config.start.threshold_px)
     if found is None or int(found[1].sum()) < config.start.min_points:
         return None

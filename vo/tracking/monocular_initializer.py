@@ -9,14 +9,14 @@ import numpy as np
 from vo.config import Config
 from vo.frontend.alignment import align_patches
 from vo.frontend.matching import agree_in_rotation, match_everywhere, match_windows
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.quantiles import median
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.keyframes import add_keyframe
 from vo.mapping.local_map import Keyframe, Map
-from vo.tracking.two_view import Between, TwoView, start_two_view
+from vo.tracking.two_view import IntermediateView, TwoView, start_two_view
 from vo.types import Bools, Floats, Ints
 
 _MOST_WAITING = 30  # frames kept in memory to be placed once there is a map
@@ -24,25 +24,25 @@ _ASKED = 4  # of them, spread evenly, tell a plane's two motions apart; those in
 
 
 @dataclass(frozen=True, eq=False)
-class FirstPair:
+class InitialPair:
     """Two frames that make a map: matched features and what they say of the motion."""
 
-    reference: WorkingFrame
-    current: WorkingFrame
+    reference: PreprocessedFrame
+    current: PreprocessedFrame
     query: Ints
     image_xy: Floats
     xy: Floats
     two_view: TwoView
 
 
-class MonoStart:
+class MonocularInitializer:
     """Follows the features of a reference frame until there is enough parallax for a map."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._reference: WorkingFrame | None = None
+        self._reference: PreprocessedFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
-        self.waiting: list[WorkingFrame] = []  # the frames since the reference, newest last
+        self.waiting: list[PreprocessedFrame] = []  # the frames since the reference, newest last
         # The reference's features that each of them has seen, and where (ideal pixels).
         self._seen: list[tuple[Ints, Floats]] = []
 
@@ -51,7 +51,7 @@ class MonoStart:
         self._reference = None
         self.waiting, self._seen = [], []
 
-    def attempt(self, frame: WorkingFrame, rig: WorkingRig) -> FirstPair | str:
+    def attempt(self, frame: PreprocessedFrame, rig: RectifiedRig) -> InitialPair | str:
         """A first map from the reference frame and this one, or why there is none yet."""
         if self._reference is None:
             return self._begin(frame, "this is the reference frame")
@@ -59,8 +59,8 @@ class MonoStart:
         if len(query) < self._config.start.min_matches:
             return self._begin(frame, f"{len(query)} matches with the reference frame, too few")
         self._expected_xy[query] = image_xy
-        xy = rig.ideal_from_image(image_xy)
-        reference_xy = rig.ideal_from_image(self._reference.keypoints.xy[query])
+        xy = rig.undistort(image_xy)
+        reference_xy = rig.undistort(self._reference.keypoints.xy[query])
         asked = np.linspace(0, len(self._seen) - 1, min(_ASKED, len(self._seen)))
         between = [_between(query, *self._seen[int(i)]) for i in asked]
         result = start_two_view(reference_xy, xy, rig.matrix, self._config.start, between)
@@ -68,16 +68,16 @@ class MonoStart:
             self.waiting = [*self.waiting[1 - _MOST_WAITING :], frame]
             self._seen = [*self._seen[1 - _MOST_WAITING :], (query, xy)]
             return result
-        return FirstPair(self._reference, frame, query, image_xy, xy, result)
+        return InitialPair(self._reference, frame, query, image_xy, xy, result)
 
-    def _begin(self, frame: WorkingFrame, reason: str) -> str:
+    def _begin(self, frame: PreprocessedFrame, reason: str) -> str:
         self._reference = frame
         self.waiting, self._seen = [], []
         self._expected_xy = frame.keypoints.xy.astype(np.float64)
         return reason
 
     def _match(
-        self, reference: WorkingFrame, frame: WorkingFrame, rig: WorkingRig
+        self, reference: PreprocessedFrame, frame: PreprocessedFrame, rig: RectifiedRig
     ) -> tuple[Ints, Floats]:
         """Features of the reference found in the frame, and where, to sub-pixel."""
         tracking = self._config.tracking
@@ -121,11 +121,11 @@ class MonoStart:
 
 def map_from_pair(
     world: Map,
-    pair: FirstPair,
+    pair: InitialPair,
     anchor: Floats,
     median_depth: float,
     segment: int,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     sigma_px: float,
 ) -> tuple[Keyframe, Keyframe]:
     """Two keyframes and their landmarks, scaled to a median depth; the first is at `anchor`."""
@@ -152,18 +152,18 @@ def map_from_pair(
         second,
     )
     none, sigma = np.full(len(ids), np.nan), np.full(len(ids), sigma_px)
-    first.add_observations(ids, first.ideal_xy[query], reference_xy, none, sigma)
+    first.add_observations(ids, first.undistorted_xy[query], reference_xy, none, sigma)
     second.add_observations(ids, pair.xy[good], taken, none, sigma)
     return first, second
 
 
-def _between(query: Ints, seen: Ints, xy: Floats) -> Between:
+def _between(query: Ints, seen: Ints, xy: Floats) -> IntermediateView:
     """Which of the features `query` were among those seen, by row."""
     _, rows, there = np.intersect1d(query, seen, assume_unique=True, return_indices=True)
-    return Between(rows, xy[there])
+    return IntermediateView(rows, xy[there])
 
 
-def _others(frame: WorkingFrame, used: Ints) -> Bools:
+def _others(frame: PreprocessedFrame, used: Ints) -> Bools:
     free = np.ones(len(frame.keypoints), dtype=bool)
     free[used] = False
     return free

@@ -12,10 +12,10 @@ from vo.config import StereoConfig, TrackingConfig
 from vo.frontend.alignment import align_between
 from vo.frontend.depth import disparity_from_depth
 from vo.frontend.matching import agree_in_rotation, match_everywhere, match_windows
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.patch_prediction import points_in_view, predict_patches
 from vo.geometry.pnp import PoseFit, refine_pose
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.surfaces import left_from_right
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.mapping.local_map import Map
@@ -53,7 +53,7 @@ class Visible:
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class Observations:
     """Landmarks found in an image; rows belong together.
 
     Attributes:
@@ -81,7 +81,7 @@ class Observed:
 
 
 def visible_landmarks(
-    world: Map, rig: WorkingRig, world_from_cam: Floats, most: int | None = None
+    world: Map, rig: RectifiedRig, world_from_cam: Floats, most: int | None = None
 ) -> Visible:
     """The landmarks that a camera at this pose should see.
 
@@ -95,7 +95,7 @@ def visible_landmarks(
     everywhere = (-np.inf, -np.inf, np.inf, np.inf)
     corners = inside if rig.lens is None else everywhere
     rows, xy = points_in_view(world.xyz, reference, poses, intrinsics, _SCALE_RANGE, corners)
-    image_xy = rig.image_from_ideal(xy)
+    image_xy = rig.distort(xy)
     if rig.lens is not None:
         u, v = image_xy[:, 0], image_xy[:, 1]
         left, top, right, bottom = inside
@@ -114,7 +114,7 @@ def visible_landmarks(
 def match_by_descriptor(
     world: Map,
     visible: Visible,
-    frame: WorkingFrame,
+    frame: PreprocessedFrame,
     radius_px: float,
     scale_factor: float,
     config: TrackingConfig,
@@ -140,7 +140,7 @@ def match_by_descriptor(
 
 
 def match_without_prediction(
-    world: Map, frame: WorkingFrame, config: TrackingConfig
+    world: Map, frame: PreprocessedFrame, config: TrackingConfig
 ) -> tuple[Ints, Ints]:
     """Rows of the map and of the frame's keypoints that belong together, by descriptor alone."""
     matched = match_everywhere(
@@ -159,7 +159,7 @@ def pose_from_matches(
     xyz: Floats,
     xy: Floats,
     sigma_px: Floats,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: TrackingConfig,
 ) -> tuple[Floats, Bools] | None:
     """world_from_cam from points (n, 3) and ideal pixels (n, 2), and who agrees; None if unsure.
@@ -192,9 +192,9 @@ def align_landmarks(
     world: Map,
     visible: Visible,
     image: Bytes,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: TrackingConfig,
-) -> Observed:
+) -> Observations:
     """Find landmarks to sub-pixel in an image that should show them; no disparities yet."""
     rows = visible.rows
     found = align_between(
@@ -208,7 +208,7 @@ def align_landmarks(
         half_px=config.patch_half_px,
     )
     x, y = (found.xy - visible.image_xy).T
-    ideal = rig.ideal_from_image(found.xy)
+    ideal = rig.undistort(found.xy)
     kept = found.nearly & (found.score >= config.min_patch_score)
     kept &= x * x + y * y <= config.max_shift_px**2
     kept &= np.isfinite(ideal[:, 0]) & np.isfinite(ideal[:, 1])
@@ -216,7 +216,7 @@ def align_landmarks(
     if np.count_nonzero(sure) >= _ENOUGH * config.min_inliers:
         kept = sure
     at = np.flatnonzero(kept)  # taking rows is several times as fast as masking them
-    return Observed(
+    return Observations(
         rows=rows.take(at),
         image_xy=found.xy.take(at, axis=0),
         xy=ideal.take(at, axis=0),
@@ -235,14 +235,14 @@ def _uncertainty(sigma_px: Floats) -> Floats:
 
 
 def with_disparity(
-    observed: Observed,
+    observed: Observations,
     world: Map,
     world_from_cam: Floats,
-    frame: WorkingFrame,
-    rig: WorkingRig,
+    frame: PreprocessedFrame,
+    rig: RectifiedRig,
     config: TrackingConfig,
     stereo: StereoConfig,
-) -> Observed:
+) -> Observations:
     """The same landmarks with their disparities, where there is a right image or depth."""
     if frame.depth is not None:
         disparity = disparity_from_depth(frame.depth, observed.image_xy, rig)
@@ -263,7 +263,7 @@ def measure_disparity(
     image1: Bytes,
     xy: Floats,
     guess: Floats,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: TrackingConfig,
     stereo: StereoConfig,
     slope: Floats | None = None,
@@ -288,7 +288,11 @@ def measure_disparity(
 
 
 def fit_pose(
-    world: Map, observed: Observed, world_from_cam: Floats, rig: WorkingRig, config: TrackingConfig
+    world: Map,
+    observed: Observations,
+    world_from_cam: Floats,
+    rig: RectifiedRig,
+    config: TrackingConfig,
 ) -> PoseFit:
     """Refine the pose on all that was observed, the right camera included."""
     return _refine(
@@ -317,7 +321,7 @@ def _refine(
     xy: Floats,
     disparity: Floats,
     sigma_px: Floats,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: TrackingConfig,
 ) -> PoseFit:
     return refine_pose(

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from vo.config import Config, TrackingConfig
-from vo.frontend.preprocessing import WorkingFrame
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.quantiles import median
-from vo.geometry.rectification import WorkingRig
+from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse
 from vo.mapping.local_map import Keyframe, Map
 from vo.tracking import observations as observe
-from vo.tracking.observations import Observed
+from vo.tracking.observations import Observations
 from vo.types import Bools, Floats, Ints
 
 # Search windows, one after the other, in units of the normal one.
@@ -22,7 +22,7 @@ _WIDEN_LOST = (3.0, 8.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Tracked:
+class TrackedFrame:
     """A frame placed in the map: its pose, what it sees (landmark ids), and what agrees.
 
     Only the ids hold for long: the rows in `observed` move when landmarks are dropped.
@@ -30,7 +30,7 @@ class Tracked:
 
     world_from_cam: Floats
     ids: Ints
-    observed: Observed
+    observed: Observations
     inlier: Bools
 
     @property
@@ -46,11 +46,11 @@ class Tracked:
         return median(measured) if len(measured) else None
 
 
-def place_near(
+def track_by_projection(
     world: Map,
-    frame: WorkingFrame,
+    frame: PreprocessedFrame,
     predicted: Floats,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
     *,
     lost: bool = False,
@@ -71,8 +71,8 @@ def place_near(
     return None
 
 
-def place_anywhere(
-    world: Map, frame: WorkingFrame, rig: WorkingRig, config: Config
+def relocalize(
+    world: Map, frame: PreprocessedFrame, rig: RectifiedRig, config: Config
 ) -> Floats | None:
     """world_from_cam from descriptors alone."""
     rows, keypoints = observe.match_without_prediction(world, frame, config.tracking)
@@ -80,8 +80,8 @@ def place_anywhere(
 
 
 def refine(
-    world: Map, frame: WorkingFrame, pose: Floats, rig: WorkingRig, config: Config
-) -> Tracked | None:
+    world: Map, frame: PreprocessedFrame, pose: Floats, rig: RectifiedRig, config: Config
+) -> TrackedFrame | None:
     """Align every landmark in view, starting from a first pose, and fit the pose to them.
 
     None if too few of them agree.
@@ -97,7 +97,7 @@ def refine(
     if int(fit.inlier.sum()) < _needed(len(visible.rows), config.tracking):
         return None
     ids = world.id[observed.rows]
-    return Tracked(inverse(fit.cam_from_world), ids, observed, fit.inlier)
+    return TrackedFrame(inverse(fit.cam_from_world), ids, observed, fit.inlier)
 
 
 def _needed(visible: int, config: TrackingConfig) -> float:
@@ -106,10 +106,10 @@ def _needed(visible: int, config: TrackingConfig) -> float:
     return max(min(sure, max(sure, visible) / 2), config.min_share * visible)
 
 
-def as_tracked(world: Map, keyframe: Keyframe) -> Tracked:
+def as_tracked_frame(world: Map, keyframe: Keyframe) -> TrackedFrame:
     """A first keyframe as if it had been tracked."""
     n = len(keyframe.landmark)
-    observed = Observed(
+    observed = Observations(
         world.rows(keyframe.landmark),
         keyframe.image_xy,
         keyframe.xy,
@@ -120,21 +120,21 @@ def as_tracked(world: Map, keyframe: Keyframe) -> Tracked:
         np.zeros((n, 2)),
     )
     every = np.ones(n, dtype=bool)
-    return Tracked(keyframe.world_from_cam, keyframe.landmark, observed, every)
+    return TrackedFrame(keyframe.world_from_cam, keyframe.landmark, observed, every)
 
 
 def _pose_of(
     world: Map,
-    frame: WorkingFrame,
+    frame: PreprocessedFrame,
     rows: Ints,
     keypoints: Ints,
-    rig: WorkingRig,
+    rig: RectifiedRig,
     config: Config,
 ) -> Floats | None:
     octave = frame.keypoints.octave[keypoints].astype(np.float64)
     found = observe.pose_from_matches(
         world.xyz[rows],
-        rig.ideal_from_image(frame.keypoints.xy[keypoints]),
+        rig.undistort(frame.keypoints.xy[keypoints]),
         config.features.scale_factor**octave,
         rig,
         config.tracking,

@@ -43,7 +43,7 @@ class TwoView:
     model: str
 
 
-class Between(NamedTuple):
+class IntermediateView(NamedTuple):
     """What a frame between the two has seen of their matches.
 
     Attributes:
@@ -60,7 +60,7 @@ def start_two_view(
     second: Floats,
     matrix: Floats,
     config: StartConfig,
-    between: Sequence[Between] = (),
+    between: Sequence[IntermediateView] = (),
 ) -> TwoView | str:
     """Motion and points from matches (N, 2) in ideal pixels, or why there is none.
 
@@ -104,7 +104,7 @@ def _choose(
     matrix: Floats,
     config: StartConfig,
     model: str,
-    between: Sequence[Between] = (),
+    between: Sequence[IntermediateView] = (),
 ) -> TwoView | str:
     """The candidate with clearly the most good points, if it has enough of them and parallax."""
     if not candidates:
@@ -152,7 +152,7 @@ def _trial(
 
 
 def _squared_error(
-    points: Floats, good: Bools, between: Sequence[Between], matrix: Floats
+    points: Floats, good: Bools, between: Sequence[IntermediateView], matrix: Floats
 ) -> float:
     """Of points in the frames between, each placed by them, px^2; mean of medians, NaN if none."""
     pose, errors = np.eye(4), []

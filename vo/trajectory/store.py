@@ -38,7 +38,7 @@ _TRIANGLE = np.triu_indices(6)
 
 
 @dataclass(frozen=True, eq=False)
-class Untracked:
+class InterpolatedFrames:
     """Frames that are left out between tracked ones, to be interpolated.
 
     Attributes:
@@ -58,7 +58,7 @@ class Untracked:
         return range(first + self.stride, last, self.stride)
 
 
-class History:
+class TrajectoryStore:
     """Frames with a pose in time order, and the newest pose of every keyframe.
 
     Attributes:
@@ -66,7 +66,7 @@ class History:
     """
 
     def __init__(self) -> None:
-        self.untracked: Untracked | None = None
+        self.untracked: InterpolatedFrames | None = None
         self._frames = Table(_FRAME)
         self._keyframes = Table(_KEYFRAME)
         self._changed = self._changed_keyframe = 0
