@@ -1,4 +1,4 @@
-"""Images of a board as a known camera sees it, without noise."""
+"""Noise-free images of a board from a known camera."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from vo.geometry.transforms import make_transform, so3_exp
 from vo.types import Bytes, Camera, Floats, Floats32
 
 _PER_SQUARE = 48
-_FINER = 3
+_OVERSAMPLING = 3
 BACKGROUND = 110
 
 
 @lru_cache(maxsize=8)
 def texture_of(board: Board) -> Bytes:
-    """The board with a white margin of one square, `_PER_SQUARE` pixels a square."""
+    """The board with a white margin of one square, `_PER_SQUARE` pixels per square."""
     size = ((board.columns + 1) * _PER_SQUARE, (board.rows + 1) * _PER_SQUARE)
     if board.kind == "charuco":
         squares = board.charuco().generateImage(size, marginSize=0)
@@ -31,16 +31,16 @@ def texture_of(board: Board) -> Bytes:
 
 @lru_cache(maxsize=8)
 def _rays(camera: Camera) -> Floats32:
-    """(H n, W n, 2) normalised points at the middle of each of n x n parts of a pixel."""
-    u = (np.arange(camera.width * _FINER) + 0.5) / _FINER - 0.5
-    v = (np.arange(camera.height * _FINER) + 0.5) / _FINER - 0.5
+    """(H n, W n, 2) normalised coordinates of the centres of n x n subpixels."""
+    u = (np.arange(camera.width * _OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
+    v = (np.arange(camera.height * _OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
     pixels = np.stack(np.meshgrid(u, v), axis=2)
     return normalise(camera, pixels.reshape(-1, 2)).reshape(pixels.shape).astype(np.float32)
 
 
 def render(board: Board, camera: Camera, cam_from_board: Floats) -> Bytes:
-    """The image (H, W) of a board that lies wholly before the camera, antialiased."""
-    # A pixel of the texture covers a 48th of a square, its middle is at whole numbers.
+    """Antialiased image (H, W) of a board in front of the camera."""
+    # Centres of texture pixels are at integer coordinates.
     squares = _PER_SQUARE / board.square_m
     texture_from_board = np.array(
         [[squares, 0, _PER_SQUARE - 0.5], [0, squares, _PER_SQUARE - 0.5], [0, 0, 1]]
@@ -50,19 +50,19 @@ def render(board: Board, camera: Camera, cam_from_board: Floats) -> Bytes:
     place = np.clip(np.nan_to_num(place, nan=-1e4), -1e4, 1e4)
     fine = cv2.remap(texture_of(board), place, None, cv2.INTER_LINEAR, borderValue=BACKGROUND)
     image = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    # Never quite black or white, and slightly unsharp, as lenses are.
+    # Limited contrast and slight blur, as with a real lens.
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.6)
     return np.round(30.0 + 0.75 * soft).astype(np.uint8)
 
 
 def poses_around(board: Board, camera: Camera, count: int, tilt_deg: float = 35.0) -> list[Floats]:
-    """Poses of the board (cam_from_board) all over the image, near and far, tilted every way."""
+    """Poses of the board (cam_from_board): all over the image, near and far, tilted."""
     rng = np.random.default_rng(5)
     middle = np.array([(board.columns + 1) / 2, (board.rows + 1) / 2, 0.0]) * board.square_m
     width_m = (board.columns + 1) * board.square_m
     poses = []
     for number in range(count):
-        # Smaller ones farther out; a chessboard must be seen whole.
+        # Distant boards farther off the centre; a chessboard must be completely visible.
         reach = 0.5 if number % 2 else (0.62 if board.kind == "chessboard" else 0.8)
         place = (np.array([number % 4 / 3, number // 4 % 3 / 2]) - 0.5) * reach + 0.5
         pixel = place * (camera.width - 1, camera.height - 1)

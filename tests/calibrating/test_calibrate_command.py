@@ -1,4 +1,4 @@
-"""`vo calibrate` on image folders: files, JSON, and one clear line for bad input."""
+"""`vo calibrate` on image folders: output files, JSON, and error messages."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def test_writes_calibration_and_picture(recording: Path, tmp_path: Path) -> None
     assert cv2.imread(str(picture)).shape[1] == 1200
 
 
-def test_wrong_rows_are_told(recording: Path) -> None:
+def test_wrong_columns_are_reported(recording: Path) -> None:
     assert_one_line(run(recording, *OPTIONS, "--columns", "7"), "--columns and --rows")
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "suggestion"),
     [
         (["--columns", "4", "--rows", "5"], "--columns 5 --rows 4?"),
         (["--columns", "6", "--rows", "5"], "--columns 5 --rows 4?"),
@@ -64,35 +64,35 @@ def test_wrong_rows_are_told(recording: Path) -> None:
     ],
     ids=["swapped", "squares", "kind"],
 )
-def test_the_board_that_is_there_is_named(recording: Path, given: list[str], told: str) -> None:
-    assert_one_line(run(recording, *OPTIONS, *given), told)
+def test_the_actual_board_is_suggested(recording: Path, given: list[str], suggestion: str) -> None:
+    assert_one_line(run(recording, *OPTIONS, *given), suggestion)
 
 
-def test_mirrored_markers_are_told(recording: Path, tmp_path: Path) -> None:
+def test_mirrored_images_are_reported(recording: Path, tmp_path: Path) -> None:
     for path in recording.glob("*.png"):
         cv2.imwrite(str(tmp_path / path.name), cv2.imread(str(path))[:, ::-1])
-    assert_one_line(run(tmp_path, *OPTIONS), "mirror image")
+    assert_one_line(run(tmp_path, *OPTIONS), "images are mirrored")
 
 
-def test_a_chessboard_taken_for_charuco_is_named(tmp_path: Path) -> None:
+def test_a_chessboard_is_suggested_instead_of_charuco(tmp_path: Path) -> None:
     board = make_board("chessboard", 6, 4, 0.04)
     for number, pose in enumerate(poses_around(board, CAMERA, 3)):
         cv2.imwrite(str(tmp_path / f"{number}.png"), render(board, CAMERA, pose))
     assert_one_line(run(tmp_path, *OPTIONS), "--board chessboard --columns 6 --rows 4?")
 
 
-def test_centimetres_are_warned_of(recording: Path, tmp_path: Path) -> None:
+def test_an_implausible_board_size_is_a_warning(recording: Path, tmp_path: Path) -> None:
     words = [*OPTIONS, "--square", "0.4", "--model", "radtan", "-o", tmp_path / "c.yaml"]
     result = run(recording, *words)
     assert result.exit_code == 0
     assert "the board would be 2.4 m wide" in result.stdout
 
 
-def test_a_folder_that_is_not_there_is_told_before_the_work(
+def test_a_missing_output_folder_is_reported_before_the_work(
     recording: Path, tmp_path: Path
 ) -> None:
     result = run(recording, *OPTIONS, "-o", tmp_path / "missing" / "c.yaml")
-    assert_one_line(result, "give a file in a folder that exists")
+    assert_one_line(result, "give a file in an existing folder")
 
 
 def test_another_dictionary_is_suggested(recording: Path) -> None:
@@ -114,7 +114,7 @@ def test_images_without_a_board(tmp_path: Path) -> None:
     assert_one_line(run(tmp_path), "no chessboard of 9 x 6 inner corners")
 
 
-def test_half_a_chessboard_is_not_enough(tmp_path: Path) -> None:
+def test_a_partly_visible_chessboard_is_not_detected(tmp_path: Path) -> None:
     board = make_board("chessboard", 5, 4, 0.04)
     for number, pose in enumerate(poses_around(board, CAMERA, 3)):
         image = render(board, CAMERA, pose)
@@ -124,14 +124,14 @@ def test_half_a_chessboard_is_not_enough(tmp_path: Path) -> None:
     assert_one_line(run(tmp_path, "--columns", "5", "--rows", "4"), "no chessboard of 5 x 4")
 
 
-def test_sides_of_different_size(tmp_path: Path) -> None:
+def test_left_and_right_images_of_different_sizes_are_refused(tmp_path: Path) -> None:
     for side, size in (("left", (240, 320)), ("right", (120, 160))):
         (tmp_path / side).mkdir()
         cv2.imwrite(str(tmp_path / side / "0.png"), np.full(size, 90, np.uint8))
     assert_one_line(run(tmp_path), "left images are 320x240, right ones")
 
 
-def test_a_printed_board_is_found_again(tmp_path: Path) -> None:
+def test_a_printed_board_is_detected(tmp_path: Path) -> None:
     from vo.calibrating.detection import detect
 
     path = tmp_path / "board.png"

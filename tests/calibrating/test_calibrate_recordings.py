@@ -1,4 +1,4 @@
-"""`vo calibrate` on each kind of recording, none of which says anything of its cameras."""
+"""`vo calibrate` on each kind of recording, all without calibration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from vo.calibrating.board import make_board
 from vo.calibrating.detection import detect
-from vo.calibrating.survey import stillest
+from vo.calibrating.views import least_motion_frames
 from vo.cli.app import app
 from vo.formats.calibration import read_calibration
 from vo.formats.foxglove import FOXGLOVE
@@ -108,7 +108,7 @@ def write_kitti(path: Path, pairs: Pairs) -> None:
 
 
 def write_video(path: Path, images: list[Bytes], held: int = 1) -> None:
-    """Each image is held for some frames at 30 per second."""
+    """Write a video of 30 frames per second that repeats each image `held` times."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30)
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
@@ -130,7 +130,7 @@ WRITERS: dict[str, Callable[[Path, Pairs], None]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_the_board_is_seen_in_every_kind_of_recording(
+def test_the_board_is_detected_in_every_kind_of_recording(
     name: str, pairs: Pairs, tmp_path: Path
 ) -> None:
     WRITERS[name](tmp_path / name, pairs)
@@ -148,7 +148,7 @@ def test_the_board_is_seen_in_every_kind_of_recording(
         assert np.abs(found.xy[i] - known.xy[j]).max() < 0.5
 
 
-def test_a_pair_from_a_log_whose_topics_say_nothing(pairs: Pairs, tmp_path: Path) -> None:
+def test_a_pair_from_a_log_with_unusual_topic_names(pairs: Pairs, tmp_path: Path) -> None:
     log, output = tmp_path / "board.mcap", tmp_path / "calibration.yaml"
     write_mcap(log, compressed(pairs), FOXGLOVE)
     topics = ["--topic", "left=/port/image", "--topic", "right=/starboard/image"]
@@ -164,7 +164,7 @@ def test_a_pair_from_a_log_whose_topics_say_nothing(pairs: Pairs, tmp_path: Path
     assert "translation" in text
 
 
-def test_a_board_that_is_held_still_counts_once(pairs: Pairs, tmp_path: Path) -> None:
+def test_a_board_held_still_gives_one_view(pairs: Pairs, tmp_path: Path) -> None:
     video, output = tmp_path / "board.mp4", tmp_path / "calibration.yaml"
     write_video(video, [left for left, _ in pairs], held=8)
     words = ["calibrate", str(video), *OPTIONS, "--model", "radtan", "-o", str(output), "--json"]
@@ -176,11 +176,11 @@ def test_a_board_that_is_held_still_counts_once(pairs: Pairs, tmp_path: Path) ->
     assert figures["cam0"]["parameters"]["fx"]["value"] == pytest.approx(LEFT.fx, rel=0.02)
 
 
-def test_of_neighbours_the_stillest_is_taken() -> None:
+def test_the_frame_with_the_least_motion_of_each_group_is_chosen() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (64, 128), dtype=np.uint8)
     smooth = cv2.GaussianBlur(noise, (0, 0), 8.0) * 4
     shifts = [0, 8, 9, 10, 20, 30, 40, 40, 50, 51]
     frames = [Frame(i, i, np.roll(smooth, shift, axis=1)) for i, shift in enumerate(shifts)]
-    # Frame 7 is a copy of the one before, which moved.
-    assert [frame.index for frame in stillest(frames, 5)] == [2, 9]
-    assert [frame.index for frame in stillest(frames, 1)] == list(range(10))
+    # Frame 7 is a copy of frame 6, which is in motion.
+    assert [frame.index for frame in least_motion_frames(frames, 5)] == [2, 9]
+    assert [frame.index for frame in least_motion_frames(frames, 1)] == list(range(10))

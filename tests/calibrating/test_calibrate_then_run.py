@@ -1,4 +1,4 @@
-"""From a board and a clip of the same unknown cameras to a trajectory."""
+"""Calibration of unknown cameras, then visual odometry with them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(*words: str | Path) -> str:
 
 
 def ate_m(clip: Path, calibration: Path, output: Path) -> float:
-    """RMSE of the path that is found with a calibration, aligned without scale."""
+    """ATE (RMSE) of a run with a calibration, aligned without scale."""
     run("run", clip, "--calibration", calibration, "-o", output, "--quiet")
     figures = json.loads(run("eval", output, clip, "--json"))
     return float(figures["ate"]["translation_m"]["rmse"])
@@ -49,7 +49,7 @@ def film_board(folder: Path) -> None:
             cv2.imwrite(str(folder / side / f"{number:03}.png"), noisy.astype(np.uint8))
 
 
-def test_the_path_is_as_good_as_with_the_true_calibration(tmp_path: Path) -> None:
+def test_trajectory_is_as_accurate_as_with_the_true_calibration(tmp_path: Path) -> None:
     true, found, clip = tmp_path / "true.yaml", tmp_path / "found.yaml", tmp_path / "clip"
     write_calibration(true, RIG)
     world = ["--world", "room", "--motion", "handheld", "--effects", "none", "--set", "speed=1.5"]

@@ -1,4 +1,4 @@
-"""Cameras that are known come out of images of a board."""
+"""Accuracy of the calibration of known cameras from rendered images."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from board_images import poses_around, render
 
-from vo.calibrating.adjustment import Sight
 from vo.calibrating.advice import warnings_of
 from vo.calibrating.board import Board, make_board
-from vo.calibrating.calibrate import Result, calibrate
-from vo.calibrating.projection import LENSES
-from vo.calibrating.start import first_pose
-from vo.calibrating.survey import survey
+from vo.calibrating.bundle_adjustment import Observation
+from vo.calibrating.calibrate import CalibrationResult, calibrate
+from vo.calibrating.initialization import initial_pose
+from vo.calibrating.projection import LENS_MODELS
+from vo.calibrating.views import detect_views
 from vo.errors import CalibrationError
 from vo.geometry.cameras import distort, normalise
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, so3_exp
@@ -43,13 +43,15 @@ def recorded(board: Board, cameras: Sequence[Camera], poses: Sequence[Floats]) -
     ]
 
 
-def calibrated(board: Board, *cameras: Camera, count: int = 22, model: str = "auto") -> Result:
+def calibrated(
+    board: Board, *cameras: Camera, count: int = 22, model: str = "auto"
+) -> CalibrationResult:
     frames = recorded(board, cameras, poses_around(board, cameras[0], count))
-    return calibrate(board, survey(board, frames, len(cameras), threads=2), SIZE, model)
+    return calibrate(board, detect_views(board, frames, len(cameras), threads=2), SIZE, model)
 
 
 def assert_alike(found: Camera | None, true: Camera, board: Board) -> None:
-    # The outermost corners of the image see no chessboard, as that must be seen whole.
+    # Corners of the image contain no chessboard, as it must be completely visible.
     reach = 0.8 if board.kind == "chessboard" else 1.0
     assert found is not None
     assert found.distortion_model == true.distortion_model
@@ -61,10 +63,10 @@ def assert_alike(found: Camera | None, true: Camera, board: Board) -> None:
 
 
 def field_difference_px(found: Camera, true: Camera, reach: float) -> Floats:
-    """How far the same rays fall apart, with the cameras turned to agree at best.
+    """Distances between projections of the same rays, after the best rotation of the camera.
 
-    An error of the principal point is nearly one of where the camera looks, which the poses of the
-    board make up for. `reach` is how much of the way to the image's corners is looked at.
+    An error of the principal point is nearly equivalent to a rotation of the camera, for which the
+    board poses compensate. `reach` limits the region, relative to the corners of the image.
     """
     u, v = np.meshgrid(np.arange(0, SIZE[0], 12.0), np.arange(0, SIZE[1], 12.0))
     pixels = np.column_stack([u.ravel(), v.ravel()])
@@ -91,7 +93,7 @@ def test_one_camera(board: Board, camera: Camera) -> None:
     result = calibrated(board, camera)
     assert_alike(result.rig.cam0, camera, board)
     assert result.rig.cam1 is None
-    assert result.fit.adjusted.rms_px < 0.1
+    assert result.fit.adjustment.rms_px < 0.1
 
 
 @pytest.mark.parametrize(
@@ -111,15 +113,15 @@ def test_a_pair(board: Board, camera: Camera) -> None:
     assert max(miss for _, miss in result.epipolar_px) < 0.2
 
 
-def test_standard_deviations_hold_the_errors() -> None:
+def test_errors_are_within_the_standard_deviations() -> None:
     result = calibrated(CHESSBOARD, FISHEYE, count=16, model="equidistant")
-    known, sigmas = result.fit.adjusted.unknowns, result.fit.adjusted.sigmas
+    known, sigmas = result.fit.adjustment.parameters, result.fit.adjustment.sigmas
     true = np.array([FISHEYE.fx, FISHEYE.fy, FISHEYE.cx, FISHEYE.cy, *FISHEYE.distortion])
     assert np.all(np.abs(known.intrinsics[0] - true) < 6.0 * sigmas.intrinsics[0])
     assert np.all(sigmas.intrinsics[0][:2] < 0.1)
 
 
-def test_a_view_that_does_not_fit_is_left_out() -> None:
+def test_an_outlier_view_is_dropped() -> None:
     poses = poses_around(CHARUCO, RADTAN, 16)
     frames = recorded(CHARUCO, [RADTAN], poses)
     # A frame from another camera: the same scene a tenth larger along one axis.
@@ -127,14 +129,16 @@ def test_a_view_that_does_not_fit_is_left_out() -> None:
     bent = np.roll(stretched, 1, axis=0)
     bent[:, SIZE[0] // 2 :] = np.roll(bent[:, SIZE[0] // 2 :], 3, axis=0)
     frames[5] = replace(frames[5], image0=bent)
-    result = calibrate(CHARUCO, survey(CHARUCO, frames, 1, 2), SIZE, "radtan")
+    result = calibrate(CHARUCO, detect_views(CHARUCO, frames, 1, 2), SIZE, "radtan")
     assert 5 in {frame for frame, _ in result.fit.dropped}
     assert result.rig.cam0.fx == pytest.approx(RADTAN.fx, rel=0.004)
 
 
-def test_a_board_that_always_faces_the_camera_is_warned_of() -> None:
+def test_missing_tilt_is_a_warning() -> None:
     poses = [make_transform(np.eye(3), np.array([-0.12, -0.09, 0.3 + 0.03 * i])) for i in range(8)]
-    result = calibrate(CHARUCO, survey(CHARUCO, recorded(CHARUCO, [RADTAN], poses), 1, 2), SIZE)
+    result = calibrate(
+        CHARUCO, detect_views(CHARUCO, recorded(CHARUCO, [RADTAN], poses), 1, 2), SIZE
+    )
     lines = warnings_of(result)
     assert any("views; 15 to 40" in line for line in lines)
     assert any("focal length is poorly determined" in line for line in lines)
@@ -143,50 +147,50 @@ def test_a_board_that_always_faces_the_camera_is_warned_of() -> None:
 def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
     frames = recorded(CHARUCO, [RADTAN], poses_around(CHARUCO, RADTAN, 6))
     first, second = (
-        calibrate(CHARUCO, survey(CHARUCO, frames, 1, threads), SIZE, "radtan")
+        calibrate(CHARUCO, detect_views(CHARUCO, frames, 1, threads), SIZE, "radtan")
         for threads in (1, 3)
     )
     assert first.rig.cam0 == second.rig.cam0
 
 
 def test_a_single_row_of_corners_has_no_pose() -> None:
-    lens, intrinsics = LENSES[0], np.array([343.0, 342.0, 247.0, 186.0, 0.0, 0.0, 0.0, 0.0])
+    lens, intrinsics = LENS_MODELS[0], np.array([343.0, 342.0, 247.0, 186.0, 0.0, 0.0, 0.0, 0.0])
     row = np.arange(7)
-    sight = Sight(0, 0, row, np.column_stack([100.0 + 30.0 * row, 50.0 + 0.2 * row**2]))
-    assert first_pose(lens, intrinsics, sight, CHARUCO.points, SIZE) is None
+    observation = Observation(0, 0, row, np.column_stack([100.0 + 30.0 * row, 50.0 + 0.2 * row**2]))
+    assert initial_pose(lens, intrinsics, observation, CHARUCO.points, SIZE) is None
 
 
 def test_a_pair_that_is_not_synchronised_is_refused() -> None:
     poses = poses_around(CHARUCO, RADTAN, 14)
     frames = recorded(CHARUCO, [RADTAN, RADTAN], poses)
-    # The board moved on by a few centimetres, another way each time, before the right image.
+    # The board moves by a few centimetres between the left and the right image.
     rng = np.random.default_rng(1)
     later = [make_transform(np.eye(3), rng.uniform(-0.02, 0.02, 3)) @ pose for pose in poses]
     late = [
         replace(frame, image1=render(CHARUCO, RADTAN, CAM1_FROM_CAM0 @ pose))
         for frame, pose in zip(frames, later, strict=True)
     ]
-    found = survey(CHARUCO, late, 2, threads=2)
+    found = detect_views(CHARUCO, late, 2, threads=2)
     with pytest.raises(CalibrationError, match="at the same moment"):
         calibrate(CHARUCO, found, SIZE, "radtan")
 
 
-def test_swapped_cameras_are_warned_of() -> None:
+def test_swapped_cameras_are_a_warning() -> None:
     frames = recorded(CHARUCO, [RADTAN, RADTAN], poses_around(CHARUCO, RADTAN, 12))
     swapped = [replace(f, image0=f.image1, image1=f.image0) for f in frames if f.image1 is not None]
-    result = calibrate(CHARUCO, survey(CHARUCO, swapped, 2, threads=2), SIZE, "radtan")
+    result = calibrate(CHARUCO, detect_views(CHARUCO, swapped, 2, threads=2), SIZE, "radtan")
     assert any("left and right are swapped" in line for line in warnings_of(result))
 
 
-def test_standard_deviations_are_those_of_opencv() -> None:
+def test_standard_deviations_equal_those_of_opencv() -> None:
     result = calibrated(CHARUCO, RADTAN, count=14, model="radtan")
-    sights = [sight for sight, _ in result.sights_of(0)]
-    points = [CHARUCO.points[sight.ids].astype(np.float32) for sight in sights]
-    pixels = [sight.xy.astype(np.float32) for sight in sights]
+    observations = [observation for observation, _ in result.observations_of(0)]
+    points = [CHARUCO.points[observation.ids].astype(np.float32) for observation in observations]
+    pixels = [observation.xy.astype(np.float32) for observation in observations]
     flags = cv2.CALIB_FIX_K3
     _, matrix, _, _, _, sigmas, *_ = cv2.calibrateCameraExtended(
         points, pixels, SIZE, np.eye(3), np.zeros(5), flags=flags
     )
-    known = result.fit.adjusted
-    assert known.unknowns.intrinsics[0][0] == pytest.approx(matrix[0, 0], abs=0.01)
+    known = result.fit.adjustment
+    assert known.parameters.intrinsics[0][0] == pytest.approx(matrix[0, 0], abs=0.01)
     assert known.sigmas.intrinsics[0] == pytest.approx(sigmas.ravel()[:8], rel=0.05)

@@ -1,1 +1,1 @@
-"""Cameras from images of a chessboard or ChArUco board."""
+"""Camera calibration from images of a chessboard or ChArUco board."""

@@ -1,4 +1,4 @@
-"""The board: where its corners lie, and what of it an image can show."""
+"""The calibration board and the positions of its corners."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from vo.types import Floats, Ints
 
 Kind = Literal["chessboard", "charuco"]
 
-_LARGEST_SQUARE_M = 1.0
-_MARKER_SHARE = 0.75
+_MAX_SQUARE_M = 1.0
+_MARKER_RATIO = 0.75
 
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board of squares; its frame has x along a row, y along a column, z away from viewers.
+    """A flat board of squares, with x along the rows, y along the columns, z away from the viewer.
 
     Attributes:
-        kind: `chessboard`, or `charuco`, with a marker in each white square.
-        columns: inner corners in a row: those where four squares meet.
+        kind: `chessboard`, or `charuco` with a marker in each white square.
+        columns: inner corners in a row, where four squares meet.
         rows: inner corners in a column.
         square_m: side of a square in metres.
-        marker_m: side of a marker in metres; of a chessboard 0.
-        dictionary: name of the markers' dictionary, such as `4X4_50`.
-        legacy: whether the markers begin as in OpenCV before 4.6, which differs where the number
-            of rows of squares is even.
+        marker_m: side of a marker in metres; 0 for a chessboard.
+        dictionary: name of the marker dictionary, such as `4X4_50`.
+        legacy: marker layout of OpenCV before 4.6, which differs if the number of rows of squares
+            is even.
     """
 
     kind: Kind
@@ -42,14 +42,14 @@ class Board:
 
     @property
     def points(self) -> Floats:
-        """(N, 3) inner corners in metres, row by row; (0, 0) is the outer corner of the board."""
+        """(N, 3) inner corners in metres, row by row, from the outer corner of the board."""
         row, column = np.divmod(np.arange(self.rows * self.columns), self.columns)
         flat = np.stack([column + 1.0, row + 1.0, np.zeros(len(row))], axis=1)
         return np.asarray(flat * self.square_m)
 
     @property
     def outline(self) -> Ints:
-        """(4,) indices of the outermost inner corners, going round."""
+        """(4,) indices of the outermost inner corners, in circular order."""
         last = self.rows * self.columns - 1
         return np.array([0, self.columns - 1, last, last - self.columns + 1])
 
@@ -58,7 +58,7 @@ class Board:
         return f"{what}, squares of {1000 * self.square_m:g} mm"
 
     def charuco(self) -> Any:
-        """The same board as OpenCV has it."""
+        """The same board as an object of OpenCV."""
         size = (self.columns + 1, self.rows + 1)
         markers = cv2.aruco.getPredefinedDictionary(dictionaries()[self.dictionary])
         board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, markers)
@@ -75,41 +75,43 @@ def make_board(
     dictionary: str = "4X4_50",
     legacy: bool = False,
 ) -> Board:
-    """A board, checked for sense.
+    """Make a board after checking its dimensions.
 
     Raises:
-        ConfigError: there can be no such board.
+        ConfigError: there is no such board.
     """
     if min(columns, rows) < 3:
         raise ConfigError(
-            f"a board of {columns} x {rows} inner corners is too small; it takes 3 x 3 at least "
+            f"a board of {columns} x {rows} inner corners is too small; use at least 3 x 3 "
             "(--columns, --rows: corners where four squares meet)"
         )
-    if not 0.0 < square_m <= _LARGEST_SQUARE_M:
-        raise ConfigError(f"a square of {square_m:g} m? --square is in metres, 0.03 for 30 mm")
+    if not 0.0 < square_m <= _MAX_SQUARE_M:
+        raise ConfigError(
+            f"a square of {square_m:g} m is implausible; --square is in metres, 0.03 for 30 mm"
+        )
     if kind == "chessboard":
         return Board(kind, columns, rows, square_m)
-    marker_m = _MARKER_SHARE * square_m if marker_m is None else marker_m
+    marker_m = _MARKER_RATIO * square_m if marker_m is None else marker_m
     if not 0.0 < marker_m < square_m:
         raise ConfigError(
-            f"a marker of {marker_m:g} m does not fit a square of {square_m:g} m; --marker is in "
-            "metres and below --square"
+            f"a marker of {marker_m:g} m does not fit into a square of {square_m:g} m; --marker is "
+            "in metres and smaller than --square"
         )
     name = dictionary.upper().removeprefix("DICT_")
     known = dictionaries()
     if name not in known:
-        raise ConfigError(f"dictionary '{dictionary}' is not known; known are {', '.join(known)}")
+        raise ConfigError(f"unknown --dictionary '{dictionary}'; use one of {', '.join(known)}")
     needed = (columns + 1) * (rows + 1) // 2
     available = len(cv2.aruco.getPredefinedDictionary(known[name]).bytesList)
     if needed > available:
         raise ConfigError(
-            f"the board needs {needed} markers, {name} has {available}; choose a larger "
+            f"the board needs {needed} markers, but {name} has only {available}; choose a larger "
             "--dictionary"
         )
     return Board(kind, columns, rows, square_m, marker_m, name, legacy)
 
 
 def dictionaries() -> dict[str, int]:
-    """OpenCV's dictionaries of markers by name."""
+    """OpenCV's marker dictionaries by name."""
     names = [name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper()]
     return {name.removeprefix("DICT_"): int(getattr(cv2.aruco, name)) for name in names}

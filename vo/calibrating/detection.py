@@ -1,4 +1,4 @@
-"""The board's corners in an image."""
+"""Detection of the board's corners in an image."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ import numpy as np
 from vo.calibrating.board import Board
 from vo.types import Bytes, Floats, Ints
 
-_FEWEST_CORNERS = 8
-_WINDOW = 0.35
-"""Of the distance to the next corner of a chessboard."""
+_MIN_CORNERS = 8
+_WINDOW_RATIO = 0.35
+"""Half size of the refinement window, relative to the spacing of chessboard corners."""
 
-_WIDEST_WINDOW_PX = 9
-_LONGEST_SIDE_PX = 800
-"""Of an image that a chessboard is looked for in; larger ones are made smaller."""
+_MAX_WINDOW_PX = 9
+_MAX_SIDE_PX = 800
+"""Larger images are scaled down to this size for the detection of a chessboard."""
 
-_LARGEST_MISFIT = 0.35
-"""Of a square: how far corners may be from where the others put them; lenses bend, not more."""
+_MAX_MISFIT = 0.35
+"""Largest RMS distance from a homography, in squares; allows for lens distortion."""
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Corners of the board that an image shows.
+    """Detected corners of the board in an image.
 
     Attributes:
         ids: (N,) numbers of the corners on the board.
         xy: (N, 2) pixels.
-        outline: (4, 2) where the board's outermost inner corners are, seen or not.
-        sharpness: steepest slopes against the contrast, per pixel; about 0.5 where edges are crisp.
+        outline: (4, 2) pixels of the outermost inner corners, detected or not.
+        sharpness: steepest gradient relative to the contrast, per pixel; about 0.5 if sharp.
     """
 
     ids: Ints
@@ -42,23 +42,23 @@ class Detection:
 
 
 def detect(board: Board, image: Bytes) -> Detection | None:
-    """The board in an image (H, W), or None where it is not, or too little of it."""
+    """Detect the board in an image (H, W); None if it is absent, or hardly visible."""
     found = _chessboard(board, image) if board.kind == "chessboard" else _charuco(board, image)
     if found is None:
         return None
     ids, coarse = found
     xy = _refined(board, image, ids, coarse)
-    plane_to_image = _homography(board, ids, xy)
-    if plane_to_image is None:
+    image_from_board = _homography(board, ids, xy)
+    if image_from_board is None:
         return None
     corners = board.points[board.outline][:, None, :2]
-    outline = cv2.perspectiveTransform(corners, plane_to_image).reshape(4, 2)
+    outline = cv2.perspectiveTransform(corners, image_from_board).reshape(4, 2)
     return Detection(ids, xy, outline, _sharpness(image, xy))
 
 
 def _chessboard(board: Board, image: Bytes) -> tuple[Ints, Floats] | None:
-    # Its time grows with the pixels, 5 s at 3840 x 2160; it need only be near, see `_refined`.
-    scale = max(max(image.shape) / _LONGEST_SIDE_PX, 1.0)
+    # Detection time grows with the size, 5 s at 3840 x 2160; `_refined` restores the accuracy.
+    scale = max(max(image.shape) / _MAX_SIDE_PX, 1.0)
     size = (round(image.shape[1] / scale), round(image.shape[0] / scale))
     small = image if scale == 1.0 else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -72,7 +72,7 @@ def _chessboard(board: Board, image: Bytes) -> tuple[Ints, Floats] | None:
 
 def _charuco(board: Board, image: Bytes) -> tuple[Ints, Floats] | None:
     xy, ids, _, _ = _detector(board).detectBoard(image)
-    if ids is None or len(ids) < _FEWEST_CORNERS:
+    if ids is None or len(ids) < _MIN_CORNERS:
         return None
     ids = np.asarray(ids, dtype=np.int64).ravel()
     row, column = np.divmod(ids, board.columns)
@@ -87,14 +87,15 @@ def _detector(board: Board) -> Any:
 
 
 def _refined(board: Board, image: Bytes, ids: Ints, xy: Floats) -> Floats:
-    """Corners moved to where the slopes around them meet.
+    """Corners refined to subpixel accuracy.
 
-    The window is as large as it may be before other edges come in, of markers or of the next
-    squares: of a chessboard's corners, exact images, the detector is off by 0.12 px (RMS) and this
-    by 0.03 px.
+    The window is as large as possible without edges of markers or of the next squares. Error on
+    noise-free chessboards: 0.12 px (RMS) before, 0.03 px after the refinement.
     """
-    share = _WINDOW if board.kind == "chessboard" else 0.5 * (1 - board.marker_m / board.square_m)
-    halves = np.clip(np.round(_spacing(board, ids, xy) * share), 1, _WIDEST_WINDOW_PX).astype(int)
+    ratio = (
+        _WINDOW_RATIO if board.kind == "chessboard" else 0.5 * (1 - board.marker_m / board.square_m)
+    )
+    halves = np.clip(np.round(_spacing(board, ids, xy) * ratio), 1, _MAX_WINDOW_PX).astype(int)
     refined = xy.astype(np.float32)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
     for half in np.unique(halves):
@@ -107,7 +108,7 @@ def _refined(board: Board, image: Bytes, ids: Ints, xy: Floats) -> Floats:
 
 
 def _spacing(board: Board, ids: Ints, xy: Floats) -> Floats:
-    """(N,) pixels from each corner to the nearest of its neighbours; 0 without any."""
+    """(N,) pixels from each corner to its nearest neighbour; 0 without neighbours."""
     row, column = np.divmod(ids, board.columns)
     grid = np.full((board.rows + 2, board.columns + 2, 2), np.inf)
     grid[row + 1, column + 1] = xy
@@ -117,22 +118,22 @@ def _spacing(board: Board, ids: Ints, xy: Floats) -> Floats:
 
 
 def _homography(board: Board, ids: Ints, xy: Floats) -> Floats | None:
-    """From the board to the image, if the corners lie as on the board."""
+    """The homography image_from_board, if it fits the corners."""
     plane = board.points[ids, :2]
-    image_from_plane, _ = cv2.findHomography(plane, xy)
-    plane_from_image, _ = cv2.findHomography(xy, plane)
-    if image_from_plane is None or plane_from_image is None:
+    image_from_board, _ = cv2.findHomography(plane, xy)
+    board_from_image, _ = cv2.findHomography(xy, plane)
+    if image_from_board is None or board_from_image is None:
         return None
-    back = cv2.perspectiveTransform(xy[:, None, :], plane_from_image).reshape(-1, 2)
+    back = cv2.perspectiveTransform(xy[:, None, :], board_from_image).reshape(-1, 2)
     misfit = np.sqrt(np.mean(np.sum((back - plane) ** 2, axis=1)))
-    return image_from_plane if misfit < _LARGEST_MISFIT * board.square_m else None
+    return image_from_board if misfit < _MAX_MISFIT * board.square_m else None
 
 
 def _sharpness(image: Bytes, xy: Floats) -> float:
-    """How steep the steepest edges are where the board is."""
+    """Steepest image gradient on the board, relative to its contrast."""
     low = np.maximum(np.floor(xy.min(axis=0)).astype(int), 0)
     high = np.ceil(xy.max(axis=0)).astype(int) + 1
     part = image[low[1] : high[1], low[0] : high[0]].astype(np.float32)
-    slope = np.hypot(cv2.Sobel(part, cv2.CV_32F, 1, 0), cv2.Sobel(part, cv2.CV_32F, 0, 1)) / 8.0
+    gradient = np.hypot(cv2.Sobel(part, cv2.CV_32F, 1, 0), cv2.Sobel(part, cv2.CV_32F, 0, 1)) / 8.0
     dark, bright = np.percentile(part, (5, 95))
-    return float(np.percentile(slope, 98) / max(float(bright - dark), 1.0))
+    return float(np.percentile(gradient, 98) / max(float(bright - dark), 1.0))

@@ -1,4 +1,4 @@
-"""A board on paper, in true size."""
+"""Printable boards in true size."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from vo.types import Bytes
 _SUFFIXES = (".pdf", ".png", ".svg")
 _METRES_PER_INCH = 0.0254
 _DPI = 300
-_PER_SQUARE = 80
+_PIXELS_PER_SQUARE = 80
 
 
 def save_board(path: Path | str, board: Board) -> None:
-    """Write a board with a white margin of a square for printing at 100 %.
+    """Write a board with a white margin of one square, to be printed at 100 %.
 
     Raises:
-        OutputError: another suffix, or the file cannot be written.
+        OutputError: unsupported suffix, or the file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: a board for printing ends in {', '.join(_SUFFIXES)}")
+        raise OutputError(f"{path}: unsupported kind of file; use {', '.join(_SUFFIXES)}")
     across, down = board.columns + 3, board.rows + 3
     inches = board.square_m / _METRES_PER_INCH
     figure = Figure(figsize=(across * inches, down * inches), dpi=_DPI)
@@ -43,8 +43,8 @@ def save_board(path: Path | str, board: Board) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def draw_board(board: Board, per_square: int = _PER_SQUARE) -> Bytes:
-    """The squares without a margin, `per_square` pixels each."""
+def draw_board(board: Board, per_square: int = _PIXELS_PER_SQUARE) -> Bytes:
+    """Image of the squares without a margin, `per_square` pixels each."""
     size = ((board.columns + 1) * per_square, (board.rows + 1) * per_square)
     if board.kind == "charuco":
         return np.asarray(board.charuco().generateImage(size, marginSize=0), dtype=np.uint8)

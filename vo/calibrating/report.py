@@ -1,4 +1,4 @@
-"""A calibration as figures: for JSON and for the table."""
+"""Figures of a calibration, for JSON, for the table and for the calibration file."""
 
 from __future__ import annotations
 
@@ -7,43 +7,45 @@ from typing import Any
 import numpy as np
 
 from vo.calibrating.advice import coverage, tilts_deg, warnings_of
-from vo.calibrating.calibrate import Result
+from vo.calibrating.calibrate import CalibrationResult
 from vo.types import Camera, Floats
 
 
-def to_dict(result: Result) -> dict[str, Any]:
-    """All figures of a calibration, as JSON can hold them."""
+def to_dict(result: CalibrationResult) -> dict[str, Any]:
+    """All figures of a calibration, ready for JSON."""
     fit = result.fit
-    cameras = {f"cam{number}": _camera(result, number) for number in range(result.survey.cameras)}
+    cameras = {f"cam{number}": _camera(result, number) for number in range(result.detected.cameras)}
     return {
         "board": str(result.board),
-        "frames": result.survey.frames,
-        "frames_with_board": len(result.survey.views),
+        "frames": result.detected.frames,
+        "frames_with_board": len(result.detected.views),
         "views": len(fit.frames),
         "dropped_views": [
             {"frame": frame, "rms_px": error} for frame, error in sorted(set(fit.dropped))
         ],
         "dropped_corners": fit.dropped_corners,
-        "rms_px": fit.adjusted.rms_px,
+        "rms_px": fit.adjustment.rms_px,
         **cameras,
         **_pair(result),
         "warnings": warnings_of(result),
     }
 
 
-def comments(result: Result) -> list[str]:
-    """What whoever opens the calibration file wants to know: from what it is, and how sure."""
+def comments(result: CalibrationResult) -> list[str]:
+    """Comments for the calibration file: origin and accuracy."""
     fit = result.fit
     lines = [f"vo calibrate: {result.board}; {len(fit.frames)} views"]
     for number, lens in enumerate(fit.lenses):
-        sigmas = ", ".join(f"{name} {sigma:.2g}" for name, _, sigma in parameters(result, number))
+        sigmas = ", ".join(
+            f"{name} {sigma:.2g}" for name, _, sigma in camera_parameters(result, number)
+        )
         error = f"{camera_rms_px(result, number):.3f} px RMS"
         lines.append(f"cam{number}: {lens.name}, {error}; standard deviations: {sigmas}")
-    sigma = fit.adjusted.sigmas.cam1_from_cam0
+    sigma = fit.adjustment.sigmas.cam1_from_cam0
     if sigma is not None:
         turn, shift = (", ".join(f"{value:.2g}" for value in part) for part in _halves(sigma))
         lines.append(
-            f"cam1_from_cam0: {epipolar_rms_px(result):.3f} px RMS off epipolar lines; standard "
+            f"cam1_from_cam0: {epipolar_rms_px(result):.3f} px RMS from epipolar lines; standard "
             f"deviations: rotation {turn} degrees, translation {shift} mm"
         )
     return [*lines, *(f"warning: {line}" for line in warnings_of(result))]
@@ -53,17 +55,17 @@ def _halves(sigma: Floats) -> tuple[list[float], list[float]]:
     return np.rad2deg(sigma[:3]).tolist(), (1000.0 * sigma[3:]).tolist()
 
 
-def camera_rms_px(result: Result, camera: int) -> float:
-    """RMS distance of a camera's corners from where they should be."""
-    squares = [np.sum(residual**2, axis=1) for _, residual in result.sights_of(camera)]
+def camera_rms_px(result: CalibrationResult, camera: int) -> float:
+    """RMS reprojection error of a camera, in pixels."""
+    squares = [np.sum(residual**2, axis=1) for _, residual in result.observations_of(camera)]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
-def parameters(result: Result, number: int) -> list[tuple[str, float, float]]:
-    """Name, value and standard deviation of what describes a camera."""
-    adjusted = result.fit.adjusted
+def camera_parameters(result: CalibrationResult, number: int) -> list[tuple[str, float, float]]:
+    """Name, value and standard deviation of a camera's intrinsic parameters."""
+    adjustment = result.fit.adjustment
     values, sigmas = (
-        each.intrinsics[number].tolist() for each in (adjusted.unknowns, adjusted.sigmas)
+        each.intrinsics[number].tolist() for each in (adjustment.parameters, adjustment.sigmas)
     )
     return list(zip(result.fit.lenses[number].parameter_names, values, sigmas, strict=True))
 
@@ -73,12 +75,12 @@ def baseline(transform: Floats) -> float:
     return float(np.linalg.norm(transform[:3, 3]))
 
 
-def epipolar_rms_px(result: Result) -> float:
-    """RMS distance of corners from the epipolar lines of the other camera's, in pixels."""
+def epipolar_rms_px(result: CalibrationResult) -> float:
+    """RMS distance of corners from their epipolar lines, in pixels."""
     return float(np.sqrt(np.mean([error**2 for _, error in result.epipolar_px])))
 
 
-def _camera(result: Result, number: int) -> dict[str, Any]:
+def _camera(result: CalibrationResult, number: int) -> dict[str, Any]:
     camera = result.rig.cam0 if number == 0 else result.rig.cam1
     assert isinstance(camera, Camera)
     fit = result.fit
@@ -87,26 +89,26 @@ def _camera(result: Result, number: int) -> dict[str, Any]:
         "distortion_model": camera.distortion_model,
         "parameters": {
             name: {"value": value, "sigma": sigma}
-            for name, value, sigma in parameters(result, number)
+            for name, value, sigma in camera_parameters(result, number)
         },
         "rms_px": camera_rms_px(result, number),
-        "compared_rms_px": result.compared[number],
+        "compared_rms_px": result.compared_rms_px[number],
         "coverage": float(coverage(result, number).mean()),
         "tilt_deg": [round(float(tilt), 2) for tilt in tilts_deg(result, number)],
         "views": [
             {
-                "frame": fit.frames[sight.view],
-                "corners": len(sight.ids),
+                "frame": fit.frames[observation.view],
+                "corners": len(observation.ids),
                 "rms_px": float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))),
             }
-            for sight, residual in result.sights_of(number)
+            for observation, residual in result.observations_of(number)
         ],
     }
 
 
-def _pair(result: Result) -> dict[str, Any]:
+def _pair(result: CalibrationResult) -> dict[str, Any]:
     transform = result.rig.cam1_from_cam0
-    sigmas = result.fit.adjusted.sigmas.cam1_from_cam0
+    sigmas = result.fit.adjustment.sigmas.cam1_from_cam0
     if transform is None or sigmas is None:
         return {}
     return {

@@ -1,4 +1,4 @@
-"""`vo calibrate`: cameras from a recording of a chessboard or ChArUco board."""
+"""`vo calibrate`: calibration from a recording of a chessboard or ChArUco board."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from vo.calibrating.board import Board
-    from vo.calibrating.calibrate import Result
+    from vo.calibrating.calibrate import CalibrationResult
 
 
-_MOST_TO_CHOOSE_FROM = 10
-"""Frames that are read for each that is looked at."""
+# Headings of the options in `--help`.
+_BOARD, _INPUT, _ESTIMATION, _OUTPUT = "Board", "Input", "Estimation", "Output"
+
+_MAX_GROUP = 10
+"""Largest number of frames read for each frame searched."""
 
 
 class BoardKind(StrEnum):
@@ -46,120 +49,181 @@ def calibrate_command(
         Path | None,
         typer.Argument(
             metavar="RECORDING",
-            help="Any recording that vo run takes, of the board; a calibration is not needed.",
+            help="Recording of the board, in any format of `vo run`; no calibration is needed.",
             show_default=False,
         ),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="File for the calibration.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Calibration file to write.",
+            rich_help_panel=_OUTPUT,
+        ),
     ] = Path("calibration.yaml"),
-    board: Annotated[BoardKind, typer.Option(help="Kind of the board.")] = BoardKind.CHESSBOARD,
+    board: Annotated[
+        BoardKind, typer.Option(help="Kind of board.", rich_help_panel=_BOARD)
+    ] = BoardKind.CHESSBOARD,
     columns: Annotated[
-        int, typer.Option(metavar="N", help="Inner corners in a row: squares less one.", min=1)
+        int,
+        typer.Option(
+            metavar="N",
+            help="Inner corners in a row: squares minus one.",
+            min=1,
+            rich_help_panel=_BOARD,
+        ),
     ] = 9,
     rows: Annotated[
-        int, typer.Option(metavar="N", help="Inner corners in a column: squares less one.", min=1)
+        int,
+        typer.Option(
+            metavar="N",
+            help="Inner corners in a column: squares minus one.",
+            min=1,
+            rich_help_panel=_BOARD,
+        ),
     ] = 6,
     square: Annotated[
-        float, typer.Option(metavar="METRES", help="Side of a square, measured.")
+        float,
+        typer.Option(metavar="METRES", help="Measured side of a square.", rich_help_panel=_BOARD),
     ] = 0.03,
     marker: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES", help="Side of a ChArUco marker.", show_default="0.75 squares"
+            metavar="METRES",
+            help="Side of a ChArUco marker.",
+            show_default="0.75 squares",
+            rich_help_panel=_BOARD,
         ),
     ] = None,
     dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="Dictionary of the ChArUco markers.")
+        str,
+        typer.Option(
+            metavar="NAME", help="Dictionary of the ChArUco markers.", rich_help_panel=_BOARD
+        ),
     ] = "4X4_50",
     legacy: Annotated[
-        bool, typer.Option("--legacy", help="A ChArUco board as made by OpenCV before 4.6.")
+        bool,
+        typer.Option(
+            "--legacy",
+            help="ChArUco layout of OpenCV before 4.6.",
+            rich_help_panel=_BOARD,
+        ),
     ] = False,
     model: Annotated[
-        Model, typer.Option(help="Lens; auto compares them and takes the simplest that fits.")
+        Model,
+        typer.Option(help="Lens model. auto: the simplest that fits.", rich_help_panel=_ESTIMATION),
     ] = Model.AUTO,
     mode: Annotated[
-        ModeChoice, typer.Option(help="mono calibrates the left camera alone.")
+        ModeChoice,
+        typer.Option(help="mono: only the left camera.", rich_help_panel=_INPUT),
     ] = ModeChoice.AUTO,
     format: Annotated[
         str | None,
         typer.Option(
             metavar="FORMAT",
-            help="Of the recording, as for `vo run`.",
-            show_default="found out from its files",
+            help="Format of the recording, as in `vo run`.",
+            show_default="detected",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     topic: Annotated[
         list[str] | None,
         typer.Option(
             metavar="TOPIC",
-            help="Camera of a log, as for `vo run`; may be given again.",
-            show_default="found out from the names",
+            help="Image topic of a log, as in `vo run`; repeatable.",
+            show_default="detected",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     start: Annotated[
-        int, typer.Option(min=0, metavar="N", help="First frame, counted from 0.")
+        int,
+        typer.Option(
+            min=0, metavar="N", help="First frame, counted from 0.", rich_help_panel=_INPUT
+        ),
     ] = 0,
     end: Annotated[
         int | None,
-        typer.Option(min=0, metavar="N", help="Frame to stop before.", show_default="the last"),
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Stop before this frame.",
+            show_default="end of the recording",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     look_at: Annotated[
         int,
         typer.Option(
             min=1,
             metavar="N",
-            help="Most frames to look for the board in, the stillest.",
+            help="Largest number of frames to search, those with the least motion.",
+            rich_help_panel=_ESTIMATION,
         ),
     ] = 400,
     views: Annotated[
         int,
-        typer.Option(min=3, metavar="N", help="Most views to calibrate with, the most different."),
+        typer.Option(
+            min=3,
+            metavar="N",
+            help="Largest number of views to use, the most different ones.",
+            rich_help_panel=_ESTIMATION,
+        ),
     ] = 60,
     picture: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Draw coverage, residuals and errors: .png, .pdf or .svg."
+            metavar="FILE",
+            help="Plot coverage, residuals and errors to this .png, .pdf or .svg file.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     json_output: Annotated[
-        bool, typer.Option("--json", help="Print JSON for machines instead of a table.")
+        bool,
+        typer.Option("--json", help="Print JSON instead of a table.", rich_help_panel=_OUTPUT),
     ] = False,
     print_board: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Write the board for printing, in true size: .pdf, .png or .svg."
+            metavar="FILE",
+            help="Write a board to print in true size: .pdf, .png or .svg.",
+            rich_help_panel=_BOARD,
         ),
     ] = None,
 ) -> None:
-    """Calibrate one camera or two from a recording of a chessboard or ChArUco board.
+    """Calibrate one or two cameras from a recording of a chessboard or ChArUco board.
 
     Make a board, print it at 100 % and glue it onto something flat:
 
       vo calibrate --print-board board.pdf --board charuco --columns 9 --rows 6 --square 0.025
 
-    Record it from near and far, tilted every way, in all parts of the image:
+    Calibrate from a recording of it, near and far, tilted, in all parts of the image:
 
       vo calibrate board.mcap --board charuco --columns 9 --rows 6 --square 0.025
+
+    Use the result:
 
       vo run walk.mcap --calibration calibration.yaml -o out
     """
     from vo.calibrating.board import make_board
 
-    known = make_board(board.value, columns, rows, square, marker, dictionary, legacy)
+    made = make_board(board.value, columns, rows, square, marker, dictionary, legacy)
     if print_board is not None:
         from vo.calibrating.printing import save_board
 
-        save_board(print_board, known)
-        typer.echo(f"{print_board}: {known}; print at 100 % and measure a square", err=True)
+        save_board(print_board, made)
+        typer.echo(f"{print_board}: {made}; print at 100 % and measure a square", err=True)
         if source is None:
             return
     if source is None:
-        raise ConfigError("give a recording of the board, or --print-board FILE to make one")
+        raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
     _check_outputs(output, picture)
-    opening, frames = (format, mode, topic or []), (start, end, look_at)
+    request = _Request(
+        source, format, mode, tuple(topic or ()), start, end, look_at, model.value, views
+    )
     try:
-        result = _calibrate(source, known, opening, frames, model.value, views)
+        result = _calibrate(request, made)
     except KeyboardInterrupt:
         typer.echo(f"interrupted; {output} was not written", err=True)
         raise typer.Exit(130) from None
@@ -176,46 +240,53 @@ def calibrate_command(
         print_result(result, output, picture)
 
 
-def _calibrate(
-    path: Path,
-    board: Board,
-    opening: tuple[str | None, ModeChoice, list[str]],
-    frames: tuple[int, int | None, int],
-    model: str,
-    views: int,
-) -> Result:
+class _Request(NamedTuple):
+    """The recording to calibrate from, and the choice of its frames and views."""
+
+    path: Path
+    format: str | None
+    mode: ModeChoice
+    topics: tuple[str, ...]
+    start: int
+    end: int | None
+    max_frames: int
+    model: str
+    max_views: int
+
+
+def _calibrate(request: _Request, board: Board) -> CalibrationResult:
     from rich.console import Console
 
     from vo.calibrating.calibrate import calibrate
-    from vo.calibrating.fit import FEWEST_VIEWS
-    from vo.calibrating.missing import why_not_found
-    from vo.calibrating.survey import stillest, survey
+    from vo.calibrating.fit import MIN_VIEWS
+    from vo.calibrating.missing_board import explain_missing_board
+    from vo.calibrating.views import detect_views, least_motion_frames
     from vo.cli.progress import warnings_on
     from vo.errors import CalibrationError
     from vo.sources.uncalibrated import open_uncalibrated
 
     console = Console(stderr=True, highlight=False)
+    path, format, mode, topics, start, end, max_frames, model, max_views = request
     with warnings_on(console):
-        format, mode, topics = opening
         source = open_uncalibrated(path, format=format, mode=mode.value, topics=topics)
-        start, end, most = frames
         count = max(min(end or len(source), len(source)) - start, 1)
-        of = min(-(-count // most), _MOST_TO_CHOOSE_FROM)
-        stride = -(-count // (most * of))
-        chosen = stillest(source.frames(start, end, stride), of)
+        group_size = min(-(-count // max_frames), _MAX_GROUP)
+        stride = -(-count // (max_frames * group_size))
+        step = stride * group_size
+        chosen = least_motion_frames(source.frames(start, end, stride), group_size)
         cameras = 2 if source.rig.is_stereo else 1
-        with _bar(console, -(-count // (stride * of))) as progress:
-            found = survey(board, chosen, cameras, os.cpu_count() or 1, progress)
-        if len(found.views) < min(FEWEST_VIEWS, found.frames / 2):
-            every = stride * of
-            raise CalibrationError(why_not_found(board, found, source.frames(start, end, every)))
+        with _progress_bar(console, -(-count // step)) as progress:
+            detected = detect_views(board, chosen, cameras, os.cpu_count() or 1, progress)
+        if len(detected.views) < min(MIN_VIEWS, detected.frames / 2):
+            frames = source.frames(start, end, step)
+            raise CalibrationError(explain_missing_board(board, detected, frames))
         size = (source.rig.cam0.width, source.rig.cam0.height)
-        return calibrate(board, found, size, model, views)
+        return calibrate(board, detected, size, model, max_views)
 
 
 @contextmanager
-def _bar(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal, elsewhere nothing; told how many were looked at and show the board."""
+def _progress_bar(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
+    """A callback with the numbers of frames searched and of views; a bar only on a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     with Progress(
@@ -228,27 +299,27 @@ def _bar(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
         disable=not console.is_terminal,
         expand=True,
     ) as bar:
-        task = bar.add_task("looking for the board", total=total, found="")
-        yield lambda done, found: bar.update(task, completed=done, found=f"{found} show it")
+        task = bar.add_task("searching for the board", total=total, found="")
+        yield lambda done, found: bar.update(task, completed=done, found=f"{found} views")
 
 
 def _check_outputs(output: Path, picture: Path | None) -> None:
-    """Before minutes of work, not after them."""
+    """Check the output paths before minutes of work."""
     for path in (output, picture):
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            raise OutputError(f"{path} cannot be written: give a file in a folder that exists")
+            raise OutputError(f"{path} cannot be written; give a file in an existing folder")
     if picture is not None:
-        from vo.calibrating.picture import check_suffix
+        from vo.calibrating.plots import check_suffix
 
         check_suffix(picture)
 
 
-def _write(result: Result, output: Path, picture: Path | None) -> None:
+def _write(result: CalibrationResult, output: Path, picture: Path | None) -> None:
     from vo.calibrating.report import comments
     from vo.formats.calibration import write_calibration
 
     if picture is not None:
-        from vo.calibrating.picture import save_picture
+        from vo.calibrating.plots import save_plot
 
-        save_picture(picture, result)
+        save_plot(picture, result)
     write_calibration(output, result.rig, comments(result))
