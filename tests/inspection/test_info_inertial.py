@@ -1,4 +1,4 @@
-"""What `vo info` says of inertial sensors, and of topics that nobody reads."""
+"""Inspection of inertial sensors, and of topics that are not read."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 from vo.cli.app import app
 from vo.formats.messages import ImuMessage
 from vo.formats.ros2 import ROS2
-from vo.inspection.inertial import in_imu
-from vo.inspection.material import look_into
+from vo.inspection.inertial import imu_findings
+from vo.inspection.opening import open_leniently
 from vo.inspection.records import ImuReport, Report
 from vo.inspection.report import inspect
 
@@ -30,7 +30,7 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def report_of(path: Path) -> Report:
-    return inspect(look_into(path), 2)
+    return inspect(open_leniently(path), 2)
 
 
 def the_imu(path: Path) -> ImuReport:
@@ -38,18 +38,18 @@ def the_imu(path: Path) -> ImuReport:
     return imu
 
 
-def said(path: Path) -> str:
+def finding_texts(path: Path) -> str:
     return "\n".join(finding.what for finding in report_of(path).findings)
 
 
 @pytest.fixture
 def walk(synthetic_stereo: Path, tmp_path: Path) -> Path:
-    """A copy that may be spoiled."""
+    """A copy that tests may modify."""
     return Path(shutil.copytree(synthetic_stereo, tmp_path / "walk"))
 
 
 def scaled(walk: Path, gyro: float, accel: float) -> None:
-    """The measurements in other units."""
+    """Convert the measurements to other units."""
     table = walk / "mav0" / "imu0" / "data.csv"
     heading, *lines = table.read_text().splitlines()
     rows = []
@@ -70,35 +70,35 @@ def test_a_sound_sensor_is_described(synthetic_stereo: Path) -> None:
     assert (imu.rate_hz, imu.gaps, imu.covered) == (pytest.approx(200.0), 0, 1.0)
     assert imu.accel_m_s2 == pytest.approx(np.linalg.norm(accel, axis=1).mean())
     assert imu.cam0_from_imu is not None and np.shape(imu.cam0_from_imu) == (4, 4)
-    assert list(in_imu(imu)) == []
+    assert list(imu_findings(imu)) == []
 
 
 @pytest.mark.parametrize(
     ("gyro", "accel", "words"),
     [
-        (1.0, 1 / 9.80665, "looks as if it were in g"),
+        (1.0, 1 / 9.80665, "probably in g"),
         (1.0, 0.1 / 9.80665, "with gravity it should be about 9.81"),
-        (1.0, 3.28084, "and not about 9.81"),
-        (180 / np.pi, 1.0, "looks as if it were in degrees"),
+        (1.0, 3.28084, "instead of about 9.81"),
+        (180 / np.pi, 1.0, "probably in degrees"),
     ],
 )
-def test_wrong_units_are_named(walk: Path, gyro: float, accel: float, words: str) -> None:
+def test_wrong_units_are_reported(walk: Path, gyro: float, accel: float, words: str) -> None:
     scaled(walk, gyro, accel)
-    assert words in said(walk)
+    assert words in finding_texts(walk)
 
 
-def test_gaps_damage_and_another_clock_are_named(walk: Path) -> None:
+def test_gaps_damage_and_another_clock_are_reported(walk: Path) -> None:
     table = walk / "mav0" / "imu0" / "data.csv"
     lines = table.read_text().splitlines()
     stamp, *values = lines[300].split(",")
     lines[300] = ",".join([stamp, "nan", *values[1:]])
     table.write_text("\n".join([*lines[:100], *lines[120:]]) + "\n")
-    text = said(walk)
+    text = finding_texts(walk)
     assert "gaps: 1, the longest 0.105 s" in text
     assert f"1 of {len(lines) - 21} lines cannot be read" in text
     moved = [f"{int(line.split(',')[0]) + 10**12},{line.split(',', 1)[1]}" for line in lines[1:]]
     table.write_text("\n".join(moved) + "\n")
-    assert "covers 0 % of the images" in said(walk)
+    assert "covers 0 % of the images" in finding_texts(walk)
 
 
 def test_a_sensor_that_cannot_be_read_is_a_warning(walk: Path) -> None:
@@ -116,7 +116,7 @@ def samples() -> Iterator[tuple[int, bytes]]:
 
 
 def text(store: Stores) -> tuple[str, bytes, bytes]:
-    """Definition, and a message in CDR and in ROS 1's form."""
+    """Definition of a text message, and a message in CDR and in ROS 1 serialisation."""
     types = get_typestore(store)
     definition, _ = types.generate_msgdef(TEXT)
     of_ros2 = get_typestore(Stores.ROS2_HUMBLE)

@@ -18,7 +18,7 @@ from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
 from vo.cli.conversion_truth import around, body_truth, no_poses, poses_at, settle_truth
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.geometry.transforms import inverse
-from vo.inspection.material import Material, collected_warnings, right_stamps
+from vo.inspection.opening import OpenedRecording, collected_warnings, right_stamps
 from vo.sources.images import ImageKind, is_in_colour
 from vo.sources.sequence import choose_frames
 from vo.sources.source import Source
@@ -74,7 +74,7 @@ class _UnreadableError(Exception):
 
 
 def convert(
-    material: Material,
+    opened: OpenedRecording,
     output: Path,
     how: Conversion,
     *,
@@ -84,7 +84,7 @@ def convert(
     """Write a recording anew; it appears when it is whole.
 
     Args:
-        material: the recording, opened.
+        opened: the recording, opened.
         output: folder or, for MCAP, file to make.
         how: what to change.
         force: replace a file that is there.
@@ -95,15 +95,15 @@ def convert(
         ConfigError: the layout cannot hold it.
         OutputError: there is something already, or the place cannot be written.
     """
-    source = material.source
+    source = opened.source
     if source is None:
-        raise SourceError(material.refusal.splitlines()[0])
+        raise SourceError(opened.refusal.splitlines()[0])
     _refuse_existing(output, force)
-    plan = _plan(material, source, how)
+    plan = _plan(opened, source, how)
     truth = around(plan.left_ns, source.ground_truth)
     _check(_recording(source, truth, plan, how), how)
     imu, body_from_cam0 = imu_around(source, plan.left_ns, how.format)
-    has_colour = not how.gray and is_in_colour([s.image for s in material.cameras[0].shots])
+    has_colour = not how.gray and is_in_colour([s.image for s in opened.cameras[0].shots])
     while True:
         recording = replace(
             _recording(source, truth, plan, how),
@@ -123,12 +123,12 @@ def convert(
             _find_unreadable(source, plan)
 
 
-def _plan(material: Material, source: Source, how: Conversion) -> _Plan:
+def _plan(opened: OpenedRecording, source: Source, how: Conversion) -> _Plan:
     chosen = choose_frames(len(source), how.start, how.end, how.stride)
     numbers = np.array(chosen, dtype=np.int64)
     right_ns = np.full(len(numbers), -1, dtype=np.int64)
     if source.rig.is_stereo:
-        left, right = material.cameras
+        left, right = opened.cameras
         with collected_warnings():  # they were said when it was opened
             right_ns = right_stamps(left.shots, right.shots)[numbers]
     left_ns = source.stamps_ns[numbers]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from vo.cli.conversion import Conversion
-    from vo.inspection.material import Material
+    from vo.inspection.opening import OpenedRecording
 
 
 def convert_command(
@@ -95,27 +95,27 @@ def convert_command(
 
     from vo.cli.conversion import Conversion
     from vo.cli.progress import warnings_on
-    from vo.inspection.material import look_into
+    from vo.inspection.opening import open_leniently
     from vo.results.claim import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (output,))
     console = Console(stderr=True, highlight=False, quiet=quiet)
     how = Conversion(_format(format, output), codec, start, end, stride, _size(resize), gray)
-    material = look_into(
+    opened = open_leniently(
         source, format=source_format, calibration=calibration, mode=mode.value, topics=topic or ()
     )
-    for line in material.warnings:
+    for line in opened.warnings:
         console.print(f"warning: {line}", markup=False, soft_wrap=True)
     try:
         with warnings_on(console):
-            _convert(material, output, how, force, console)
+            _convert(opened, output, how, force, console)
     except KeyboardInterrupt:
         typer.echo(f"interrupted; {output} was not written", err=True)
         raise typer.Exit(130) from None
 
 
 def _convert(
-    material: Material, output: Path, how: Conversion, force: bool, console: Console
+    opened: OpenedRecording, output: Path, how: Conversion, force: bool, console: Console
 ) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
@@ -129,7 +129,7 @@ def _convert(
         def show(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        made = convert(material, output, how, force=force, on_frame=show)
+        made = convert(opened, output, how, force=force, on_frame=show)
     kind = "stereo" if made.rig.is_stereo else "mono"
     camera = made.rig.cam0
     truth = f"{len(made.body_truth.stamps_ns)} true poses"

@@ -1,4 +1,4 @@
-"""`vo info`: what a recording holds and what is wrong with it."""
+"""`vo info`: contents and problems of a recording."""
 
 from __future__ import annotations
 
@@ -9,79 +9,102 @@ import typer
 
 from vo.cli.run import ModeChoice
 
+# Headings of the options in `--help`.
+_INPUT, _CHECKS, _OUTPUT = "Input", "Checks", "Output"
+
 
 def info_command(
     source: Annotated[
         Path,
-        typer.Argument(metavar="RECORDING", help="Anything that `vo run` takes, sound or not."),
+        typer.Argument(metavar="RECORDING", help="Recording in any format of `vo run`."),
     ],
     contact_sheet: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Draw images spread over the recording into this PNG file."
+            metavar="FILE",
+            help="Write evenly spaced images to this PNG file.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     json_output: Annotated[
-        bool, typer.Option("--json", help="Print JSON for machines instead of text.")
+        bool,
+        typer.Option("--json", help="Print JSON instead of text.", rich_help_panel=_OUTPUT),
     ] = False,
     all_images: Annotated[
-        bool, typer.Option("--all", help="Look at every image, not at 24 of each camera.")
+        bool,
+        typer.Option(
+            "--all",
+            help="Check all images and inertial samples, not 24 images per camera.",
+            rich_help_panel=_CHECKS,
+        ),
     ] = False,
     calibration: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Calibration instead of the recording's own."),
+        typer.Option(
+            metavar="FILE",
+            help="Calibration to use instead of the recording's own.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     format: Annotated[
         str | None,
         typer.Option(
             metavar="FORMAT",
-            help="Of the recording, as for `vo run`.",
-            show_default="found out from its files",
+            help="Format of the recording, as in `vo run`.",
+            show_default="detected",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     topic: Annotated[
         list[str] | None,
         typer.Option(
             metavar="TOPIC",
-            help="Camera of a log, as for `vo run`; may be given again.",
-            show_default="found out from the names",
+            help="Image topic of a log, as in `vo run`; repeatable.",
+            show_default="detected",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     mode: Annotated[
-        ModeChoice, typer.Option(help="mono ignores the right camera, stereo insists on it.")
+        ModeChoice,
+        typer.Option(
+            help="mono: only the left camera; stereo: require both.", rich_help_panel=_INPUT
+        ),
     ] = ModeChoice.AUTO,
 ) -> None:
-    """Show what a recording holds, what is wrong with it, and how to run it.
+    """Show what a recording contains, its problems, and how to run it.
 
-    Stamps of all images are looked at, pixels of some. It also works where
-    `vo run` refuses, and says why.
+    Checks all stamps and some of the images. Also inspects recordings that
+    `vo run` refuses, and reports the reason.
+
+    Inspect a log, and save some of its images:
 
       vo info log.mcap --contact-sheet sheet.png
 
-    Exit status: 1 if there is a problem, 0 if there are warnings at most.
+    Exit status: 0 no problem, 1 at least one problem (not for warnings),
+    2 wrong usage.
     """
     import json
     from dataclasses import asdict
 
     from rich.console import Console
 
-    from vo.inspection.material import look_into
+    from vo.inspection.opening import open_leniently
     from vo.inspection.report import DEFAULT_IMAGES, inspect
     from vo.results.claim import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (contact_sheet,))
 
-    with Console(stderr=True).status("looking at images"):
-        material = look_into(
+    with Console(stderr=True).status("checking images"):
+        opened = open_leniently(
             source, format=format, calibration=calibration, mode=mode.value, topics=topic or ()
         )
-        report = inspect(material, None if all_images else DEFAULT_IMAGES)
-        if not material.cameras:
-            contact_sheet = None  # the report says why there is nothing to draw
+        report = inspect(opened, None if all_images else DEFAULT_IMAGES)
+        if not opened.cameras:
+            contact_sheet = None  # the report contains the reason
         if contact_sheet is not None:
-            from vo.inspection.sheet import write_sheet
+            from vo.inspection.contact_sheet import write_contact_sheet
 
-            write_sheet(contact_sheet, material)
+            write_contact_sheet(contact_sheet, opened)
     if json_output:
         typer.echo(json.dumps(asdict(report), indent=2, allow_nan=False))
     else:

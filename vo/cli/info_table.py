@@ -1,4 +1,4 @@
-"""What is known of a recording, as text for people."""
+"""Inspection report as text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from vo.inspection.records import CameraReport, ImuReport, LensReport, PairReport, Report
+from vo.inspection.image_records import CameraReport, PairReport
+from vo.inspection.records import ImuReport, LensReport, Report
 
 _WORDS = {
     "error": "[bold red]problem:[/]",
@@ -19,17 +20,17 @@ _BAR = 24
 
 
 def print_report(report: Report, sheet: Path | None, console: Console | None = None) -> None:
-    """Print facts, then what is wrong, then what to run."""
+    """Print facts, findings, and the command to try."""
     console = console or Console(highlight=False)
     for name, value in _facts(report):
         console.print(f"[bold]{name:<11}[/]", escape(value), soft_wrap=True)
     if sheet is not None:
-        console.print(f"[bold]{'pictures':<11}[/]", escape(str(sheet)), soft_wrap=True)
+        console.print(f"[bold]{'images':<11}[/]", escape(str(sheet)), soft_wrap=True)
     for finding in report.findings:
         advice = f"; {finding.advice}" if finding.advice else ""
         console.print(_WORDS[finding.level], escape(finding.what + advice), soft_wrap=True)
     if not report.findings:
-        console.print("[green]nothing is wrong with it as far as could be seen[/]")
+        console.print("[green]no problems found[/]")
     console.print("[cyan]try:[/]", escape(report.command), soft_wrap=True)
 
 
@@ -44,7 +45,7 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
         yield "" if number else "topics", line
     for camera in report.cameras:
         yield camera.name, _camera(camera)
-        yield "", _seen(camera)
+        yield "", _image_quality(camera)
     if report.pair is not None:
         yield from _pair(report.pair)
     yield "calibration", "none found" if report.calibration is None else "found"
@@ -52,11 +53,11 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
         for lens in report.calibration.lenses:
             yield "", _lens(lens)
         if report.calibration.baseline_m is not None:
-            said = "rectified" if report.calibration.is_rectified else "not rectified"
-            yield "", f"baseline {report.calibration.baseline_m:.4g} m, {said}"
+            state = "rectified" if report.calibration.is_rectified else "not rectified"
+            yield "", f"baseline {report.calibration.baseline_m:.4g} m, {state}"
     yield from _measured(report)
     if report.has_depth:
-        yield "depth", "at the pixels of cam0"
+        yield "depth", "aligned with cam0"
     truth = report.truth
     yield (
         "truth",
@@ -82,10 +83,10 @@ def _imu(imu: ImuReport) -> str:
 
 
 def _motion(imu: ImuReport) -> str:
-    place = "not known" if imu.cam0_from_imu is None else "known"
+    transform = "unknown" if imu.cam0_from_imu is None else "known"
     return (
-        f"{imu.looked_at} looked at: mean acceleration {imu.accel_m_s2:.4g} m/s², median rate "
-        f"{imu.gyro_rad_s:.3g} rad/s; its place beside cam0 is {place}"
+        f"{imu.looked_at} checked: mean acceleration {imu.accel_m_s2:.4g} m/s², median rate "
+        f"{imu.gyro_rad_s:.3g} rad/s; cam0_from_imu {transform}"
     )
 
 
@@ -102,16 +103,16 @@ def _camera(camera: CameraReport) -> str:
     )
 
 
-def _seen(camera: CameraReport) -> str:
+def _image_quality(camera: CameraReport) -> str:
     looks = camera.looks
     if not looks:
-        return "no image can be read"
+        return "no image is readable"
     greys = sorted(look.mean_grey for look in looks)
     blurs = sorted(look.blur for look in looks)
     corners = sorted(look.corners for look in looks)
     middle = len(looks) // 2
     return (
-        f"{len(looks)} looked at: grey {greys[0]:.0f} to {greys[-1]:.0f}, blur "
+        f"{len(looks)} checked: grey {greys[0]:.0f} to {greys[-1]:.0f}, blur "
         f"{blurs[middle]:.2f} (0 sharp, 1 blurred), {corners[0]} to {corners[-1]} corners"
     )
 
@@ -120,7 +121,7 @@ def _pair(pair: PairReport) -> Iterator[tuple[str, str]]:
     low, high = pair.offsets_ms
     yield (
         "pairs",
-        f"{pair.pairs}, {pair.left_alone} left and {pair.right_alone} right images alone; right "
+        f"{pair.pairs}, {pair.left_alone} left and {pair.right_alone} right images unpaired; right "
         f"minus left {low:+.3f} to {high:+.3f} ms, median {pair.offset_ms:+.3f} ms",
     )
     if len(pair.histogram) > 1:
@@ -131,7 +132,7 @@ def _pair(pair: PairReport) -> Iterator[tuple[str, str]]:
 
 
 def _lens(lens: LensReport) -> str:
-    views = " x ".join("beyond the model" if v is None else f"{v:.0f}°" for v in lens.view_deg)
+    views = " x ".join("undefined" if v is None else f"{v:.0f}°" for v in lens.view_deg)
     return (
         f"{lens.name}: focal length {lens.fx:.1f}, {lens.fy:.1f} px, principal point "
         f"{lens.cx:.1f}, {lens.cy:.1f} of {lens.width}x{lens.height}, field of view {views}, "
@@ -142,8 +143,8 @@ def _lens(lens: LensReport) -> str:
 def _measured(report: Report) -> Iterator[tuple[str, str]]:
     stereo = report.stereo
     if stereo is not None:
-        depth = "" if stereo.depth_m is None else f", so {stereo.depth_m:.3g} m away"
-        kind = "rectified images" if stereo.rectified else "images as recorded"
+        depth = "" if stereo.depth_m is None else f" (depth {stereo.depth_m:.3g} m)"
+        kind = "rectified images" if stereo.rectified else "original images"
         yield (
             "measured",
             f"{kind}: rows differ by {stereo.row_offset_px:+.2f} ± {stereo.row_spread_px:.2f} px, "

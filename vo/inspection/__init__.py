@@ -1,1 +1,1 @@
-"""What a recording holds, how sound it is, and what is wrong with it."""
+"""Inspection of recordings: contents, quality, problems and advice."""

@@ -1,4 +1,4 @@
-"""What inertial sensors measured, and whether it is in the units that it should be in."""
+"""Checks of inertial sensors: rates, gaps and units."""
 
 from __future__ import annotations
 
@@ -7,52 +7,54 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from vo.errors import VoError
-from vo.inspection.material import collected_warnings
+from vo.inspection.opening import collected_warnings
 from vo.inspection.records import Finding, ImuReport
 from vo.sources.imu import Imu
 from vo.types import Ints
 
 _GAP = 2.5
-_LOOKED_AT = 10_000
-"""Of a long log no more samples than so many."""
+"""Shortest interval that counts as a gap, in median intervals."""
+
+_MAX_SAMPLES = 10_000
+"""Largest number of samples whose values are checked by default."""
 
 _IN_G = (0.8, 1.2)
-_GRAVITY = (7.0, 20.0)  # means; only racing drones are far above 9.81
-_WITHOUT_GRAVITY_M_S2 = 5.0
-_TURNING_RAD_S = 4.0  # as a median; nothing that carries a camera turns so fast all the time
-_FASTEST_RAD_S = 35.0  # 2000 degrees a second, where most sensors end
-_COVERED = 0.95
+_USUAL_ACCEL_M_S2 = (7.0, 20.0)  # mean; only racing drones are far above 9.81
+_MIN_GRAVITY_M_S2 = 5.0
+_MAX_MEDIAN_RATE_RAD_S = 4.0  # faster than any camera turns most of the time
+_MAX_RATE_RAD_S = 35.0  # 2000 degrees per second, the range of most sensors
+_MIN_COVERED = 0.95
 
 
-def look_at_imus(
+def check_imus(
     imus: Sequence[Imu], image_stamps_ns: Ints, everything: bool
 ) -> tuple[tuple[ImuReport, ...], list[str]]:
-    """Stamps of all samples, and the values of some.
+    """Check the stamps of all samples, and the values of some.
 
     Args:
         imus: the sensors.
-        image_stamps_ns: (N,) of the left images.
-        everything: whether all values are looked at.
+        image_stamps_ns: (N,) stamps of the left images.
+        everything: check all values.
 
     Returns:
-        A report of each sensor, and what was said of them while they were read.
+        A report on each sensor, and the warnings logged while they were read.
     """
     reports = []
     with collected_warnings() as said:
         for imu in imus:
             try:
-                reports.append(_look_at(imu, image_stamps_ns, everything))
+                reports.append(_check(imu, image_stamps_ns, everything))
             except VoError as error:
                 said.append(f"{imu.name}: {error}")
     return tuple(reports), list(dict.fromkeys(said))
 
 
-def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
+def _check(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
     stamps = imu.stamps_ns
     steps = np.diff(stamps)
     median = float(np.median(steps)) if len(steps) else 0.0
     gaps = steps[steps > _GAP * median]
-    samples = imu.read() if everything else imu.read_some(_LOOKED_AT)
+    samples = imu.read() if everything else imu.read_some(_MAX_SAMPLES)
     accel, gyro = np.linalg.norm(samples.accel, axis=1), np.linalg.norm(samples.gyro, axis=1)
     place = imu.cam0_from_imu
     covered = np.zeros(len(image_stamps_ns))
@@ -76,49 +78,49 @@ def _look_at(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
     )
 
 
-def in_imu(imu: ImuReport) -> Iterator[Finding]:
-    """What is wrong with an inertial sensor."""
+def imu_findings(imu: ImuReport) -> Iterator[Finding]:
+    """Findings about an inertial sensor."""
     if imu.gaps:
         yield Finding(
             "warning",
             f"{imu.name}: gaps: {imu.gaps}, the longest {imu.longest_gap_s:.3g} s",
-            "samples were dropped on the way to the recorder",
+            "check for samples dropped by the recorder",
         )
-    if imu.covered is not None and imu.covered < _COVERED:
+    if imu.covered is not None and imu.covered < _MIN_COVERED:
         yield Finding(
             "warning",
             f"{imu.name}: covers {100 * imu.covered:.0f} % of the images in time",
-            "its clock may differ from the camera's",
+            "check whether it uses the clock of the camera",
         )
     if imu.looked_at:
-        yield from _in_values(imu)
+        yield from _value_findings(imu)
 
 
-def _in_values(imu: ImuReport) -> Iterator[Finding]:
+def _value_findings(imu: ImuReport) -> Iterator[Finding]:
     accel = imu.accel_m_s2
     if _IN_G[0] <= accel <= _IN_G[1]:
         yield Finding(
             "warning",
-            f"{imu.name}: the mean acceleration is {accel:.3g}: it looks as if it were in g",
-            "it should be in m/s²: multiply by 9.80665",
+            f"{imu.name}: the mean acceleration is {accel:.3g}, probably in g",
+            "it must be in m/s²: multiply by 9.80665",
         )
-    elif accel < _WITHOUT_GRAVITY_M_S2:
+    elif accel < _MIN_GRAVITY_M_S2:
         yield Finding(
             "warning",
             f"{imu.name}: the mean acceleration is {accel:.3g} m/s²; with gravity it should be "
             "about 9.81",
-            "record the raw acceleration, not the one without gravity",
+            "record the raw acceleration, including gravity",
         )
-    elif not _GRAVITY[0] <= accel <= _GRAVITY[1]:
+    elif not _USUAL_ACCEL_M_S2[0] <= accel <= _USUAL_ACCEL_M_S2[1]:
         yield Finding(
             "warning",
-            f"{imu.name}: the mean acceleration is {accel:.3g} m/s², and not about 9.81",
+            f"{imu.name}: the mean acceleration is {accel:.3g} m/s² instead of about 9.81",
             "check its unit and its calibration",
         )
-    if imu.gyro_rad_s > _TURNING_RAD_S or imu.gyro_high_rad_s > _FASTEST_RAD_S:
+    if imu.gyro_rad_s > _MAX_MEDIAN_RATE_RAD_S or imu.gyro_high_rad_s > _MAX_RATE_RAD_S:
         yield Finding(
             "warning",
-            f"{imu.name}: the median rate is {imu.gyro_rad_s:.3g} rad/s, 1 % are above "
-            f"{imu.gyro_high_rad_s:.3g}: it looks as if it were in degrees",
-            "it should be in rad/s: multiply by 0.0174533",
+            f"{imu.name}: the median angular rate is {imu.gyro_rad_s:.3g} rad/s, 1 % are above "
+            f"{imu.gyro_high_rad_s:.3g}: probably in degrees per second",
+            "it must be in rad/s: multiply by 0.0174533",
         )

@@ -1,4 +1,4 @@
-"""Puts together all that is known of a recording."""
+"""Inspection of a recording: `inspect` collects all reports and findings."""
 
 from __future__ import annotations
 
@@ -7,21 +7,14 @@ import numpy as np
 from vo.errors import CalibrationError
 from vo.geometry.cameras import normalise
 from vo.geometry.rectification import rectified_rig
-from vo.inspection.findings import find_all
-from vo.inspection.inertial import look_at_imus
-from vo.inspection.material import CameraShots, Material, collected_warnings
-from vo.inspection.pictures import Viewer, evenly, look_at
-from vo.inspection.records import (
-    CalibrationReport,
-    CameraReport,
-    LensReport,
-    Report,
-    StereoReport,
-    TopicLine,
-    TruthReport,
-)
-from vo.inspection.stamps import pair_in_time, timing_of
-from vo.inspection.stereo import compare
+from vo.inspection.findings import with_findings
+from vo.inspection.image_records import CameraReport, StereoReport
+from vo.inspection.images import ImageReader, check_images, evenly_spaced
+from vo.inspection.inertial import check_imus
+from vo.inspection.opening import ImageSequence, OpenedRecording, collected_warnings
+from vo.inspection.records import CalibrationReport, LensReport, Report, TopicReport, TruthReport
+from vo.inspection.stamps import pair_report, timing_of
+from vo.inspection.stereo import compare_stereo_images
 from vo.sources.logs.log import Topic
 from vo.sources.pairing import pair_by_stamp
 from vo.types import Camera, Ints, Rig, Trajectory
@@ -30,77 +23,80 @@ DEFAULT_IMAGES = 24
 _STEREO_PAIRS = 6
 
 
-def inspect(material: Material, images: int | None = DEFAULT_IMAGES) -> Report:
-    """Look at stamps of all images and at the pixels of some.
+def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Report:
+    """Check the stamps of all images and the pixels of some.
 
     Args:
-        material: the recording, as far as it could be opened.
-        images: of each camera to look at; None for all.
+        opened: the recording, as far as it could be opened.
+        images: number of images of each camera to check; None for all.
     """
     try:
-        cameras = tuple(_camera(camera, images) for camera in material.cameras)
-        is_pair = material.is_decided and len(cameras) == 2
-        sides = material.cameras if is_pair else ()
-        with collected_warnings():  # said when it was opened, or found out here
-            pair = pair_in_time(sides[0], sides[1]) if sides else None
-            stereo = _stereo(sides[0], sides[1], material.rig) if sides else None
+        cameras = tuple(_camera(camera, images) for camera in opened.cameras)
+        is_pair = opened.roles_known and len(cameras) == 2
+        sides = opened.cameras if is_pair else ()
+        with collected_warnings():  # repeated from opening, or reported as findings
+            pair = pair_report(sides[0], sides[1]) if sides else None
+            stereo = _stereo(sides[0], sides[1], opened.rig) if sides else None
     finally:
-        material.close()
-    lefts = material.cameras[0].shots if material.cameras else ()
+        opened.close()
+    lefts = opened.cameras[0].shots if opened.cameras else ()
     stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
-    imus, said_of_imus = look_at_imus(material.imus, stamps, everything=images is None)
+    imus, imu_warnings = check_imus(opened.imus, stamps, everything=images is None)
     report = Report(
-        path=str(material.path),
-        format=material.format,
+        path=str(opened.path),
+        format=opened.format,
         topics=(
-            *(_topic(topic) for topic in material.topics),
+            *(_topic(topic) for topic in opened.topics),
             *(
-                TopicLine(topic.name, topic.schema, "", topic.messages, 0.0, is_read=False)
-                for topic in material.unread
+                TopicReport(topic.name, topic.schema, "", topic.messages, 0.0, is_read=False)
+                for topic in opened.unread
             ),
         ),
         imu=imus,
         cameras=cameras,
         pair=pair,
-        calibration=None if material.rig is None else _calibration(material.rig),
+        calibration=None if opened.rig is None else _calibration(opened.rig),
         stereo=stereo,
-        truth=None if material.truth is None else _truth(material.truth, stamps),
-        has_depth=material.rig is not None and material.rig.has_depth,
+        truth=None if opened.truth is None else _truth(opened.truth, stamps),
+        has_depth=opened.rig is not None and opened.rig.has_depth,
         findings=(),
         command="",
     )
-    return find_all(report, material, said_of_imus)
+    return with_findings(report, opened, imu_warnings)
 
 
-def _camera(camera: CameraShots, images: int | None) -> CameraReport:
+def _camera(camera: ImageSequence, images: int | None) -> CameraReport:
     count = len(camera.shots)
-    viewer = Viewer([shot.image for shot in camera.shots])
-    looks, size, others = look_at(viewer, count, count if images is None else images)
+    reader = ImageReader([shot.image for shot in camera.shots])
+    looks, size, others = check_images(reader, count, count if images is None else images)
     return CameraReport(
         name=camera.name,
         timing=timing_of(camera),
         width=size[0],
         height=size[1],
-        bits=viewer.bits,
-        has_colour=viewer.has_colour,
+        bits=reader.bits,
+        has_colour=reader.has_colour,
         looks=tuple(looks),
-        unreadable=tuple(sorted(viewer.unreadable)),
+        unreadable=tuple(sorted(reader.unreadable)),
         other_sizes=tuple(others),
     )
 
 
-def _stereo(left: CameraShots, right: CameraShots, rig: Rig | None) -> StereoReport | None:
+def _stereo(left: ImageSequence, right: ImageSequence, rig: Rig | None) -> StereoReport | None:
     partners = pair_by_stamp(left.shots, right.shots)
     numbers = [i for i, partner in enumerate(partners) if partner is not None]
-    lefts, rights = Viewer([s.image for s in left.shots]), Viewer([s.image for s in right.shots])
-    place = {id(shot.image): i for i, shot in enumerate(right.shots)}
+    lefts, rights = (
+        ImageReader([s.image for s in left.shots]),
+        ImageReader([s.image for s in right.shots]),
+    )
+    number_of = {id(shot.image): i for i, shot in enumerate(right.shots)}
     pairs = []
-    for row in evenly(len(numbers), _STEREO_PAIRS):
+    for row in evenly_spaced(len(numbers), _STEREO_PAIRS):
         number = numbers[row]
-        image0, image1 = lefts.read(number), rights.read(place[id(partners[number])])
+        image0, image1 = lefts.read(number), rights.read(number_of[id(partners[number])])
         if image0 is not None and image1 is not None:
             pairs.append((image0, image1))
-    return compare(pairs, rig)
+    return compare_stereo_images(pairs, rig)
 
 
 def _calibration(rig: Rig) -> CalibrationReport:
@@ -133,11 +129,11 @@ def _lens(name: str, camera: Camera) -> LensReport:
         cx=camera.cx,
         cy=camera.cy,
         model=camera.distortion_model if camera.is_distorted else "none",
-        view_deg=(_number(views[0]), _number(views[1])),
+        view_deg=(_finite(views[0]), _finite(views[1])),
     )
 
 
-def _number(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
@@ -153,6 +149,6 @@ def _truth(truth: Trajectory, stamps_ns: Ints) -> TruthReport:
     )
 
 
-def _topic(topic: Topic) -> TopicLine:
+def _topic(topic: Topic) -> TopicReport:
     kind = topic.codec.kind.__name__.removesuffix("Message")
-    return TopicLine(topic.name, topic.schema, kind, topic.count, topic.rate_hz)
+    return TopicReport(topic.name, topic.schema, kind, topic.count, topic.rate_hz)

@@ -1,20 +1,22 @@
-"""Rates, gaps and offsets of stamps."""
+"""Checks of stamps: rates, gaps, and offsets between cameras."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vo.inspection.material import CameraShots, right_stamps
-from vo.inspection.records import Gap, PairReport, Timing
+from vo.inspection.image_records import Gap, PairReport, Timing
+from vo.inspection.opening import ImageSequence, right_stamps
 from vo.sources.pairing import tolerance_ns
 from vo.types import Ints
 
 _GAP = 1.5
+"""Shortest interval that counts as a gap, in median intervals."""
+
 _BINS = 9
 
 
-def timing_of(camera: CameraShots) -> Timing:
-    """Rate and gaps of a camera."""
+def timing_of(camera: ImageSequence) -> Timing:
+    """Rate, jitter and gaps of a camera."""
     stamps_ns = _stamps(camera)
     steps = np.diff(stamps_ns)
     median = float(np.median(steps)) if len(steps) else 0.0
@@ -27,25 +29,26 @@ def timing_of(camera: CameraShots) -> Timing:
         )
         for i in np.flatnonzero(steps > _GAP * median)
     )
-    usual = steps[steps <= _GAP * median]
+    regular = steps[steps <= _GAP * median]
+    jitter_ns = float(np.percentile(np.abs(regular - median), 95)) if len(regular) else 0.0
     return Timing(
         count=len(stamps_ns),
         first_ns=int(stamps_ns[0]),
         span_s=1e-9 * float(stamps_ns[-1] - stamps_ns[0]),
         rate_hz=1e9 / median if median else 0.0,
-        jitter_ms=1e-6 * float(np.percentile(np.abs(usual - median), 95)) if len(usual) else 0.0,
+        jitter_ms=1e-6 * jitter_ns,
         gaps=gaps,
         repeated_stamps=camera.repeated_stamps,
     )
 
 
-def pair_in_time(left: CameraShots, right: CameraShots) -> PairReport:
-    """How far left and right images are apart in time."""
+def pair_report(left: ImageSequence, right: ImageSequence) -> PairReport:
+    """Pairing of left and right images, and their offsets in time."""
     stamps_ns, others_ns = _stamps(left), _stamps(right)
-    partner_ns = right_stamps(left.shots, right.shots)
-    paired = partner_ns >= 0
-    nearest_ns = partner_ns[paired] - stamps_ns[paired]
-    if not len(nearest_ns):  # no pair: how far away the nearest is tells why
+    paired_ns = right_stamps(left.shots, right.shots)
+    paired = paired_ns >= 0
+    nearest_ns = paired_ns[paired] - stamps_ns[paired]
+    if not len(nearest_ns):  # no pair: report the offsets of the nearest images
         after = np.clip(np.searchsorted(others_ns, stamps_ns), 1, max(1, len(others_ns) - 1))
         after = np.minimum(after, len(others_ns) - 1)
         both = np.stack([others_ns[after], others_ns[np.maximum(after - 1, 0)]]) - stamps_ns
@@ -71,5 +74,5 @@ def _histogram(values: np.ndarray) -> tuple[tuple[float, int], ...]:
     return tuple((float(e), int(c)) for e, c in zip(edges[:-1], counts, strict=True))
 
 
-def _stamps(camera: CameraShots) -> Ints:
+def _stamps(camera: ImageSequence) -> Ints:
     return np.array([shot.stamp_ns for shot in camera.shots], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What points seen by both cameras say about a pair."""
+"""Checks of a stereo pair with points matched in both images."""
 
 from __future__ import annotations
 
@@ -11,44 +11,48 @@ from vo.errors import CalibrationError
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera import is_worth_correcting, right_camera
 from vo.geometry.row_errors import RowFit
-from vo.inspection.records import StereoReport
+from vo.inspection.image_records import StereoReport
 from vo.types import Bytes, Floats, Rig, RightCamera
 
 _FEATURES = 1500
-_FEWEST_MATCHES = 15
+_MIN_MATCHES = 15
 _OUTLIER_PX = 1.0
 _NEAR_PX = 3.0
 _PATCH_PX = 15
-_TELLING_PX = 1.0
-"""Disparities below this do not tell left from right."""
+_MIN_DISPARITY_PX = 1.0
+"""Smaller disparities have an unreliable sign."""
 
 
-def compare(pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None) -> StereoReport | None:
-    """Match pairs of images, rectified if the calibration says how; None where too few match."""
+def compare_stereo_images(
+    pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None
+) -> StereoReport | None:
+    """Match pairs of images, rectified if there is a calibration; None with too few matches."""
     working = _working(rig)
     if working is not None:
         pairs = [(working.rectify(a, 0), working.rectify(b, 1)) for a, b in pairs]
-    found = [(pair, points) for pair in pairs if len(points := match(*pair)) >= _FEWEST_MATCHES]
+    found = [
+        (pair, points) for pair in pairs if len(points := match_features(*pair)) >= _MIN_MATCHES
+    ]
     if not found:
         return None
     points = np.concatenate([points for _, points in found])
     rows = points[:, 3] - points[:, 1]
     disparity = points[:, 0] - points[:, 2]
-    telling = disparity[np.abs(disparity) > _TELLING_PX]
-    # Corners lie on whole pixels: a mean of those around the median tells fractions.
+    clear = disparity[np.abs(disparity) > _MIN_DISPARITY_PX]
+    # Corners are at integer pixels; the mean around the median gives subpixel accuracy.
     near = rows[np.abs(rows - np.median(rows)) < _NEAR_PX]
-    offset, middle = float(near.mean()), float(np.median(disparity))
+    offset, median = float(near.mean()), float(np.median(disparity))
     depth = None
-    if working is not None and working.baseline_m and middle > 0:
-        depth = working.fx * working.baseline_m / middle
+    if working is not None and working.baseline_m and median > 0:
+        depth = working.fx * working.baseline_m / median
     return StereoReport(
         rectified=working is not None,
         pairs=len(found),
         matches=len(points),
         row_offset_px=offset,
         row_spread_px=float(near.std()) if len(near) > 0.5 * len(rows) else float(rows.std()),
-        positive=float((telling > 0).mean()) if len(telling) else 1.0,
-        disparity_px=middle,
+        positive=float((clear > 0).mean()) if len(clear) else 1.0,
+        disparity_px=median,
         depth_m=depth,
         right_camera=None if working is None else _right_camera(found, working),
     )
@@ -57,19 +61,19 @@ def compare(pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None) -> StereoRepo
 def _right_camera(
     found: Sequence[tuple[tuple[Bytes, Bytes], Floats]], rig: RectifiedRig
 ) -> RightCamera | None:
-    """What the rows of all pairs together say, if they say it surely."""
+    """Error of the right camera's calibration from the rows of all pairs, if significant."""
     fit = RowFit()
     for pair, points in found:
         exact = _refined(*pair, points)
         x, y = (exact[:, 2] - rig.cx) / rig.fx, (exact[:, 1] - rig.cy) / rig.fy
-        if len(exact) >= _FEWEST_MATCHES:
+        if len(exact) >= _MIN_MATCHES:
             fit.add(x, y, exact[:, 3] - exact[:, 1])
     fitted = fit.result()
     return right_camera(fitted.errors, rig) if is_worth_correcting(fitted, rig) else None
 
 
 def _refined(left: Bytes, right: Bytes, points: Floats) -> Floats:
-    """Points (N, 4) whose place in the right image is no longer on whole pixels."""
+    """Points (N, 4) with subpixel positions in the right image."""
     a, b = points[:, :2].astype(np.float32), points[:, 2:].astype(np.float32)
     side, flags = (_PATCH_PX, _PATCH_PX), cv2.OPTFLOW_USE_INITIAL_FLOW
     moved, good, _ = cv2.calcOpticalFlowPyrLK(
@@ -80,15 +84,15 @@ def _refined(left: Bytes, right: Bytes, points: Floats) -> Floats:
     return np.asarray(np.hstack([a, moved])[kept], dtype=np.float64)
 
 
-def match(left: Bytes, right: Bytes) -> Floats:
-    """(N, 4) pixels u, v of points in the left and the right image, on epipolar lines."""
+def match_features(left: Bytes, right: Bytes) -> Floats:
+    """Match ORB features consistent with one epipolar geometry; (N, 4) left u, v and right u, v."""
     orb = cv2.ORB.create(_FEATURES)
     left_points, left_bits = orb.detectAndCompute(left, None)
     right_points, right_bits = orb.detectAndCompute(right, None)
     if left_bits is None or right_bits is None:
         return np.empty((0, 4))
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left_bits, right_bits)
-    if len(pairs) < _FEWEST_MATCHES:
+    if len(pairs) < _MIN_MATCHES:
         return np.empty((0, 4))
     a = np.array([left_points[pair.queryIdx].pt for pair in pairs])
     b = np.array([right_points[pair.trainIdx].pt for pair in pairs])

@@ -1,4 +1,4 @@
-"""Looks at a sample of a camera's images: brightness, blur, texture, repetition."""
+"""Checks of a sample of images: brightness, blur, texture, repetition."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from vo.errors import SourceError
-from vo.inspection.records import Look
+from vo.inspection.image_records import ImageStatistics
 from vo.sources.images import StoredImage, depth_bits_of, is_in_colour, read_grey
 from vo.types import Bytes
 
@@ -17,8 +17,8 @@ _DARK, _BRIGHT = 10, 250
 _FAST_THRESHOLD = 12
 
 
-class Viewer:
-    """Reads images of a camera as grey ones of 8 bits, and notes which cannot be read."""
+class ImageReader:
+    """Reads images of a camera as 8-bit grey images, and records unreadable ones."""
 
     def __init__(self, images: Sequence[StoredImage]) -> None:
         self._images = images
@@ -29,16 +29,16 @@ class Viewer:
 
     @property
     def bits(self) -> int:
-        """Bits of a pixel that the camera uses."""
+        """Bits per pixel used by the camera."""
         return self._bits
 
     @property
     def has_colour(self) -> bool:
-        """Whether the first image that can be read is in colour."""
+        """Whether the first readable image is in colour."""
         return is_in_colour(self._images)
 
     def read(self, number: int) -> Bytes | None:
-        """An image (H, W), or None where it cannot be read."""
+        """An image (H, W); None if it is unreadable."""
         try:
             return read_grey(self._images[number], self._bits)
         except SourceError as error:
@@ -46,34 +46,34 @@ class Viewer:
             return None
 
 
-def evenly(count: int, wanted: int) -> list[int]:
-    """`wanted` numbers below `count`, from the first to the last, evenly spread."""
+def evenly_spaced(count: int, wanted: int) -> list[int]:
+    """`wanted` evenly spaced numbers from 0 to `count - 1`."""
     if count <= wanted:
         return list(range(count))
     return sorted({round(i) for i in np.linspace(0, count - 1, wanted).tolist()})
 
 
-def look_at(
-    viewer: Viewer, count: int, wanted: int
-) -> tuple[list[Look], tuple[int, int], list[int]]:
-    """Look at images spread over a recording, each beside the one before it.
+def check_images(
+    reader: ImageReader, count: int, wanted: int
+) -> tuple[list[ImageStatistics], tuple[int, int], list[int]]:
+    """Check evenly spaced images of a recording, each compared with the previous one.
 
     Args:
-        viewer: reads them.
-        count: how many there are.
-        wanted: how many to look at.
+        reader: reader of the images.
+        count: number of images.
+        wanted: number of images to check.
 
     Returns:
-        What was seen, the width and height of the first image, and the numbers of those that have
-        another size.
+        Statistics of the checked images, width and height of the first one, and the numbers of
+        images of other sizes.
     """
-    looks: list[Look] = []
+    looks: list[ImageStatistics] = []
     size: tuple[int, int] = (0, 0)
     others: list[int] = []
     last: tuple[int, Bytes | None] = (-1, None)
-    for number in evenly(count, wanted):
-        before = last[1] if last[0] == number - 1 else viewer.read(number - 1) if number else None
-        image = viewer.read(number)
+    for number in evenly_spaced(count, wanted):
+        before = last[1] if last[0] == number - 1 else reader.read(number - 1) if number else None
+        image = reader.read(number)
         last = (number, image)
         if image is None:
             continue
@@ -81,12 +81,12 @@ def look_at(
         if (image.shape[1], image.shape[0]) != size:
             others.append(number)
         repeats = None if before is None else bool(np.array_equal(before, image))
-        looks.append(_look(number, image, repeats))
+        looks.append(_statistics(number, image, repeats))
     return looks, size, others
 
 
 def blur_of(image: Bytes) -> float:
-    """How much detail a further blur does not take away: 0 is sharp, 1 has no detail.
+    """No-reference blur measure: 0 is sharp, 1 has no detail.
 
     Source: Crété et al., "The blur effect", SPIE 2007.
     """
@@ -102,8 +102,8 @@ def blur_of(image: Bytes) -> float:
     return worst
 
 
-def _look(number: int, image: Bytes, repeats: bool | None) -> Look:
-    return Look(
+def _statistics(number: int, image: Bytes, repeats: bool | None) -> ImageStatistics:
+    return ImageStatistics(
         frame=number,
         mean_grey=float(image.mean()),
         dark=float((image < _DARK).mean()),
@@ -114,9 +114,9 @@ def _look(number: int, image: Bytes, repeats: bool | None) -> Look:
     )
 
 
-def stretches(frames: Sequence[int], looked_at: Sequence[int]) -> list[tuple[int, int]]:
-    """Neighbours among the frames that were looked at, joined: first and last of each."""
-    place = {frame: i for i, frame in enumerate(looked_at)}
+def frame_ranges(frames: Sequence[int], checked: Sequence[int]) -> list[tuple[int, int]]:
+    """Ranges (first, last) of frames that are consecutive among the checked ones."""
+    place = {frame: i for i, frame in enumerate(checked)}
     joined: list[list[int]] = [[frame] for frame in frames[:1]]
     for before, frame in pairwise(frames):
         if place[frame] == place[before] + 1:

@@ -1,4 +1,4 @@
-"""Opens a recording as far as that goes, also where a run would refuse."""
+"""Opening of recordings as far as possible, even if `vo run` would refuse them."""
 
 from __future__ import annotations
 
@@ -29,8 +29,14 @@ from vo.types import Camera, Ints, Mode, Rig, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class CameraShots:
-    """The images of a camera, stamps increasing, and how many repeat a stamp."""
+class ImageSequence:
+    """Images of a camera by increasing stamp.
+
+    Attributes:
+        name: `cam0`, `cam1` or a topic.
+        shots: the images.
+        repeated_stamps: number of images left out because of a repeated stamp.
+    """
 
     name: str
     shots: Sequence[Shot]
@@ -38,29 +44,29 @@ class CameraShots:
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class OpenedRecording:
     """A recording as far as it could be opened.
 
     Attributes:
-        path: as given.
-        format: name in the registry.
-        cameras: left and right, or all that come into question.
-        is_decided: whether these are left and right.
-        topics: of a log.
-        unread: its other topics.
+        path: path of the recording, as given.
+        format: name of the format in the registry.
+        cameras: left and right camera, or all candidates.
+        roles_known: whether these are left and right.
+        topics: readable topics of a log.
+        unread: other topics of a log.
         imus: inertial sensors, the one to use first.
-        source: as a run would open it; None where it would refuse.
-        rig: the cameras, also where it would refuse for another reason; None where unknown.
-        truth: poses of cam0.
-        refusal: why a run would refuse; empty where it would not.
-        warnings: what was said while it was opened.
-        close: closes what images keep open.
+        source: the source as `vo run` opens it; None if it refuses.
+        rig: the calibration, even if `vo run` refuses for another reason; None if unknown.
+        truth: ground truth poses of cam0.
+        refusal: the error message of `vo run`; empty if there is none.
+        warnings: warnings logged while the recording was opened.
+        close: closes the files used by images.
     """
 
     path: Path
     format: str
-    cameras: tuple[CameraShots, ...] = ()
-    is_decided: bool = True
+    cameras: tuple[ImageSequence, ...] = ()
+    roles_known: bool = True
     topics: tuple[Topic, ...] = ()
     unread: tuple[UnreadTopic, ...] = ()
     imus: tuple[Imu, ...] = ()
@@ -72,37 +78,37 @@ class Material:
     close: Callable[[], None] = field(default=lambda: None)
 
 
-def look_into(
+def open_leniently(
     path: Path,
     *,
     format: str | None = None,
     calibration: Path | None = None,
     mode: Mode = "auto",
     topics: Sequence[str] = (),
-) -> Material:
-    """Open a recording as far as that goes; arguments as in `open_source`.
+) -> OpenedRecording:
+    """Open a recording as far as possible; arguments as in `open_source`.
 
     Raises:
-        SourceError: there is nothing at the path, or of no known format.
+        SourceError: the path does not exist, or its format is unknown.
     """
     with collected_warnings() as warnings:
         name = choose_format(path, format)
         if FORMATS[name].log:
-            found = _log_at(path, name, calibration, mode, topics)
+            found = _open_log(path, name, calibration, mode, topics)
         else:
-            found = _files_at(path, name, calibration, mode)
+            found = _open_files(path, name, calibration, mode)
     return replace(found, warnings=tuple(dict.fromkeys(warnings)))
 
 
-def _files_at(path: Path, name: str, calibration: Path | None, mode: Mode) -> Material:
+def _open_files(path: Path, name: str, calibration: Path | None, mode: Mode) -> OpenedRecording:
     try:
         listed = gather(path, name, calibration, mode)
     except VoError as error:
-        return Material(path, name, refusal=str(error))
-    cameras = [CameraShots("cam0", listed.left)]
+        return OpenedRecording(path, name, refusal=str(error))
+    cameras = [ImageSequence("cam0", listed.left)]
     if listed.right:
-        cameras.append(CameraShots("cam1", listed.right))
-    found = Material(path, name, tuple(cameras), close=listed.close or (lambda: None))
+        cameras.append(ImageSequence("cam1", listed.right))
+    found = OpenedRecording(path, name, tuple(cameras), close=listed.close or (lambda: None))
     try:
         source = assemble(listed, mode)
     except VoError as error:
@@ -119,7 +125,7 @@ def _files_at(path: Path, name: str, calibration: Path | None, mode: Mode) -> Ma
 
 
 def _rig_alone(listed: Gathered) -> Rig | None:
-    """The calibration where something else is wrong with the recording."""
+    """The calibration, if the recording is refused for another reason; None if unreadable."""
     try:
         height, width = listed.left[0].image.read().shape
         return listed.calibrate((width, height)).rig
@@ -128,18 +134,18 @@ def _rig_alone(listed: Gathered) -> Rig | None:
 
 
 def _truth_alone(listed: Gathered) -> Trajectory | None:
-    """The true poses, if they are of the camera, which then need not be known."""
+    """The ground truth, if it is that of cam0 and needs no calibration; else None."""
     try:
         return listed.read_truth(Calibration(Rig(Camera(1, 1, 1.0, 1.0, 0.0, 0.0))))
     except (VoError, OSError, ValueError):
         return None
 
 
-def _log_at(
-    path: Path, name: str, calibration: Path | None, mode: Mode, wishes: Sequence[str]
-) -> Material:
+def _open_log(
+    path: Path, name: str, calibration: Path | None, mode: Mode, requested_topics: Sequence[str]
+) -> OpenedRecording:
     log = open_container(path, name)
-    found = Material(
+    found = OpenedRecording(
         path,
         name,
         topics=_with_own_spans(log),
@@ -147,17 +153,17 @@ def _log_at(
         imus=tuple(log_imus(log, imu_topics(log.topics), lambda _: None)),
     )
     try:
-        choice = choose_topics(log.topics, wishes, mode)
+        choice = choose_topics(log.topics, requested_topics, mode)
     except SourceError as error:
         images = [topic for topic in log.topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
         cameras = _cameras(log, {topic.name: topic for topic in images})
-        return replace(found, cameras=cameras, is_decided=False, refusal=str(error))
+        return replace(found, cameras=cameras, roles_known=False, refusal=str(error))
     chosen = {"cam0": choice.left}
     if choice.right is not None and mode != "mono":
         chosen["cam1"] = choice.right
     found = replace(found, cameras=_cameras(log, chosen))
     try:
-        source = open_log(log, name, calibration, mode, wishes)
+        source = open_log(log, name, calibration, mode, requested_topics)
     except VoError as error:
         return replace(found, refusal=str(error))
     return replace(
@@ -166,7 +172,7 @@ def _log_at(
 
 
 def _with_own_spans(log: Log) -> tuple[Topic, ...]:
-    """Topics whose rates are exact: an MCAP's summary only knows the span of the whole file."""
+    """Topics with exact rates: the summary of an MCAP file contains only the span of the file."""
     entries = log.entries([topic.name for topic in log.topics])
     spans_ns = {
         name: max(e.log_ns for e in listed) - min(e.log_ns for e in listed) if listed else 0
@@ -175,7 +181,7 @@ def _with_own_spans(log: Log) -> tuple[Topic, ...]:
     return tuple(replace(topic, span_ns=spans_ns[topic.name]) for topic in log.topics)
 
 
-def _cameras(log: Log, topics: dict[str, Topic]) -> tuple[CameraShots, ...]:
+def _cameras(log: Log, topics: dict[str, Topic]) -> tuple[ImageSequence, ...]:
     entries = log.entries([topic.name for topic in topics.values()])
     cameras = []
     for name, topic in topics.items():
@@ -183,12 +189,12 @@ def _cameras(log: Log, topics: dict[str, Topic]) -> tuple[CameraShots, ...]:
             shots = list_images(log, topic, entries[topic.name])
         except SourceError:
             continue
-        cameras.append(CameraShots(name, shots, len(entries[topic.name]) - len(shots)))
+        cameras.append(ImageSequence(name, shots, len(entries[topic.name]) - len(shots)))
     return tuple(cameras)
 
 
 def right_stamps(left: Sequence[Shot], right: Sequence[Shot]) -> Ints:
-    """(N,) the stamp of each left image's partner, -1 where it has none."""
+    """(N,) stamp of the right image paired with each left image; -1 without one."""
     stamp_of: dict[int, int] = {id(shot.image): shot.stamp_ns for shot in right}
     partners: list[StoredImage | None] = pair_by_stamp(left, right)
     return np.array([-1 if p is None else stamp_of[id(p)] for p in partners], dtype=np.int64)
@@ -196,18 +202,18 @@ def right_stamps(left: Sequence[Shot], right: Sequence[Shot]) -> Ints:
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """Inside, warnings are collected and not shown."""
+    """Collect warnings of `vo` in a list instead of showing them."""
     lines: list[str] = []
     handler = _Collector(lines)
     logger = logging.getLogger("vo")
-    spread = logger.propagate
+    propagate = logger.propagate
     logger.addHandler(handler)
     logger.propagate = False
     try:
         yield lines
     finally:
         logger.removeHandler(handler)
-        logger.propagate = spread
+        logger.propagate = propagate
 
 
 class _Collector(logging.Handler):

@@ -1,4 +1,4 @@
-"""A contact sheet: images spread over a recording, with their number and time."""
+"""Contact sheet: evenly spaced images of a recording, with frame number and time."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from vo.errors import OutputError, SourceError
-from vo.inspection.material import CameraShots, Material
-from vo.inspection.pictures import Viewer, evenly
+from vo.inspection.images import ImageReader, evenly_spaced
+from vo.inspection.opening import ImageSequence, OpenedRecording
 from vo.types import Bytes
 
 _COLUMNS = 6
@@ -19,23 +19,23 @@ _LABEL_HEIGHT = 22
 _GAP = 4
 
 
-def write_sheet(path: Path, material: Material) -> None:
-    """Write the picture as PNG.
+def write_contact_sheet(path: Path, opened: OpenedRecording) -> None:
+    """Write the contact sheet as a PNG file.
 
     Raises:
-        SourceError: there is no image that can be shown.
+        SourceError: no image is readable.
         OutputError: the file cannot be written.
     """
     rows: list[Bytes] = []
-    each = max(_COLUMNS, _IMAGES // max(1, len(material.cameras)) // _COLUMNS * _COLUMNS)
+    each = max(_COLUMNS, _IMAGES // max(1, len(opened.cameras)) // _COLUMNS * _COLUMNS)
     try:
-        for camera in material.cameras:
+        for camera in opened.cameras:
             tiles = _tiles(camera, each)
             rows += [_row(tiles[i : i + _COLUMNS]) for i in range(0, len(tiles), _COLUMNS)]
     finally:
-        material.close()
+        opened.close()
     if not rows:
-        raise SourceError(f"{material.path} has no image that can be shown")
+        raise SourceError(f"{opened.path} contains no readable image")
     data = cv2.imencode(".png", np.vstack(rows))[1].tobytes()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -44,14 +44,14 @@ def write_sheet(path: Path, material: Material) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def _tiles(camera: CameraShots, wanted: int) -> list[Bytes]:
-    viewer = Viewer([shot.image for shot in camera.shots])
+def _tiles(camera: ImageSequence, wanted: int) -> list[Bytes]:
+    reader = ImageReader([shot.image for shot in camera.shots])
     first_ns = camera.shots[0].stamp_ns
     tiles: list[Bytes] = []
     height = 0
-    for number in evenly(len(camera.shots), wanted):
+    for number in evenly_spaced(len(camera.shots), wanted):
         seconds = 1e-9 * (camera.shots[number].stamp_ns - first_ns)
-        image = viewer.read(number)
+        image = reader.read(number)
         if image is not None and not height:
             height = round(image.shape[0] * _TILE_WIDTH / image.shape[1])
         tiles.append(
