@@ -40,7 +40,8 @@ ALLOWED = {
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run"}
     | {"data_synth"},
-    "data_synth": {"vo.errors", "vo.types", "vo.settings", "vo.geometry", "vo.formats"},
+    "data_synth": {"vo.errors", "vo.types", "vo.settings"}
+    | {"vo.compiling", "vo.geometry", "vo.formats"},
 }
 ONLY_IN = {"gtsam": "vo.backend", "rerun": "vo.recording", "typer": "vo.cli"}
 BANNED_NAMES = {"utils", "util", "common", "helpers", "helper", "tools", "misc"}

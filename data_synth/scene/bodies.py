@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_synth.scene import kernels
+from data_synth.scene.kernels.baking import light_movers
 from data_synth.scene.world import World
 from vo.types import Floats
 
@@ -29,5 +29,5 @@ def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> 
     moved[:, 6], moved[:, 7] = np.cos(yaws), np.sin(yaws)
     speeds = np.asarray(velocities, dtype=np.float64)[movers.bodies]
     lights = np.zeros((len(movers.bodies), 4))
-    kernels.light_movers(world, np.ascontiguousarray(moved[:, :3]), lights)
+    light_movers(world, np.ascontiguousarray(moved[:, :3]), lights)
     return world._replace(shapes=shapes, movers=movers._replace(velocities=speeds, lights=lights))

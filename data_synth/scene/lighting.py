@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from data_synth.scene import kernels
+from data_synth.scene.kernels.baking import bake_faces, bake_ground
 from data_synth.scene.relief import Relief
 from data_synth.scene.solids import Lamp, Lighting
 from data_synth.scene.world import Lights, Sources, World
@@ -36,10 +36,10 @@ def lit(world: World, lighting: Lighting) -> World:
     to_sky = _sky_directions() * lighting.corner_m
 
     def work(faces: tuple[int, int]) -> None:
-        kernels.light_faces(world, faces, lamps, points, to_sky)
+        bake_faces(world, faces, lamps, points, to_sky)
 
     def work_below(row: int) -> None:
-        kernels.light_ground(world, (row, row + 1), lamps, points, to_sky[::2])
+        bake_ground(world, (row, row + 1), lamps, points, to_sky[::2])
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(work, _tasks(ends)))

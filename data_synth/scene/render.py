@@ -14,8 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.scene import kernels
-from data_synth.scene.grains import grains
+from data_synth.scene.kernels.antialiasing import antialias_rows
+from data_synth.scene.kernels.casting import cast_rows
+from data_synth.scene.kernels.edges import mark_edges
+from data_synth.scene.kernels.records import BAND_ROWS, Sampling, View
+from data_synth.scene.sampling import sample_offsets
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
 from vo.geometry.cameras import normalise
@@ -54,24 +57,22 @@ def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecuto
         pool: works on it.
     """
     shape = rays.shape[:2]
-    sharp, image = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    depth, surface = np.empty(shape, np.float32), np.empty(shape, np.int32)
-    counts, offsets = grains()
-    crossed = np.zeros((len(counts), *shape), np.uint8)
-    step = kernels.BAND_ROWS
+    sharp, image, depth = (np.empty(shape, np.float32) for _ in range(3))
+    view = View(sharp, depth, np.empty(shape, np.int32))
+    sampling = Sampling(*sample_offsets())
+    marks = np.zeros((len(sampling.counts), *shape), np.uint8)
+    step = BAND_ROWS
     bands = [(top, min(top + step, shape[0])) for top in range(0, shape[0], step)]
 
     def cast(band: tuple[int, int]) -> None:
-        kernels.cast_rows(world, shutter, rays, band, sharp, depth, surface)
+        cast_rows(world, shutter, rays, band, view)
 
     def mark(band: tuple[int, int]) -> None:
-        kernels.mark_rows(world, shutter, rays, band, depth, surface, counts, crossed)
+        mark_edges(world, shutter, rays, band, view, sampling.counts, marks)
 
-    def smooth(band: tuple[int, int]) -> None:
-        kernels.smooth_rows(
-            world, shutter, rays, band, sharp, depth, surface, crossed, counts, offsets, image
-        )
+    def antialias(band: tuple[int, int]) -> None:
+        antialias_rows(world, shutter, rays, band, view, marks, sampling, image)
 
-    for work in (cast, mark, smooth):  # each needs all rows of the one before
+    for work in (cast, mark, antialias):  # each needs all rows of the one before
         list(pool.map(work, bands))
     return Rendered(image, depth)

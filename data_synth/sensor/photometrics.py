@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache, lru_cache
 from statistics import NormalDist
-from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 
 from data_synth.recipe import Effects
 from data_synth.sensor.exposure import Settings, grey_exponent
+from vo.compiling.function import compiled
 from vo.types import Bytes, Camera, Floats32
 
 FULL_WELL = 8000.0  # electrons that give full scale at gain 1
@@ -20,12 +18,6 @@ _READ_AFTER_GAIN = 0.7
 _CORNER_LOSS = 0.25
 _CURVE_STEPS = 1 << 16
 _NORMAL_STEPS = 1 << 16
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-
-def _compiled(function: _F) -> _F:
-    return cast(_F, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
 def vignetting(camera: Camera, strength: float) -> Floats32:
@@ -112,7 +104,7 @@ def _curve(exponent: float) -> Bytes:
     return np.asarray(np.round(255.0 * light**exponent), dtype=np.uint8)
 
 
-@_compiled
+@compiled(error_model="numpy")
 def _expose(
     radiance: Floats32,
     scale: np.float32,

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections import namedtuple
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,10 +16,12 @@ import numpy as np
 import pytest
 
 from vo.compiling import machine_code, store
+from vo.compiling.fingerprint import fingerprint
 from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
 from vo.compiling.kinds import describe
 
 HELPER = """
+from vo.compiling.fingerprint import fingerprint
 from vo.compiling.function import compiled
 
 SHIFT = 2.0
@@ -31,6 +34,7 @@ def half(x):
 MODULE = """
 import sys
 import numpy as np
+from vo.compiling.fingerprint import fingerprint
 from vo.compiling.function import WrittenOut, compiled
 from vo_helper import SHIFT, half
 
@@ -268,6 +272,12 @@ def test_threads_that_need_it_at_once_get_the_same(kept: Path) -> None:
         thread.join()
     assert results == [12.0] * 8
     assert len(list(kept.iterdir())) == 1
+
+
+def test_the_fields_of_a_named_tuple_are_part_of_a_fingerprint() -> None:
+    first, second = (namedtuple("Ring", names) for names in ("points radius", "radius points"))
+    assert fingerprint((first,)) == fingerprint((namedtuple("Ring", "points radius"),))
+    assert fingerprint((first,)) != fingerprint((second,))
 
 
 def test_what_may_change_unnoticed_is_refused(kept: Path) -> None:

@@ -48,7 +48,7 @@ def _parts(value: Any, seen: set[int]) -> Iterator[str]:
     elif isinstance(value, np.ndarray):
         yield f"{value.dtype.str} {value.shape} {value.tobytes().hex()}"
     elif isinstance(value, ModuleType | type | BuiltinFunctionType | np.ufunc):
-        yield value.__name__
+        yield f"{value.__name__} {getattr(value, '_fields', '')}"  # of a named tuple
     elif value is None or isinstance(value, bool | int | float | str | bytes | np.generic):
         yield f"{type(value).__name__} {value!r}"
     else:

@@ -14,7 +14,7 @@ _TRIES = 400
 
 
 @cache
-def grains() -> tuple[Ints, Floats]:
+def sample_offsets() -> tuple[Ints, Floats]:
     """Counts (C,) and offsets (C, 32, 3) across, down and in time, -0.5…0.5.
 
     Along each of the three they are spread evenly, and each is followed by its mirror image about

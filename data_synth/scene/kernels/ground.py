@@ -1,0 +1,197 @@
+"""Intersection of rays with the ground, a height field, and interpolation on its grid.
+
+A cell (i, j) is the bilinear patch z(u, v) = a + b u + c v + e u v over 0 ≤ u, v ≤ 1, with
+a = z_ij, b = z_i,j+1 - a, c = z_i+1,j - a and e = z_i+1,j+1 - z_i+1,j - b. Along a ray
+(u, v, h) + s d, the height above it is above + slope s + bend s², a quadratic equation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data_synth.scene.kernels.decorators import inlined
+from data_synth.scene.kernels.records import Vector, index
+from data_synth.scene.kernels.vectors import reciprocal
+from data_synth.scene.world import World
+from vo.types import Floats32
+
+_MAX_STEPS = 6  # cells that `follow_ground` tries
+
+
+@inlined
+def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end: float) -> float:
+    """The t between begin and end at which a ray meets the ground; infinite for a miss.
+
+    Traverse the pyramid of peaks: skip blocks whose peak the ray stays above, descend into others.
+
+    Source: Tevs et al., Maximum Mipmaps for Fast, Accurate, and Scalable Dynamic Height Field
+    Rendering, 2008.
+    """
+    relief = world.relief
+    rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
+    scale = relief.per_m
+    ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
+    dx, dy = scale * ray[0], scale * ray[1]
+    ix, iy = reciprocal(dx), reciprocal(dy)
+    first, second = -ox * ix, (columns - ox) * ix
+    near, far = max(begin, min(first, second)), min(end, max(first, second))
+    first, second = -oy * iy, (rows - oy) * iy
+    t, far = max(near, min(first, second)), min(far, max(first, second))
+    if not t < far:
+        return np.inf
+    j = min(max(int(ox + t * dx), 0), columns - 1)
+    i = min(max(int(oy + t * dy), 0), rows - 1)
+    level, top = 0, len(relief.starts) - 1  # as if the blocks before had been skipped
+    while True:
+        bj, bi = j >> level, i >> level
+        tx = (((bj + (dx > 0.0)) << level) - ox) * ix if dx != 0.0 else np.inf
+        ty = (((bi + (dy > 0.0)) << level) - oy) * iy if dy != 0.0 else np.inf
+        out = max(min(tx, ty, far), t)
+        peak = relief.peaks[
+            index(relief.starts[index(level)] + bi * relief.widths[index(level)] + bj)
+        ]
+        if start[2] + min(t * ray[2], out * ray[2]) <= peak:
+            if level > 0:
+                level -= 1
+                continue
+            hit = intersect_cell(world, i, j, (ox - j, oy - i, start[2]), (dx, dy, ray[2]), t, out)
+            if hit < np.inf:
+                return hit
+        if out >= far:
+            return np.inf
+        t, oj, oi = out, j, i
+        if tx < ty:
+            j = (bj + 1) << level if dx > 0.0 else (bj << level) - 1
+            if level > 0:
+                i = min(max(int(oy + t * dy), bi << level), ((bi + 1) << level) - 1)
+        else:
+            i = (bi + 1) << level if dy > 0.0 else (bi << level) - 1
+            if level > 0:
+                j = min(max(int(ox + t * dx), bj << level), ((bj + 1) << level) - 1)
+        if j < 0 or i < 0 or j >= columns or i >= rows:
+            return np.inf
+        up = level + 1
+        if level < top and (j >> up != oj >> up or i >> up != oi >> up):
+            level = up
+
+
+@inlined
+def follow_ground(
+    world: World, start: Vector, ray: Vector, between: tuple[float, float], guess: float
+) -> float:
+    """The t at which a ray meets the ground, given that it only comes closer; negative for none.
+
+    The ray comes closer at all t of `between` (`ground_bounds.descent_end`), so that a hit is the
+    only one. Solve the quadratic equation of the cell at the guess; if the solution lies in another
+    cell, go on from there.
+    """
+    relief = world.relief
+    z, scale, t = relief.heights, relief.per_m, guess
+    rows, columns = z.shape[0] - 1, z.shape[1] - 1
+    ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
+    dx, dy = scale * ray[0], scale * ray[1]
+    for _ in range(_MAX_STEPS):
+        x, y = ox + t * dx, oy + t * dy
+        if not (0.0 <= x < columns and 0.0 <= y < rows):
+            break
+        j, i = int(x), int(y)
+        z00, z01 = float(z[index(i), index(j)]), float(z[index(i), index(j + 1)])
+        z10, z11 = float(z[index(i + 1), index(j)]), float(z[index(i + 1), index(j + 1)])
+        a, b, c, e = z00, z01 - z00, z10 - z00, z11 - z10 - (z01 - z00)
+        u, v = x - j, y - i
+        above = start[2] + t * ray[2] - (a + b * u + c * v + e * u * v)
+        slope = ray[2] - (b * dx + c * dy + e * (u * dy + v * dx))
+        square = slope * slope + 4.0 * e * dx * dy * above
+        if slope >= 0.0 or square < 0.0:
+            break
+        s = 2.0 * above / (math.sqrt(square) - slope)  # as in `intersect_cell`
+        t, u, v = t + s, u + s * dx, v + s * dy
+        if 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0:
+            return t if between[0] <= t <= between[1] else -1.0
+    return -1.0
+
+
+@inlined
+def intersect_cell(
+    world: World, i: int, j: int, o: Vector, d: Vector, begin: float, end: float
+) -> float:
+    """The t between begin and end at which a ray meets the patch of a cell; infinite for a miss.
+
+    `o` and `d` are origin and direction in the frame of the cell: u, v, metres.
+    """
+    z = world.relief.heights
+    z00, z01 = float(z[index(i), index(j)]), float(z[index(i), index(j + 1)])
+    z10, z11 = float(z[index(i + 1), index(j)]), float(z[index(i + 1), index(j + 1)])
+    a, b, c, e = z00, z01 - z00, z10 - z00, z11 - z10 - (z01 - z00)
+    u, v = o[0] + begin * d[0], o[1] + begin * d[1]
+    above = o[2] + begin * d[2] - (a + b * u + c * v + e * u * v)
+    if above <= 0.0:  # it passed below by rounding, between two cells
+        return begin
+    slope = d[2] - (b * d[0] + c * d[1] + e * (u * d[1] + v * d[0]))
+    bend = -e * d[0] * d[1]
+    # The smaller positive root, without cancellation.
+    square = slope * slope - 4.0 * bend * above
+    if square < 0.0:
+        return np.inf
+    root = np.sqrt(square)
+    if slope <= 0.0:
+        s = 2.0 * above / (root - slope) if root - slope > 0.0 else np.inf
+    else:
+        s = -(slope + root) / (2.0 * bend) if bend < 0.0 else np.inf
+    return begin + s if s <= end - begin else np.inf
+
+
+@inlined
+def ground_normal(world: World, x: float, y: float) -> Vector:
+    """Normal (-dz/dx, -dz/dy, 1), not of unit length, of the patch below a point."""
+    z = world.relief.heights
+    i, j, v, u = grid_position(world, x, y, 1, z)
+    scale = world.relief.per_m
+    z00, z01 = z[index(i), index(j)], z[index(i), index(j + 1)]
+    z10, z11 = z[index(i + 1), index(j)], z[index(i + 1), index(j + 1)]
+    across, beyond, up, after = z01 - z00, z11 - z10, z10 - z00, z11 - z01
+    gx, gy = scale * (across + v * (beyond - across)), scale * (up + u * (after - up))
+    return -gx, -gy, 1.0
+
+
+@inlined
+def ground_height(world: World, x: float, y: float) -> float:
+    """Height of the ground at a point."""
+    heights = world.relief.heights
+    return interpolate(heights, grid_position(world, x, y, 1, heights))
+
+
+@inlined
+def smooth_ground_normal(world: World, x: float, y: float) -> Vector:
+    """Unit normal of the ground from heights a cell away, so that cells are not visible."""
+    cell = world.relief.cell
+    gx = (ground_height(world, x + cell, y) - ground_height(world, x - cell, y)) / (2.0 * cell)
+    gy = (ground_height(world, x, y + cell) - ground_height(world, x, y - cell)) / (2.0 * cell)
+    scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    return -scale * gx, -scale * gy, scale
+
+
+@inlined
+def grid_position(
+    world: World, x: float, y: float, finer: int, grid: Floats32
+) -> tuple[int, int, float, float]:
+    """Row, column and their fractions of a point on a grid `finer` times as fine as the heights."""
+    relief = world.relief
+    scale = finer * relief.per_m
+    right, up = scale * (x - relief.corner[0]), scale * (y - relief.corner[1])
+    right = min(max(right, 0.0), grid.shape[1] - 1.0)
+    up = min(max(up, 0.0), grid.shape[0] - 1.0)
+    j, i = min(int(right), grid.shape[1] - 2), min(int(up), grid.shape[0] - 2)
+    return i, j, up - i, right - j
+
+
+@inlined
+def interpolate(grid: Floats32, position: tuple[int, int, float, float]) -> float:
+    """Bilinear interpolation of a grid at a position."""
+    i, j, v, u = position
+    z00, z01 = grid[index(i), index(j)], grid[index(i), index(j + 1)]
+    z10, z11 = grid[index(i + 1), index(j)], grid[index(i + 1), index(j + 1)]
+    near, far = z00 + u * (z01 - z00), z10 + u * (z11 - z10)
+    return float(near + v * (far - near))
