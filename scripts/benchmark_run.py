@@ -1,0 +1,149 @@
+"""Runs `vo run` on one sequence of the benchmark, and scores it."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+from benchmark_cases import Case
+
+VO = Path(sys.executable).with_name("vo")
+LIMIT_FEATURES = 2000
+
+Result = dict[str, Any]
+Say = Callable[..., None]
+
+
+def measure_case(
+    case: Case, folder: Path, options: argparse.Namespace, work: Path, say: Say
+) -> Result:
+    """The run of median wall time on one sequence.
+
+    Args:
+        case: the sequence and its mode.
+        folder: its recording.
+        options: those of the command line, with `calibration` for TUM's sequence.
+        work: a scratch folder.
+        say: prints a message of progress.
+    """
+    say(f"{case.name}: ", end="")
+    scratch = work / "out"
+    result: Result = {"name": case.name, "folder": case.folder, "mode": case.mode, "failed": ""}
+    for _ in range(2):  # the first one compiles if this machine has not compiled before
+        _, result["start_up_s"] = _run(case, folder, scratch, options, "--end", "2")
+    runs, digests = [], set()
+    for number in range(options.runs):
+        out = options.keep / case.name.replace(" ", "_") if options.keep and not number else scratch
+        failed, wall_s = _run(case, folder, out, options)
+        if failed:
+            say(f"failed: {failed}")
+            return {**result, "failed": failed}
+        digests.add(hashlib.sha256((out / "trajectory.tum").read_bytes()).hexdigest())
+        runs.append({**_summary(out, wall_s), **_errors(case, out, folder)})
+    runs.sort(key=lambda run: run["wall_ms"])
+    result |= runs[(len(runs) - 1) // 2]
+    result["same_bits"] = len(digests) == 1 if options.runs > 1 else None
+    result["limit_ms"] = limit_ms(folder, case.images, result["frames"])
+    ate = "no path" if result["ate_m"] is None else f"ATE {result['ate_m']:.4f} m"
+    say(f"{result['posed']}/{result['frames']} frames, {ate}, {result['wall_ms']:.0f} ms/frame")
+    return result
+
+
+def limit_ms(folder: Path, patterns: tuple[str, ...], frames: int) -> float:
+    """Milliseconds per frame to decode the images and extract ORB in two threads; best of 3."""
+    files = [file for pattern in patterns for file in sorted(folder.glob(pattern))]
+    own = threading.local()
+
+    def work(file: Path) -> None:
+        if not hasattr(own, "orb"):
+            own.orb = cv2.ORB_create(LIMIT_FEATURES)
+        own.orb.detectAndCompute(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), None)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        list(pool.map(work, files[:4]))  # create threads and buffers
+        spent_s = []
+        for _ in range(3):
+            begin = time.perf_counter()
+            list(pool.map(work, files))
+            spent_s.append(time.perf_counter() - begin)
+    return 1e3 * min(spent_s) / frames
+
+
+def _run(
+    case: Case, folder: Path, out: Path, options: argparse.Namespace, *more: str
+) -> tuple[str, float]:
+    """`vo run` on a sequence: the reason of a failure, else an empty string; wall time in s."""
+    command = [str(VO), "run", str(folder), "--output", str(out), "--quiet", *more]
+    command += ["--mode", case.mode, "--config", str(options.config)]
+    command += [part for setting in options.set for part in ("--set", setting)]
+    if case.folder.startswith("tum_"):
+        command += ["--calibration", str(options.calibration)]
+    begin = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    wall_s = time.perf_counter() - begin
+    if done.returncode == 0 and "Warning:" not in done.stderr:
+        return "", wall_s
+    lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+    return lines[-1] if done.returncode else f"a warning: {lines[0]}", wall_s
+
+
+def _summary(out: Path, wall_s: float) -> Result:
+    """Figures of the run's summary.json, and the wall time of the whole command."""
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    return {
+        "frames": summary["frames"],
+        "posed": summary["tracked"],
+        "starting": summary["starting"],
+        "lost": summary["lost"],
+        "segments": len(summary["segments"]),
+        "keyframes": summary["keyframes"],
+        "tracking_fps": summary["frames_per_s"],
+        "stages": summary["stages"],
+        "peak_rss_mb": summary["peak_rss_mb"],
+        "wall_ms": 1e3 * wall_s / summary["frames"],
+    }
+
+
+def _errors(case: Case, out: Path, folder: Path) -> Result:
+    """Errors of the longest segment against the ground truth; None where not available."""
+    smoothed = _evaluated(out / "trajectory.tum", folder, case)
+    causal = _evaluated(out / "causal.tum", folder, case)
+    causal_m = None if causal is None else causal.ate.translation.rmse
+    if smoothed is None:
+        keys = ("ate_m", "ate_percent", "t_rel_percent", "path_m", "rpe_m", "rotation_deg")
+        return {**dict.fromkeys((*keys, "scale_percent")), "ate_causal_m": causal_m}
+    steps, segments, ate_m = smoothed.rpe_frames, smoothed.segments, smoothed.ate.translation.rmse
+    stereo = case.mode == "stereo"
+    return {
+        "ate_m": ate_m,
+        "ate_causal_m": causal_m,
+        "path_m": smoothed.path_m,
+        "ate_percent": 100.0 * ate_m / smoothed.path_m if smoothed.path_m > 0 else None,
+        "t_rel_percent": None if segments is None else segments.translation_percent,
+        "rpe_m": None if steps is None else steps.translation.rmse,
+        "rotation_deg": None if steps is None else steps.rotation.rmse,
+        "scale_percent": smoothed.alignment.scale_error_percent if stereo else None,
+    }
+
+
+def _evaluated(estimate: Path, folder: Path, case: Case) -> Any:
+    from vo.errors import VoError
+    from vo.evaluation.inputs import load_inputs
+    from vo.evaluation.report import evaluate
+
+    try:
+        inputs = load_inputs(estimate, folder)
+        align = "se3" if case.mode == "stereo" else "sim3"
+        return evaluate(inputs.estimate, inputs.reference, align)
+    except VoError:
+        return None
