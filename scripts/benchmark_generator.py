@@ -1,4 +1,4 @@
-"""How fast synthetic recordings are made, by world."""
+"""Speed of the generator of synthetic recordings, by world."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOTIONS = {
 }
 FRAMES = 40
 
-# In a process of its own, so that the memory is that of one world.
+# One process per world, so that its peak memory is that of this world.
 _PROGRAM = """
 import json, resource, sys, tempfile, time
 from pathlib import Path
@@ -28,7 +28,7 @@ world, motion, frames = sys.argv[1], sys.argv[2], int(sys.argv[3])
 recipe = load_recipe(None, [f"world={world}", f"motion={motion}", f"seconds={frames / 20}"])
 times = []
 with tempfile.TemporaryDirectory() as folder:
-    for _ in range(2):  # the first may compile
+    for _ in range(2):  # the first one may compile
         begin = time.perf_counter()
         make_plan(recipe)
         build_s = time.perf_counter() - begin

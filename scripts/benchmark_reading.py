@@ -1,4 +1,4 @@
-"""How fast recordings are read, by container and codec, and what recording a run costs."""
+"""Speed of reading recordings, by container and codec, and cost of recording a run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KINDS = {
     "MCAP (ROS 2), PNG": ("mcap-ros2", "png"),
 }
 
-# In a process of its own, so that nothing of the file is in its memory before.
+# A separate process, so that nothing of the file is in its memory before.
 _PROGRAM = """
 import json, sys, time
 from vo.sources.registry import open_source
@@ -40,7 +40,7 @@ print(json.dumps({"fps": count / wall, "cpu_ms": 1e3 * cpu / count, "frames": co
 
 
 def measure_reading(cache: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Stereo frames per second of reading alone, and CPU time by frame, at 752 x 480."""
+    """Stereo frames per second of reading alone, and CPU time per frame, at 752 x 480."""
     recipe = load_recipe(None, [f"seconds={FRAMES / 20}"])
     original = cached_sequence(recipe, cache, "reading")
     results = []
@@ -57,7 +57,7 @@ def measure_reading(cache: Path, say: Callable[[str], None]) -> list[dict[str, A
 
 
 def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Wall time of `vo run` without and with an .rrd, and the file's size by frame."""
+    """Wall time per frame of `vo run` without and with an .rrd, and the file size per frame."""
     results = []
     with tempfile.TemporaryDirectory(prefix="vo-recording-") as name:
         rrd = Path(name) / "run.rrd"
@@ -66,7 +66,7 @@ def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[s
             for images in ("none", "half", "full")
         }
         summaries: dict[str, list[dict[str, Any]]] = {each: [] for each in variants}
-        for _ in range(RUNS):  # in turn, so that a slow minute hits all of them
+        for _ in range(RUNS):  # in turn, so that a slow minute affects all variants
             for each, more in variants.items():
                 _vo("run", sequence, "--output", Path(name) / "out", "--quiet", *more)
                 text = (Path(name) / "out" / "summary.json").read_text(encoding="utf-8")
@@ -77,7 +77,7 @@ def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[s
             wall_ms = 1e3 * median(run["wall_s"] for run in runs) / frames
             kb = runs[0]["size"] / frames / 1e3
             results.append({"sequence": sequence.name, "name": each, "wall_ms": wall_ms, "kb": kb})
-            say(f"{sequence.name}, {each}: {wall_ms:.1f} ms a frame, {kb:.0f} kB a frame")
+            say(f"{sequence.name}, {each}: {wall_ms:.1f} ms/frame, {kb:.0f} kB/frame")
     return results
 
 

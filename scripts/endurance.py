@@ -1,6 +1,6 @@
-"""Runs `vo run` for a long time and says whether memory and speed stay what they were at the start.
+"""Runs `vo run` for a long time and checks that memory and speed stay constant.
 
-The recording is a synthetic walk filmed once and repeated forwards and backwards, so that the
+The recording is a synthetic walk, rendered once and repeated forwards and backwards, so that the
 motion never jumps. Speed is in CPU time, so that other work on the machine does not matter.
 """
 
@@ -22,13 +22,13 @@ ROOT = Path(__file__).resolve().parent.parent
 VO = Path(sys.executable).with_name("vo")
 WALK = ["seconds=14", "scale=0.5", "effects.exposure=0"]
 POLL_S = 0.5
-EARLY_FRAMES = 2000  # what the end is compared with
-MOST_MEMORY, LEAST_SPEED = 1.1, 0.9
+EARLY_FRAMES = 2000  # the reference for the end
+MAX_MEMORY_RATIO, MIN_SPEED_RATIO = 1.1, 0.9
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One look at the run: frames done, memory of its processes in MiB, CPU seconds used."""
+    """State of the run at one time: frames done, memory of its processes in MiB, CPU seconds."""
 
     frames: int
     memory_mb: float
@@ -36,12 +36,12 @@ class Sample:
 
 
 def main() -> None:
-    """Film, repeat, run, watch, judge; the exit status is 1 if a goal is missed."""
+    """Render, repeat, run, sample, judge; the exit status is 1 if a target is missed."""
     options = _options()
     with tempfile.TemporaryDirectory(prefix="vo-endurance-") as name:
         work = Path(name)
         recording = _repeated(_walk(options.cache), work / "recording", options.frames)
-        samples = _watch(recording, work / "run", options)
+        samples = _run_and_sample(recording, work / "run", options)
         summary = json.loads((work / "run" / "summary.json").read_text(encoding="utf-8"))
     _judge(samples, summary, options.frames)
 
@@ -51,7 +51,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=20000)
     parser.add_argument("--config", default="fast", help="preset or file for `vo run`")
     parser.add_argument("--mode", default="auto", help="mono ignores the right camera")
-    parser.add_argument("--cache", type=Path, default=ROOT / "out" / "synth", help="for the walk")
+    parser.add_argument(
+        "--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the walk"
+    )
     options = parser.parse_args()
     if options.frames < 2 * EARLY_FRAMES:
         parser.error(f"--frames must be {2 * EARLY_FRAMES} or more")
@@ -66,7 +68,7 @@ def _walk(cache: Path) -> Path:
 
 
 def _repeated(walk: Path, folder: Path, frames: int) -> Path:
-    """A recording of so many frames whose images are links to those of the walk."""
+    """A recording with this number of frames, whose images are links to those of the walk."""
     folder.mkdir()
     shutil.copy(walk / "calibration.yaml", folder)
     for side, camera in (("left", "cam0"), ("right", "cam1")):
@@ -80,16 +82,16 @@ def _repeated(walk: Path, folder: Path, frames: int) -> Path:
     return folder
 
 
-def _watch(recording: Path, output: Path, options: argparse.Namespace) -> list[Sample]:
+def _run_and_sample(recording: Path, output: Path, options: argparse.Namespace) -> list[Sample]:
     command = [VO, "run", recording, "-o", output, "--config", options.config, "--quiet"]
     samples: list[Sample] = []
-    lines = _Lines(output / "frames.csv.partial")
+    lines = _LineCounter(output / "frames.csv.partial")
     with subprocess.Popen([*map(str, command), "--mode", options.mode]) as process:
         while process.poll() is None:
             time.sleep(POLL_S)
             try:
                 memory_mb, cpu_s = _used(process.pid)
-            except OSError:  # a thread or the process has just ended
+            except OSError:  # a thread or the process has ended meanwhile
                 continue
             samples.append(Sample(lines.count(), memory_mb, cpu_s))
     if process.returncode:
@@ -97,8 +99,8 @@ def _watch(recording: Path, output: Path, options: argparse.Namespace) -> list[S
     return samples
 
 
-class _Lines:
-    """Counts the lines of a file that grows, without reading any twice."""
+class _LineCounter:
+    """Counts the lines of a growing file, and reads only its new part."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -110,7 +112,7 @@ class _Lines:
             with self._path.open("rb") as file:
                 file.seek(self._read)
                 new = file.read()
-        except FileNotFoundError:  # not begun yet, or finished
+        except FileNotFoundError:  # not created yet, or renamed at the end
             return self._count
         self._read += len(new)
         self._count += new.count(b"\n")
@@ -124,7 +126,7 @@ def _used(pid: int) -> tuple[float, float]:
         resident = int(Path(f"/proc/{each}/statm").read_text().split()[1])
         memory_mb += resident * os.sysconf("SC_PAGE_SIZE") / 2**20
         fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
-        # With the time of children that have ended: a closed smoother must not take it along.
+        # Includes the time of ended children, so that a closed smoother process still counts.
         cpu_s += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
     return memory_mb, cpu_s
 
@@ -139,15 +141,15 @@ def _judge(samples: list[Sample], summary: dict[str, object], frames: int) -> No
     at_early, at_end = _memory(samples, EARLY_FRAMES), _memory(samples, frames)
     print(f"frames tracked      {summary['tracked']} of {frames}")
     print(f"memory              {at_early:.1f} MiB after {EARLY_FRAMES} frames, ", end="")
-    print(f"{at_end:.1f} MiB at the end: {at_end / at_early:.3f} (at most {MOST_MEMORY})")
+    print(f"{at_end:.1f} MiB at the end: {at_end / at_early:.3f} (at most {MAX_MEMORY_RATIO})")
     print(f"frames per CPU second  {early:.2f} in the first {EARLY_FRAMES} frames, ", end="")
-    print(f"{late:.2f} in the last: {late / early:.3f} (at least {LEAST_SPEED})")
-    if at_end > MOST_MEMORY * at_early or late < LEAST_SPEED * early:
+    print(f"{late:.2f} in the last: {late / early:.3f} (at least {MIN_SPEED_RATIO})")
+    if at_end > MAX_MEMORY_RATIO * at_early or late < MIN_SPEED_RATIO * early:
         raise SystemExit(1)
 
 
 def _memory(samples: list[Sample], frames: int) -> float:
-    """The most memory in the last tenth of the frames up to this one."""
+    """Peak memory in the last tenth of the frames up to this one."""
     return max(s.memory_mb for s in samples if 0.9 * frames < s.frames <= frames)
 
 

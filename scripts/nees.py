@@ -1,10 +1,10 @@
-"""Normalised squared errors (NEES) of keyframes and of steps between them, by recording.
+"""Normalised estimation errors squared (NEES) of keyframes and of steps between them.
 
-NEES = xi^T C^-1 xi with true = estimate exp(xi), 6 degrees of freedom: 6 on average if C is right.
-Poses are compared from the segment's first keyframe on, where estimate and truth are laid upon
-each other; in mono the unit of length is that in which the first keyframes lie as far from the
-first as they truly do. Steps between keyframes k apart share few errors if k is large, so that
-their number divided by k is taken for the number of independent ones in the 95 % interval.
+NEES = xi^T C^-1 xi with true = estimate exp(xi), 6 degrees of freedom: its mean is 6 if C is right.
+Poses are relative to the first keyframe of their segment, where estimate and truth are aligned; in
+mono the unit of length is the one at which the first keyframes have their true distances from the
+first. Steps between keyframes k apart share few errors if k is large; their number divided by k is
+taken as the number of independent ones in the 95 % interval.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from vo.sources.registry import open_source
 from vo.types import Floats, Ints, KeyframePose, Mode, Trajectory
 
 STEPS = (1, 5, 20)
-LEAST_KEYFRAMES = 10  # a shorter segment says nothing
-SCALE_FROM = 7  # keyframes from whose distances mono's unit of length is taken
+MIN_KEYFRAMES = 10  # shorter segments are skipped
+SCALE_KEYFRAMES = 7  # their distances from the first define the unit of length in mono
 HEADING = """\
 | recording | mode | keyframes | poses | steps 1 | steps 5 | steps 20 |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |"""
 
 
 class Pair(NamedTuple):
-    """What is said and what is true of a pose against another one."""
+    """Error of a relative pose, and its estimated covariance."""
 
     xi: Floats
     covariance: Floats
@@ -50,13 +50,13 @@ class Pair(NamedTuple):
         return float(self.xi @ np.linalg.solve(self.covariance, self.xi))
 
 
-class Watch:
-    """Keeps the joint covariance of all keyframes while the odometry forgets the old ones."""
+class JointCovariance:
+    """Joint covariance of the newest keyframes, those that left the window included."""
 
     def __init__(self, memory: int) -> None:
         self._memory = memory
-        self.ids: list[int] = []
-        self.turn = np.eye(6)
+        self._ids: list[int] = []
+        self._cam0_from_rectified = np.eye(6)
         self._blocks: dict[tuple[int, int], Floats] = {}
 
     def take_in(
@@ -67,85 +67,101 @@ class Watch:
         rig: RectifiedRig,
         config: Config,
     ) -> list[Keyframe]:
-        """What the odometry calls; the same, and watched."""
+        """Apply a solution like the odometry, and record its covariances."""
         moved = take_in(world, window, solution, rig, config)
         if solution.converged:
-            self.turn = adjoint(rig.cam0_from_rectified)
-            self._note([keyframe.id for keyframe in window.keyframes], solution)
+            self._cam0_from_rectified = adjoint(rig.cam0_from_rectified)
+            self._add([keyframe.id for keyframe in window.keyframes], solution)
         return moved
 
-    def covariance(self, row: int, column: int) -> Floats | None:
-        """(6, 6) in the cam0 frames, None if it is not known."""
+    def block(self, row: int, column: int) -> Floats | None:
+        """(6, 6) covariance of two keyframes in their cam0 frames, None if unknown."""
         block = self._blocks.get((max(row, column), min(row, column)))
         if block is None or not np.isfinite(block).all():
             return None
-        return np.asarray(self.turn @ (block if row >= column else block.T) @ self.turn.T)
+        turn = self._cam0_from_rectified
+        return np.asarray(turn @ (block if row >= column else block.T) @ turn.T)
 
-    def _note(self, ids: list[int], solution: WindowSolution) -> None:
-        for new in ids[:1] if ids[0] not in self.ids else []:
-            self._blocks[new, new] = np.zeros((6, 6))  # a segment's first
-            self.ids = []
-        older = [k for k in self.ids if k < ids[0]][-self._memory :]
+    def _add(self, ids: list[int], solution: WindowSolution) -> None:
+        for new in ids[:1] if ids[0] not in self._ids else []:
+            self._blocks[new, new] = np.zeros((6, 6))  # the first keyframe of a segment
+            self._ids = []
+        older = [k for k in self._ids if k < ids[0]][-self._memory :]
         every, extra = older + ids, len(older)
-        known = np.full((6 * len(every), 6 * len(every)), np.nan)
-        for a, row in enumerate(every):
-            for b, column in enumerate(every[: a + 1]):
-                block = self._blocks.get((row, column), np.full((6, 6), np.nan))
-                known[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] = block
-                known[6 * b : 6 * b + 6, 6 * a : 6 * a + 6] = block.T
+        known = self._matrix(every)
         information = np.zeros_like(known)
         information[6 * extra :, 6 * extra :] = solution.information
-        held = np.concatenate([np.ones(extra, dtype=bool), solution.held])
-        joint = propagated(information, held, known)
+        fixed = np.concatenate([np.ones(extra, dtype=bool), solution.held])
+        joint = propagated(information, fixed, known)
         for a, row in enumerate(every):
             for b, column in enumerate(every[: a + 1]):
                 self._blocks[row, column] = joint[6 * a : 6 * a + 6, 6 * b : 6 * b + 6].copy()
-        self.ids = older + ids
+        self._ids = older + ids
+
+    def _matrix(self, ids: list[int]) -> Floats:
+        """(6 N, 6 N) covariance of these keyframes, NaN where unknown."""
+        known = np.full((6 * len(ids), 6 * len(ids)), np.nan)
+        for a, row in enumerate(ids):
+            for b, column in enumerate(ids[: a + 1]):
+                block = self._blocks.get((row, column), np.full((6, 6), np.nan))
+                known[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] = block
+                known[6 * b : 6 * b + 6, 6 * a : 6 * a + 6] = block.T
+        return known
 
 
 def pairs(
-    keyframes: list[KeyframePose], ids: Ints, true: Floats, watch: Watch, mono: bool
+    keyframes: list[KeyframePose], ids: Ints, true: Floats, joint: JointCovariance, mono: bool
 ) -> dict[int, list[Pair]]:
-    """Of one segment: by step, 0 for poses against the first keyframe."""
-    found = np.stack([k.world_from_cam0 for k in keyframes])
-    found, true = inverse(found[0]) @ found, inverse(true[0]) @ true
-    scale = 1.0
-    if mono:
-        near, truly = found[1:SCALE_FROM, :3, 3], true[1:SCALE_FROM, :3, 3]
-        scale = float((near * truly).sum() / (near**2).sum())
-        found[:, :3, 3] *= scale
+    """Errors and covariances of one segment by step; step 0: relative to the first keyframe."""
+    estimated = np.stack([k.world_from_cam0 for k in keyframes])
+    estimated, true = inverse(estimated[0]) @ estimated, inverse(true[0]) @ true
+    scale = _scale(estimated, true) if mono else 1.0
+    estimated[:, :3, 3] *= scale
     size = np.r_[np.ones(3), np.full(3, scale)]
     unit = size[:, None] * size
-    result: dict[int, list[Pair]] = {0: []}
-    for k, pose in enumerate(keyframes[1:], start=1):
-        if pose.covariance is not None:
-            xi = se3_log(inverse(found[k]) @ true[k])
-            result[0].append(Pair(xi, unit * pose.covariance))
-    for step in STEPS:
-        result[step] = []
-        for i in range(len(keyframes) - step):
-            j = i + step
-            own = watch.covariance(ids[i], ids[i]), watch.covariance(ids[j], ids[j])
-            shared = watch.covariance(ids[i], ids[j])
-            if own[0] is None or own[1] is None or shared is None:
-                continue
-            between = inverse(found[i]) @ found[j]
-            # true_i = found_i exp(a), true_j = found_j exp(b): xi = b - Ad(between^-1) a.
-            xi = se3_log(inverse(between) @ inverse(true[i]) @ true[j])
-            carry = adjoint(inverse(between))
-            cross = carry @ (unit * shared)
-            spread = carry @ (unit * own[0]) @ carry.T + unit * own[1] - cross - cross.T
-            result[step].append(Pair(xi, spread))
-    return result
+    poses = []
+    for k, keyframe in enumerate(keyframes[1:], start=1):
+        if keyframe.covariance is not None:
+            xi = se3_log(inverse(estimated[k]) @ true[k])
+            poses.append(Pair(xi, unit * keyframe.covariance))
+    steps = {step: _steps(step, ids, estimated, true, joint, unit) for step in STEPS}
+    return {0: poses, **steps}
+
+
+def _scale(estimated: Floats, true: Floats) -> float:
+    """Least-squares scale of the first keyframes' distances from the first."""
+    near, truly = estimated[1:SCALE_KEYFRAMES, :3, 3], true[1:SCALE_KEYFRAMES, :3, 3]
+    return float((near * truly).sum() / (near**2).sum())
+
+
+def _steps(
+    step: int, ids: Ints, estimated: Floats, true: Floats, joint: JointCovariance, unit: Floats
+) -> list[Pair]:
+    """Errors and covariances of the steps between keyframes `step` apart."""
+    found = []
+    for i in range(len(ids) - step):
+        j = i + step
+        first, second = joint.block(ids[i], ids[i]), joint.block(ids[j], ids[j])
+        shared = joint.block(ids[i], ids[j])
+        if first is None or second is None or shared is None:
+            continue
+        between = inverse(estimated[i]) @ estimated[j]
+        # true_i = estimated_i exp(a), true_j = estimated_j exp(b): xi = b - Ad(between^-1) a.
+        xi = se3_log(inverse(between) @ inverse(true[i]) @ true[j])
+        carry = adjoint(inverse(between))
+        cross = carry @ (unit * shared)
+        covariance = carry @ (unit * first) @ carry.T + unit * second - cross - cross.T
+        found.append(Pair(xi, covariance))
+    return found
 
 
 def measure(folder: Path, mode: Mode, config: Config) -> tuple[int, dict[int, list[Pair]]]:
-    """Number of keyframes, and pairs by step, of one recording."""
+    """Number of keyframes of one recording, and its errors and covariances by step."""
     source = open_source(folder, mode=mode)
     if source.ground_truth is None:
-        raise SystemExit(f"error: {folder} has no truth")
-    watch = Watch(max(STEPS))
-    odometry.take_in = watch.take_in
+        raise SystemExit(f"error: {folder} has no ground truth")
+    joint = JointCovariance(max(STEPS))
+    odometry.take_in = joint.take_in
     with closing(odometry.Odometry(source.rig, config)) as runner:
         for _ in runner.steps(source.frames()):
             pass
@@ -159,16 +175,16 @@ def measure(folder: Path, mode: Mode, config: Config) -> tuple[int, dict[int, li
         matched = associate(Trajectory(stamps, poses), source.ground_truth, interpolated=True)
         there = np.isin(stamps, matched.stamps_ns)
         ids = np.array(rows)[there]  # keyframes are numbered from 0
-        if len(ids) < LEAST_KEYFRAMES:
+        if len(ids) < MIN_KEYFRAMES:
             continue
-        mine = pairs([keyframes[i] for i in ids], ids, matched.reference, watch, mode == "mono")
+        mine = pairs([keyframes[i] for i in ids], ids, matched.reference, joint, mode == "mono")
         for step, more in mine.items():
             result[step] += more
     return len(keyframes), result
 
 
 def cell(found: list[Pair], step: int) -> str:
-    """Mean NEES, and whether it lies in the 95 % interval of as many independent ones."""
+    """Mean NEES, and whether it lies in the 95 % interval of the independent ones."""
     if not found:
         return "–"
     mean = float(np.mean([pair.nees for pair in found]))
@@ -181,7 +197,7 @@ def cell(found: list[Pair], step: int) -> str:
 def main() -> None:
     """Measure and print the table, and the mean over the recordings."""
     parser = argparse.ArgumentParser(prog="scripts/nees", description=__doc__)
-    parser.add_argument("recordings", nargs="+", type=Path, help="folders with exact truth")
+    parser.add_argument("recordings", nargs="+", type=Path, help="folders with exact ground truth")
     parser.add_argument("--mode", choices=("stereo", "mono"), default="stereo")
     parser.add_argument("--config", default="default", help="preset or file")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")

@@ -1,6 +1,6 @@
-"""Writes configs/*.yaml from the settings in vo/config.py, every key with its comment.
+"""Writes configs/*.yaml from the settings in vo/config.py, every key with a comment.
 
-Run it after a change of a setting or of what a preset says here; a test holds that it was run.
+Run it after a change of a setting or a preset; a test checks that the files are up to date.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from vo.config import Config
 FOLDER = Path(__file__).resolve().parent.parent / "configs"
 
 TITLES = {
-    "default": "What `vo run` does unless told otherwise. A file of your own needs only the\n"
-    "# keys that it changes: `vo run … --config mine.yaml`.",
+    "default": "The defaults of `vo run`. Your own file needs only the keys that it changes:\n"
+    "# `vo run … --config mine.yaml`.",
     "fast": "For speed: fewer features and landmarks, a smaller window.",
     "accurate": "For accuracy: more features and landmarks, a larger window.",
 }

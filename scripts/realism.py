@@ -1,4 +1,4 @@
-"""Compares what features find in real and in synthetic recordings, as a Markdown table."""
+"""Compares image and feature statistics of real and synthetic recordings, as a Markdown table."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class Row:
         grey: mean grey level.
         contrast: standard deviation of grey levels.
         corners: FAST corners (threshold 20) per million pixels.
-        matched: share of 2000 ORB features with a match in the next frame.
-        inliers: share of the matches within 1 px of their epipolar line.
+        matched: ratio of 2000 ORB features with a match in the next frame.
+        inliers: ratio of the matches within 1 px of their epipolar line.
         motion_px: image motion of the inliers.
         track: mean length of a track of matches, in frames.
-        long_tracks: share of the features that belong to tracks of 10 and more frames.
+        long_tracks: ratio of the features that belong to tracks of 10 and more frames.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Row:
     long_tracks: float
 
     def cells(self) -> list[str]:
-        """The row as text."""
+        """The cells of the row as text."""
         return [
             self.name, f"{self.grey:.0f}", f"{self.contrast:.0f}", f"{self.corners:.0f}",
             f"{100 * self.matched:.0f} %", f"{100 * self.inliers:.0f} %", f"{self.motion_px:.1f}",
@@ -76,11 +76,11 @@ class Row:
 
 
 def main() -> None:
-    """Measure, print, and write what is asked for."""
+    """Measure, print the table, and write it where requested."""
     parser = argparse.ArgumentParser(prog="scripts/realism", description=__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only where the name has this")
-    parser.add_argument("--write", action="store_true", help="write it into docs/synth.md")
+    parser.add_argument("--only", default="", metavar="TEXT", help="only names that contain this")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/synth.md")
     options = parser.parse_args()
     rows = list(_rows(options))
     lines = ["| " + " | ".join(cells) + " |" for cells in (HEAD, ["---"] + ["---:"] * 8)]
@@ -116,7 +116,7 @@ def _real(name: str, folder: Path) -> Row:
 
 
 def _synthetic(name: str) -> Row:
-    """The middle frames of a preset's recording, filmed with one camera."""
+    """The middle frames of a preset's recording, rendered with one camera."""
     plan = make_plan(load_recipe(name, ["mono=true", "format=euroc"]))
     middle = max(0, len(plan.recording) // 2 - FRAMES // 2)
     with ThreadPoolExecutor() as pool:
@@ -152,7 +152,7 @@ def _row(name: str, images: list[Bytes], camera: Camera) -> Row:
 def _pair(
     camera: Camera, first: tuple, second: tuple
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Matches (M, 2) of two images, which of them are inliers, and the motion of those."""
+    """Matches (M, 2) of two images, inlier mask (M,), and image motion of the inliers in px."""
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
     if first[1] is None or second[1] is None:
         return np.empty((0, 2), np.int64), np.empty(0, bool), np.empty(0)
@@ -171,7 +171,7 @@ def _pair(
 
 
 def _track_lengths(pairs: list, counts: list[int]) -> NDArray[np.int64]:
-    """Frames through which each chain of inlying matches goes."""
+    """Length in frames of each chain of inlier matches."""
     done: list[int] = []
     lengths = np.ones(counts[0], np.int64)
     for (index, keep, _), count in zip(pairs, counts[1:], strict=True):
