@@ -1,3 +1,5 @@
+"""The shell scripts of a checkout: installation and its errors."""
+
 from __future__ import annotations
 
 import shutil
@@ -13,7 +15,7 @@ NEEDED = ("bash", "env", "cat", "cksum", "tr", "dirname", "rm", "touch")
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A copy of what the set-up needs, and a `bin` without any Python."""
+    """A copy of the files that the set-up needs, and a `bin` without any Python."""
     shutil.copytree(ROOT / "scripts", tmp_path / "scripts")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     (tmp_path / "bin").mkdir()
@@ -42,19 +44,19 @@ def _program(path: Path, code: str) -> None:
 
 
 @pytest.mark.parametrize("script", ["scripts/demo", "scripts/test", "scripts/check"])
-def test_says_in_one_line_that_python_is_missing(checkout: Path, script: str) -> None:
+def test_a_missing_python_is_reported_in_one_line(checkout: Path, script: str) -> None:
     result = _call(checkout, script)
     assert result.returncode == 1
     assert result.stderr.count("\n") == 1
     assert "no Python 3.11 or newer" in result.stderr
 
 
-def test_a_python_that_is_too_old_does_not_count(checkout: Path) -> None:
+def test_a_python_that_is_too_old_is_ignored(checkout: Path) -> None:
     _program(checkout / "bin" / "python3", "exit 1")
     assert "no Python 3.11 or newer" in _call(checkout, "scripts/setup").stderr
 
 
-def test_says_in_one_line_what_to_install_if_venv_is_missing(checkout: Path) -> None:
+def test_a_missing_venv_module_is_reported_with_the_package_to_install(checkout: Path) -> None:
     code = f'case "$2" in *ensurepip*) exit 1 ;; esac\nexec {sys.executable} "$@"'
     _program(checkout / "bin" / "python3", code)
     result = _call(checkout, "scripts/test")
@@ -64,8 +66,8 @@ def test_says_in_one_line_what_to_install_if_venv_is_missing(checkout: Path) -> 
     assert not (checkout / ".venv").exists()
 
 
-def _pretend_python(checkout: Path, pip_status: int) -> Path:
-    """A Python that makes environments and notes what pip is asked for, without installing."""
+def _fake_python(checkout: Path, pip_status: int) -> Path:
+    """A Python that creates environments and logs the targets of pip, without installing."""
     log = checkout / "pip.log"
     code = (
         'case "$*" in\n'
@@ -79,8 +81,8 @@ def _pretend_python(checkout: Path, pip_status: int) -> Path:
     return log
 
 
-def test_installs_once_and_again_when_more_is_wanted(checkout: Path) -> None:
-    log = _pretend_python(checkout, pip_status=0)
+def test_installs_once_and_again_when_requirements_change(checkout: Path) -> None:
+    log = _fake_python(checkout, pip_status=0)
     for arguments in ((), (), ("dev",), (), ("dev",)):
         assert _call(checkout, "scripts/setup", *arguments).returncode == 0
     assert log.read_text().split() == ["venv", ".", ".[dev]"]
@@ -90,8 +92,8 @@ def test_installs_once_and_again_when_more_is_wanted(checkout: Path) -> None:
     assert log.read_text().split() == ["venv", ".", ".[dev]", ".[dev]"]
 
 
-def test_an_interrupted_installation_starts_afresh(checkout: Path) -> None:
-    log = _pretend_python(checkout, pip_status=0)
+def test_after_an_interrupted_installation_the_environment_is_new(checkout: Path) -> None:
+    log = _fake_python(checkout, pip_status=0)
     _call(checkout, "scripts/setup")
     (checkout / ".venv" / ".installed").unlink()
     (checkout / ".venv" / ".installing").touch()
@@ -99,8 +101,8 @@ def test_an_interrupted_installation_starts_afresh(checkout: Path) -> None:
     assert log.read_text().split() == ["venv", ".", "venv", "."]
 
 
-def test_a_failed_installation_is_tried_again(checkout: Path) -> None:
-    log = _pretend_python(checkout, pip_status=3)
+def test_a_failed_installation_is_repeated(checkout: Path) -> None:
+    log = _fake_python(checkout, pip_status=3)
     result = _call(checkout, "scripts/demo")
     assert result.returncode == 1
     assert "the installation failed" in result.stderr
