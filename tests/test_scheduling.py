@@ -1,4 +1,4 @@
-"""Helpers give way to the thread that tracks."""
+"""Helper threads do not preempt the tracking thread."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from vo.types import Camera, Frame, Rig
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems have no SCHED_BATCH")
 
 
-def test_only_the_thread_that_asks_gives_way() -> None:
+def test_only_the_calling_thread_gives_way() -> None:
     before = os.sched_getscheduler(0)
     with ThreadPoolExecutor(1, initializer=give_way) as pool:
         assert pool.submit(os.sched_getscheduler, 0).result() == os.SCHED_BATCH
     assert os.sched_getscheduler(0) == before
 
 
-def test_frames_are_made_ready_by_threads_that_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_preprocessed_by_threads_that_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
     policies: list[int] = []
     rig = rectified_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
     image = np.random.default_rng(0).integers(0, 255, (120, 200), dtype=np.uint8)
@@ -41,7 +41,7 @@ def test_frames_are_made_ready_by_threads_that_give_way(monkeypatch: pytest.Monk
     assert policies == [os.SCHED_BATCH]
 
 
-def test_a_system_that_forbids_it_costs_nothing_but_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_that_forbids_it_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError("not in this container")
 

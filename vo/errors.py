@@ -1,20 +1,19 @@
-"""Every error that `vo` raises on purpose.
+"""Errors raised by `vo`, all derived from `VoError`.
 
     VoError
     ├── ConfigError        a setting is unknown, of the wrong type or out of range
-    ├── SourceError        a recording is missing, empty, damaged or not understood
-    ├── CalibrationError   a camera's calibration is missing or cannot be true
+    ├── SourceError        a recording is missing, empty, damaged or of an unknown format
+    ├── CalibrationError   a calibration is missing or invalid
     ├── EvaluationError    two trajectories cannot be compared
     └── OutputError        a result cannot be written
 
-A message says in one line what failed, the value found, and what to do about it. The command line
-prints it as
-`error: …` and exits 1; any other exception is a bug and keeps its traceback.
+A message is one line: what failed, the value found, and what to do. The command line prints it as
+`error: …` and exits with status 1; any other exception is a bug and keeps its traceback.
 """
 
 
 class VoError(Exception):
-    """Root of the errors that a user can mend."""
+    """Base class of errors that a user can fix."""
 
 
 class ConfigError(VoError):
@@ -22,11 +21,11 @@ class ConfigError(VoError):
 
 
 class SourceError(VoError):
-    """A recording is missing, empty, damaged or not understood."""
+    """A recording is missing, empty, damaged or of an unknown format."""
 
 
 class CalibrationError(VoError):
-    """A camera's calibration is missing or cannot be true."""
+    """A calibration is missing or invalid."""
 
 
 class EvaluationError(VoError):

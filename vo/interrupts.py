@@ -1,4 +1,4 @@
-"""When signals that would end a run take effect."""
+"""Deferral of stop signals to the end of a frame."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ _STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextmanager
 def interrupts_between_frames() -> Iterator[Callable[[], None]]:
-    """Ctrl-C waits until the frame in hand is done and `check` is called; a second one does not.
+    """Defer Ctrl-C to the next call of the yielded `check`; a second Ctrl-C takes effect at once.
 
-    In the middle of a frame it could leave the map half changed, and compiled code answers it
-    with an error of its own. So do other signals that the program answers, such as SIGTERM.
+    In the middle of a frame, an interrupt could leave the map inconsistent, and compiled code
+    would turn it into another error. Other handled signals, such as SIGTERM, are deferred too.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: None  # signals reach the main thread only
+        yield lambda: None  # only the main thread receives signals
         return
-    handlers = {number: signal.getsignal(number) for number in _STOPPING}
-    answers = {number: answer for number, answer in handlers.items() if callable(answer)}
-    asked: list[int] = []
+    current = {number: signal.getsignal(number) for number in _STOPPING}
+    handlers = {number: handler for number, handler in current.items() if callable(handler)}
+    pending: list[int] = []
 
-    def note(number: int, frame: FrameType | None) -> None:
-        if asked:
-            answers[signal.Signals(number)](number, frame)
-        asked.append(number)
+    def defer(number: int, frame: FrameType | None) -> None:
+        if pending:
+            handlers[signal.Signals(number)](number, frame)
+        pending.append(number)
 
     def check() -> None:
-        if asked:
-            number = signal.Signals(asked[0])
-            asked.clear()
-            answers[number](number, None)
+        if pending:
+            number = signal.Signals(pending[0])
+            pending.clear()
+            handlers[number](number, None)
 
-    for number in answers:
-        signal.signal(number, note)
+    for number in handlers:
+        signal.signal(number, defer)
     try:
         yield check
     finally:
-        for number, answer in answers.items():
-            signal.signal(number, answer)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

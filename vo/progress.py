@@ -1,4 +1,4 @@
-"""How a run tells whoever waits for it how far it is."""
+"""Interface for the progress of a run."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from vo.types import Estimate
 
 
 class Progress(Protocol):
-    """Watches a run; never changes it."""
+    """Observer of a run."""
 
     def begin(self, name: str, total: int) -> None:
         """Before the first frame.
 
         Args:
-            name: of the recording.
-            total: number of frames that were asked for.
+            name: name of the recording.
+            total: number of frames to process; 0 if unknown.
         """
 
     def step(self, done: int, estimate: Estimate) -> None:
-        """After each frame; `done` also counts those that could not be read."""
+        """After each frame; `done` includes unreadable frames."""
 
     def finish(self) -> None:
-        """After the last frame, also of an interrupted run."""
+        """After the last frame, also if the run is interrupted."""
 
 
 class NullProgress:
-    """Watches nothing."""
+    """Progress without display."""
 
     def begin(self, name: str, total: int) -> None:
         """Do nothing."""

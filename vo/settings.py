@@ -1,6 +1,6 @@
-"""Reads settings: sections of checked values, merged from YAML and overrides.
+"""Settings: sections of validated values, merged from YAML files and overrides.
 
-A key that does not exist is an error that names the nearest one.
+An unknown key is an error that suggests the most similar one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from vo.errors import ConfigError
 
 
 class Section(BaseModel):
-    """A group of settings; what it does not know is an error."""
+    """A group of settings; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -26,16 +26,16 @@ _S = TypeVar("_S", bound=Section)
 
 
 def preset_folder() -> Path:
-    """The presets that come with the package."""
+    """Folder of the presets in the package."""
     installed = Path(__file__).parent / "configs"
     return installed if installed.is_dir() else Path(__file__).parent.parent / "configs"
 
 
 def find_preset(name: str | Path, folder: Path, what: str = "preset") -> Path:
-    """The file of a preset by its name, or a YAML file by its path.
+    """Path of a preset given by name, or of a YAML file given by path.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no such preset or file.
     """
     path = Path(name)
     if path.suffix in {".yaml", ".yml"} or path.is_file():
@@ -47,13 +47,13 @@ def find_preset(name: str | Path, folder: Path, what: str = "preset") -> Path:
         known = names_in(folder)
         raise ConfigError(
             f"no {what} named '{name}'{nearest(str(name), known)}; "
-            f"give one of {', '.join(known)} or the path of a YAML file"
+            f"use one of {', '.join(known)}, or the path of a YAML file"
         )
     return found
 
 
 def names_in(folder: Path) -> list[str]:
-    """Names of the presets in a folder."""
+    """Names of all presets in a folder."""
     return sorted(p.stem for p in folder.glob("*.yaml"))
 
 
@@ -61,7 +61,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file.
 
     Raises:
-        ConfigError: it cannot be read or holds something else.
+        ConfigError: it cannot be read, or contains no mapping.
     """
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -70,23 +70,25 @@ def read_settings(path: Path) -> dict[str, Any]:
     if data is None:
         return {}
     if not isinstance(data, dict):
-        raise ConfigError(f"config {path} is not a mapping of sections but {type(data).__name__}")
+        raise ConfigError(
+            f"config {path} contains {type(data).__name__}, not a mapping of sections to settings"
+        )
     return data
 
 
 def set_value(merged: dict[str, Any], text: str) -> None:
-    """Take over `section.key=value`, its value read as YAML.
+    """Apply an override `section.key=value`, with its value read as YAML.
 
     Raises:
-        ConfigError: the text is of another form.
+        ConfigError: the text has another form.
     """
     key, separator, value = text.partition("=")
     if not separator or not key.strip():
-        raise ConfigError(f"'{text}' is not of the form section.key=value")
+        raise ConfigError(f"invalid setting '{text}'; use section.key=value")
     try:
         parsed = yaml.safe_load(value)
     except yaml.YAMLError as error:
-        raise ConfigError(f"the value of '{text}' is not YAML") from error
+        raise ConfigError(f"invalid value in '{text}'; it must be YAML") from error
     *sections, name = key.strip().split(".")
     node = merged
     for section in sections:
@@ -98,10 +100,10 @@ def set_value(merged: dict[str, Any], text: str) -> None:
 
 
 def validate(model: type[_S], merged: Mapping[str, Any], origin: str) -> _S:
-    """Settings as checked records.
+    """Validate merged settings.
 
     Raises:
-        ConfigError: unknown key, or a value of the wrong type or range.
+        ConfigError: unknown key, or a value of the wrong type or out of range.
     """
     try:
         return model.model_validate(merged)
@@ -119,7 +121,7 @@ def validate(model: type[_S], merged: Mapping[str, Any], origin: str) -> _S:
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """A question that names the nearest known word, or nothing."""
+    """A suggestion of the most similar known word, or an empty string."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.3)
     return f"; did you mean '{close[0]}'?" if close else ""
 

@@ -1,4 +1,4 @@
-"""A converted recording is the same recording."""
+"""`vo convert`: the converted recording equals the original."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def path_of(recording: Path, output: Path) -> bytes:
 
 
 def positions_at(truth: Trajectory, stamps_ns: Ints) -> Floats:
-    """Between poses by a straight line."""
+    """Positions at stamps, by linear interpolation."""
     columns = [np.interp(stamps_ns, truth.stamps_ns, axis) for axis in truth.positions.T]
     return np.stack(columns, axis=1)
 
@@ -65,7 +65,7 @@ def true_path(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.mark.parametrize(("name", "format", "codec"), KINDS)
-def test_without_loss_all_stays_as_it_was(
+def test_lossless_conversion_preserves_everything(
     synthetic_stereo: Path,
     tmp_path: Path,
     true_path: bytes,
@@ -94,7 +94,7 @@ def test_without_loss_all_stays_as_it_was(
     assert path_of(output, tmp_path / "run") == true_path
 
 
-def test_right_stamps_missing_images_and_slices_survive(
+def test_right_stamps_missing_images_and_slices_are_preserved(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     walk = Path(shutil.copytree(synthetic_stereo, tmp_path / "walk"))
@@ -122,9 +122,7 @@ def test_a_scaled_camera_sees_the_same_corners() -> None:
     assert project(small, points) == pytest.approx(expected, abs=1e-9)
 
 
-def test_resizing_scales_images_and_calibration_alike(
-    synthetic_stereo: Path, tmp_path: Path
-) -> None:
+def test_resizing_scales_images_and_calibration(synthetic_stereo: Path, tmp_path: Path) -> None:
     output = converted(synthetic_stereo, tmp_path / "half", "--resize", 0.5, "--end", 2)
     before, after = open_source(synthetic_stereo), open_source(output)
     assert after.rig.cam0 == scaled_camera(
@@ -137,27 +135,27 @@ def test_resizing_scales_images_and_calibration_alike(
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         (("--format", "tum"), "euroc"),
         (("--codec", "raw"), "--codec png or jpeg"),
         (("--resize", "big"), "--resize big"),
-        (("--format", "mcap"), "ends in .mcap"),
-        (("--format", "bag"), "cannot be written"),
+        (("--format", "mcap"), "a file ending in .mcap"),
+        (("--format", "bag"), "cannot write format"),
         (("--start", "500"), "only 30 frames"),
     ],
 )
-def test_what_cannot_be_is_one_line(
-    synthetic_stereo: Path, tmp_path: Path, flags: tuple[str, ...], said: str
+def test_invalid_arguments_are_one_error_line(
+    synthetic_stereo: Path, tmp_path: Path, flags: tuple[str, ...], message: str
 ) -> None:
     result = vo_convert(synthetic_stereo, tmp_path / "out", *flags)
     assert result.exit_code == 1
-    assert result.stderr.startswith("error: ") and said in result.stderr
+    assert result.stderr.startswith("error: ") and message in result.stderr
     assert result.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interruption_leaves_nothing(synthetic_stereo: Path, tmp_path: Path) -> None:
+def test_an_interrupted_conversion_leaves_no_files(synthetic_stereo: Path, tmp_path: Path) -> None:
     program = [sys.executable, "-c", "from vo.cli.app import app; app()"]
     arguments = ["convert", str(synthetic_stereo), str(tmp_path / "a.mcap"), "--resize", "6"]
     process = subprocess.Popen([*program, *arguments], stderr=subprocess.DEVNULL)
@@ -169,7 +167,7 @@ def test_an_interruption_leaves_nothing(synthetic_stereo: Path, tmp_path: Path) 
 
 
 def colour_clip(path: Path) -> Path:
-    """A TUM RGB-D recording as TUM's are: colour, depth with 16 bits, names with times."""
+    """A recording like those of TUM RGB-D: colour, 16-bit depth, stamps as file names."""
     noise = np.random.default_rng(7)
     lists: dict[str, list[str]] = {"rgb": [], "depth": []}
     for i in range(4):
@@ -200,7 +198,7 @@ def images_in(folder: Path) -> list[Pixels]:
 
 
 @pytest.mark.parametrize(("format", "codec"), [("mcap", "raw"), ("mcap-ros2", "png")])
-def test_colour_and_depth_survive_a_log(tmp_path: Path, format: str, codec: str) -> None:
+def test_colour_and_depth_are_preserved_in_a_log(tmp_path: Path, format: str, codec: str) -> None:
     clip = colour_clip(tmp_path / "clip")
     log = converted(clip, tmp_path / "a.mcap", "--format", format, "--codec", codec)
     back = converted(log, tmp_path / "back", "--format", "tum")
@@ -228,7 +226,7 @@ def test_official_decoders_read_the_colours(tmp_path: Path) -> None:
         assert all(np.array_equal(a, b) for a, b in zip(images, expected, strict=True))
 
 
-def test_gray_gives_what_the_odometry_sees(tmp_path: Path) -> None:
+def test_gray_writes_the_images_of_the_odometry(tmp_path: Path) -> None:
     clip = colour_clip(tmp_path / "clip")
     grey = converted(clip, tmp_path / "grey", "--gray")
     assert [f.image0.ndim for f in recorded(grey)] == [2] * 4
@@ -238,7 +236,7 @@ def test_gray_gives_what_the_odometry_sees(tmp_path: Path) -> None:
     )
 
 
-def test_jpeg_keeps_colour_and_a_smaller_image_too(tmp_path: Path) -> None:
+def test_jpeg_and_resizing_preserve_colour(tmp_path: Path) -> None:
     clip = colour_clip(tmp_path / "clip")
     small = converted(clip, tmp_path / "s", "--codec", "jpeg", "--resize", 0.5, "--format", "kitti")
     assert sorted(folder.name for folder in small.iterdir() if folder.is_dir()) == [
@@ -253,7 +251,7 @@ def test_jpeg_keeps_colour_and_a_smaller_image_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("codec", "bits"), [("png", 16), ("jpeg", 8), ("raw", 16)])
-def test_16_bits_stay_where_there_is_room(tmp_path: Path, codec: str, bits: int) -> None:
+def test_16_bits_are_preserved_unless_jpeg(tmp_path: Path, codec: str, bits: int) -> None:
     deep = np.random.default_rng(2).integers(0, 4096, (60, 80), dtype=np.uint16)
     (tmp_path / "a").mkdir()
     assert cv2.imwrite(str(tmp_path / "a" / "0.png"), cv2.GaussianBlur(deep, (0, 0), 2))
@@ -273,7 +271,7 @@ def lines_of(recording: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("format", ["mcap", "mcap-ros2"])
-def test_inertial_measurements_come_back_exactly(
+def test_inertial_measurements_are_preserved_exactly(
     synthetic_stereo: Path, tmp_path: Path, format: str
 ) -> None:
     log = converted(synthetic_stereo, tmp_path / "a.mcap", "--format", format, "--end", 6)
@@ -313,7 +311,7 @@ def test_rosbags_reads_the_inertial_measurements(synthetic_stereo: Path, tmp_pat
     assert {m.header.frame_id for m in messages} == {"body"}
 
 
-def test_noise_of_the_sensor_stays_and_its_place_is_never_made_up(
+def test_imu_noise_is_preserved_and_an_unknown_pose_stays_unknown(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     walk = Path(shutil.copytree(synthetic_stereo, tmp_path / "walk"))
@@ -324,7 +322,7 @@ def test_noise_of_the_sensor_stays_and_its_place_is_never_made_up(
     sensor.unlink()
     result = vo_convert(walk, tmp_path / "a.mcap", "--end", 3)
     assert result.exit_code == 0
-    assert "nothing says where it is beside the camera" in " ".join(result.stderr.split())
+    assert "its pose relative to the camera is unknown" in " ".join(result.stderr.split())
     assert open_source(tmp_path / "a.mcap").imus[0].cam0_from_imu is None
     result = vo_convert(walk, tmp_path / "kitti", "--format", "kitti", "--end", 3)
-    assert "format kitti has no room for it" in " ".join(result.stderr.split())
+    assert "format kitti does not support it" in " ".join(result.stderr.split())

@@ -17,7 +17,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_small")
-def test_demo_makes_runs_scores_and_keeps_the_recording(tmp_path: Path) -> None:
+def test_demo_renders_runs_evaluates_and_keeps_the_recording(tmp_path: Path) -> None:
     output = tmp_path / "demo"
     result = CliRunner().invoke(app, ["demo", "--output", str(output)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
@@ -34,7 +34,7 @@ def test_demo_makes_runs_scores_and_keeps_the_recording(tmp_path: Path) -> None:
     before = image.stat().st_mtime_ns
     again = CliRunner().invoke(app, ["demo", "--output", str(output)], catch_exceptions=False)
     assert again.exit_code == 0, again.output
-    assert "made before" in again.output
+    assert "made earlier" in again.output
     assert image.stat().st_mtime_ns == before
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment of the program `vo`: while it loads, while it works, while it ends."""
+"""Ctrl-C at any time: during start-up, during a command, and at exit."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from vo.cli.app import app
 
 VO = Path(sys.executable).with_name("vo")
 
-# Read by Python as it starts: presses Ctrl-C when a module is first asked for, or at the very end.
-AS_IT_LOADS = """
+# Loaded by Python at start-up: sends SIGINT at the first import of a module, or at exit.
+INTERRUPT_AT_IMPORT = """
 import os, signal, sys
 
-class Presser:
+class Interrupter:
     def find_spec(self, name, path=None, target=None):
         if name == {name!r}:
             sys.meta_path.remove(self)
             os.kill(os.getpid(), signal.SIGINT)
 
-sys.meta_path.insert(0, Presser())
+sys.meta_path.insert(0, Interrupter())
 """
-AS_IT_ENDS = "import atexit, os, signal\natexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+INTERRUPT_AT_EXIT = (
+    "import atexit, os, signal\natexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+)
 
 
 def vo(folder: Path, start: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
@@ -38,36 +40,38 @@ def vo(folder: Path, start: str, *words: str | Path) -> subprocess.CompletedProc
 
 
 @pytest.mark.parametrize("name", ["vo.cli.app", "typer", "vo.cli.synth"])
-def test_ctrl_c_while_the_commands_are_loaded_gives_no_traceback(tmp_path: Path, name: str) -> None:
-    result = vo(tmp_path, AS_IT_LOADS.format(name=name), "--help")
+def test_ctrl_c_during_start_up_prints_no_traceback(tmp_path: Path, name: str) -> None:
+    result = vo(tmp_path, INTERRUPT_AT_IMPORT.format(name=name), "--help")
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
 
 
 @pytest.mark.parametrize("name", ["numpy", "cv2", "vo.run", "vo.backend.optimizer"])
-def test_ctrl_c_while_a_run_is_loaded_gives_one_line(tmp_path: Path, name: str) -> None:
-    result = vo(tmp_path, AS_IT_LOADS.format(name=name), "run", tmp_path, "-o", tmp_path / "out")
+def test_ctrl_c_while_a_run_is_loaded_prints_one_line(tmp_path: Path, name: str) -> None:
+    result = vo(
+        tmp_path, INTERRUPT_AT_IMPORT.format(name=name), "run", tmp_path, "-o", tmp_path / "out"
+    )
     assert result.returncode == 130
     assert result.stderr == "interrupted before the first frame; nothing was written\n"
 
 
 @pytest.mark.parametrize("command", ["info", "eval", "report", "convert"])
-def test_ctrl_c_while_another_command_is_loaded_gives_one_line_at_most(
+def test_ctrl_c_while_another_command_is_loaded_prints_at_most_one_line(
     tmp_path: Path, command: str
 ) -> None:
     second = [tmp_path / "out"] if command in ("eval", "convert") else []
-    result = vo(tmp_path, AS_IT_LOADS.format(name="numpy"), command, tmp_path, *second)
+    result = vo(tmp_path, INTERRUPT_AT_IMPORT.format(name="numpy"), command, tmp_path, *second)
     assert result.returncode == 130, result.stderr
     assert len(result.stderr.splitlines()) <= 1
 
 
-def test_ctrl_c_after_the_last_line_changes_nothing(tmp_path: Path) -> None:
-    result = vo(tmp_path, AS_IT_ENDS, "--version")
+def test_ctrl_c_at_exit_is_ignored(tmp_path: Path) -> None:
+    result = vo(tmp_path, INTERRUPT_AT_EXIT, "--version")
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.startswith("vo ")
 
 
 @pytest.mark.parametrize("command", [c.name for c in app.registered_commands])
-def test_a_command_alone_helps_as_it_does_among_the_others(tmp_path: Path, command: str) -> None:
+def test_help_is_the_same_with_only_one_command_prepared(tmp_path: Path, command: str) -> None:
     alone = vo(tmp_path, "", command, "--help")
     program = "import sys; from vo.cli.app import app; sys.argv[0] = 'vo'; app()"
     words = [sys.executable, "-c", program, command, "--help"]

@@ -1,4 +1,4 @@
-"""Commands that only read a recording never write over it."""
+"""Commands never overwrite the recording that they read."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def assert_refused(path: Path, *words: str | Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_by_a_contact_sheet(images: Path, tmp_path: Path) -> None:
+def test_a_contact_sheet_does_not_overwrite_the_recording(images: Path, tmp_path: Path) -> None:
     assert_refused(images / "0.png", "info", images, "--contact-sheet", images / "0.png")
     sheet = tmp_path / "sheet.png"
     for _ in range(2):
@@ -42,7 +42,7 @@ def test_by_a_contact_sheet(images: Path, tmp_path: Path) -> None:
         assert result.exit_code == 0, result.output
 
 
-def test_by_its_own_conversion(images: Path, tmp_path: Path) -> None:
+def test_a_conversion_does_not_overwrite_the_recording(images: Path, tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     made = CliRunner().invoke(app, ["convert", str(images), str(log)])
     assert made.exit_code == 0, made.output

@@ -1,4 +1,4 @@
-"""`vo run` as typed: what it prints, how it exits, and what it says of bad input."""
+"""`vo run` as a command: output, exit status, and messages about bad input."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def write_noise(path: Path, seed: int, width: int = WIDTH) -> None:
 
 @pytest.fixture
 def images(tmp_path: Path) -> Path:
-    """Five images of noise from one camera, with all that belongs to them."""
+    """Five noise images of one camera, with calibration and stamps."""
     folder = tmp_path / "images"
     for i in range(5):
         write_noise(folder / f"{i}.png", i)
@@ -106,7 +106,7 @@ def test_mode_mono_uses_one_camera(synthetic_stereo: Path, out: Path) -> None:
     assert summary_in(out)["mode"] == "mono"
 
 
-def test_rrd_is_written_and_offered(synthetic_stereo: Path, out: Path) -> None:
+def test_rrd_is_written_and_vo_view_suggested(synthetic_stereo: Path, out: Path) -> None:
     rrd = out / "run.rrd"
     result = vo_run(synthetic_stereo, out, "--end", 3, "--config", "fast", "--rrd", rrd)
     assert result.exit_code == 0, result.output
@@ -114,7 +114,7 @@ def test_rrd_is_written_and_offered(synthetic_stereo: Path, out: Path) -> None:
     assert rrd.stat().st_size > 10_000
 
 
-def test_noise_ends_well_with_an_honest_warning(images: Path, out: Path) -> None:
+def test_a_run_on_noise_ends_with_a_warning(images: Path, out: Path) -> None:
     result = vo_run(images, out)
     assert result.exit_code == 0, result.output
     assert "warning: no frame was tracked" in result.stdout
@@ -122,7 +122,7 @@ def test_noise_ends_well_with_an_honest_warning(images: Path, out: Path) -> None
     assert (summary["status"], summary["tracked"], summary["starting"]) == ("finished", 0, 5)
 
 
-def test_help_teaches_with_examples() -> None:
+def test_help_contains_examples() -> None:
     result = CliRunner().invoke(app, ["run", "--help"])
     assert result.exit_code == 0
     assert "vo run my_sequence/ --output out/" in result.output
@@ -138,8 +138,8 @@ def test_help_groups_the_options() -> None:
             heading = " ".join(words)
         elif words and words[0].startswith("--"):
             under[words[0]] = heading
-    assert under["--calibration"] == under["--start"] == "What is read"
-    assert under["--output"] == under["--ply"] == "What is written"
+    assert under["--calibration"] == under["--start"] == "Input"
+    assert under["--output"] == under["--ply"] == "Output"
     assert [name for name, where in under.items() if where == "Options"] == ["--help"]
 
 
@@ -156,7 +156,7 @@ def test_the_command_imports_nothing_heavy_before_it_runs() -> None:
 
 
 def start_and_signal(source: Path, out: Path, number: signal.Signals) -> subprocess.Popen[str]:
-    """Start a run and send it a signal when it has written three poses, causal and smoothed."""
+    """Start a run, and send it a signal after three causal and three smoothed poses."""
     running = subprocess.Popen(
         [VO, "run", source, "--output", out, "--config", "fast"],
         stdout=subprocess.PIPE,
@@ -185,20 +185,21 @@ def test_ctrl_c_exits_130_with_one_line(synthetic_stereo: Path, out: Path) -> No
     assert (summary["status"], summary["tracked"]) == ("interrupted", len(poses))
 
 
-def test_sigterm_ends_a_run_as_ctrl_c_does(synthetic_stereo: Path, out: Path) -> None:
+def test_sigterm_ends_a_run_like_ctrl_c(synthetic_stereo: Path, out: Path) -> None:
     with start_and_signal(synthetic_stereo, out, signal.SIGTERM) as running:
         _, stderr = running.communicate(timeout=60)
     assert running.returncode == 128 + signal.SIGTERM, stderr
-    assert stderr.splitlines()[-1] == f"interrupted; what was computed until now is in {out}"
+    assert stderr.splitlines()[-1] == f"interrupted; the results so far are in {out}"
     poses, summary = read_tum(out / "trajectory.tum"), summary_in(out)
     assert (summary["status"], summary["tracked"]) == ("interrupted", len(poses))
 
 
-def test_a_run_that_is_stopped_early_does_not_claim_results(tmp_path: Path) -> None:
+def test_a_run_stopped_before_the_first_frame_reports_no_results(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys\nfrom pathlib import Path\n"
-        "from vo.cli.stopping import stops_gently\n"
-        "try:\n    with stops_gently(Path(sys.argv[1])): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "from vo.cli.stopping import stop_signals_as_interrupts\n"
+        "try:\n    with stop_signals_as_interrupts(Path(sys.argv[1])):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "except BaseException as error: print(error.exit_code)\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
@@ -208,7 +209,7 @@ def test_a_run_that_is_stopped_early_does_not_claim_results(tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")
-def test_a_run_does_not_end_because_nobody_can_be_told(synthetic_stereo: Path, out: Path) -> None:
+def test_a_run_survives_a_full_standard_error(synthetic_stereo: Path, out: Path) -> None:
     with Path("/dev/full").open("w") as full:
         command = [VO, "run", synthetic_stereo, "-o", out, "--end", "3", "--config", "fast"]
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=full, text=True)
@@ -216,7 +217,7 @@ def test_a_run_does_not_end_because_nobody_can_be_told(synthetic_stereo: Path, o
     assert "all 3 frames have a pose" in done.stdout
 
 
-def test_prints_where_only_ascii_is_known() -> None:
+def test_prints_with_an_ascii_locale() -> None:
     env = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
     done = subprocess.run([VO, "synth", "--list"], capture_output=True, text=True, env=env)
     assert (done.returncode, done.stderr) == (0, "")
@@ -289,7 +290,7 @@ def test_image_of_another_size_in_the_middle_is_skipped(images: Path, out: Path)
     assert [s["index"] for s in summary_in(out)["skipped"]] == [3]
 
 
-def test_the_next_command_brings_the_calibration_along(images: Path, out: Path) -> None:
+def test_the_next_command_includes_the_calibration(images: Path, out: Path) -> None:
     chosen = images.parent / "my camera.yaml"
     (images / "calibration.yaml").rename(chosen)
     result = vo_run(images, out, "--calibration", chosen)
@@ -303,13 +304,13 @@ def test_missing_calibration(images: Path, out: Path) -> None:
     assert_one_line(vo_run(images, out), "calibration")
 
 
-def test_calibration_file_that_is_not_there(images: Path, out: Path) -> None:
+def test_missing_calibration_file(images: Path, out: Path) -> None:
     result = vo_run(images, out, "--calibration", images / "none.yaml")
     assert_one_line(result, "none.yaml")
 
 
 @pytest.mark.parametrize("fx", [".nan", "0.0", "-80.0", ".inf"])
-def test_calibration_that_cannot_be_true(images: Path, out: Path, fx: str) -> None:
+def test_invalid_calibration(images: Path, out: Path, fx: str) -> None:
     (images / "calibration.yaml").write_text(CALIBRATION.format(fx=fx), encoding="utf-8")
     assert_one_line(vo_run(images, out), "calibration.yaml", fx.strip(".").removesuffix(".0"))
 
@@ -324,7 +325,7 @@ def test_stamps_that_do_not_increase(images: Path, out: Path) -> None:
     assert_one_line(vo_run(images, out), "times.txt")
 
 
-def test_unknown_setting_names_the_nearest(images: Path, out: Path) -> None:
+def test_unknown_setting_suggests_the_most_similar(images: Path, out: Path) -> None:
     result = vo_run(images, out, "--set", "features.cuont=100")
     assert_one_line(result, "features.cuont", "did you mean 'features.count'?")
     assert not out.exists()
@@ -338,7 +339,7 @@ def test_unknown_format(images: Path, out: Path) -> None:
     assert_one_line(vo_run(images, out, "--format", "kiti"), "kiti", "kitti")
 
 
-def test_stereo_asked_for_without_a_right_camera(
+def test_mode_stereo_without_a_right_camera(
     synthetic_stereo: Path, tmp_path: Path, out: Path
 ) -> None:
     source = tmp_path / "left_only"
@@ -367,7 +368,7 @@ def test_start_beyond_the_end(images: Path, out: Path) -> None:
     assert_one_line(vo_run(images, out, "--start", 5), "only 5 frames")
 
 
-def test_truth_that_overlaps_by_no_stamp(synthetic_stereo: Path, out: Path) -> None:
+def test_ground_truth_without_overlap(synthetic_stereo: Path, out: Path) -> None:
     vo_run(synthetic_stereo, out, "--end", 4, "--config", "fast")
     true = read_tum(synthetic_stereo / "groundtruth.tum")
     late = out.with_name("late.tum")
@@ -386,7 +387,7 @@ def test_wrong_usage_exits_2(images: Path, out: Path, wrong: tuple[str, ...]) ->
     assert not out.exists()
 
 
-def test_a_terminal_gets_a_bar(synthetic_stereo: Path, out: Path) -> None:
+def test_a_terminal_shows_a_progress_bar(synthetic_stereo: Path, out: Path) -> None:
     pty = pytest.importorskip("pty")
     parent, child = pty.openpty()
     command = [VO, "run", synthetic_stereo, "-o", out, "--end", "4", "--config", "fast"]
@@ -397,7 +398,7 @@ def test_a_terminal_gets_a_bar(synthetic_stereo: Path, out: Path) -> None:
         while True:
             try:
                 data = os.read(parent, 4096)
-            except OSError:  # Linux reports the end of the other side so
+            except OSError:  # how Linux reports that the other end is closed
                 break
             if not data:
                 break
@@ -408,7 +409,7 @@ def test_a_terminal_gets_a_bar(synthetic_stereo: Path, out: Path) -> None:
     assert "frames/s" in shown.decode()
 
 
-def test_says_its_version() -> None:
+def test_prints_its_version() -> None:
     from vo import __version__
 
     result = CliRunner().invoke(app, ["--version"])
@@ -427,5 +428,5 @@ def test_output_on_a_full_disk_is_one_line_of_error(tmp_path: Path) -> None:
         )
     assert (done.returncode, done.stderr) == (
         1,
-        "error: what is printed: No space left on device\n",
+        "error: standard output: No space left on device\n",
     )

@@ -1,4 +1,4 @@
-"""What is said of a run at its end: how good it was, and what to try."""
+"""Verdict and advice at the end of a run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_good_run_needs_no_advice(good: Summary) -> None:
     assert advice(good) == []
 
 
-def test_a_lost_stretch_is_named_with_what_to_try(good: Summary) -> None:
+def test_lost_frames_are_listed_with_advice(good: Summary) -> None:
     ranges = (FrameRange(2, 3, 2, "lost", "too few"), FrameRange(5, 5, 1, "lost", "too few"))
     lost = replace(good, tracked=3, lost=3, without_pose=ranges, segments=good.segments * 2)
     grade, sentence = verdict(lost)
@@ -38,7 +38,7 @@ def test_a_lost_stretch_is_named_with_what_to_try(good: Summary) -> None:
     assert "--config accurate" in lines[1]
 
 
-def test_nothing_tracked_is_bad_and_says_what_to_check(good: Summary) -> None:
+def test_a_run_without_tracked_frames_is_bad_and_gets_advice(good: Summary) -> None:
     nothing = replace(good, tracked=0, starting=6, segments=(), median_inliers=None)
     assert verdict(nothing) == ("bad", "no path: none of the 6 frames has a pose")
     assert "check the calibration" in advice(nothing)[0]
@@ -47,11 +47,11 @@ def test_nothing_tracked_is_bad_and_says_what_to_check(good: Summary) -> None:
     assert "moves sideways" in advice(mono)[0]
 
 
-def test_few_inliers_are_not_called_good(good: Summary) -> None:
+def test_a_run_with_few_inliers_is_not_good(good: Summary) -> None:
     poor = replace(good, median_inliers=22.0)
     assert verdict(poor).grade == "caution"
-    assert "few landmarks agree" in advice(poor)[0]
+    assert "few inlier landmarks" in advice(poor)[0]
 
 
-def test_an_interrupted_run_is_called_so(good: Summary) -> None:
+def test_verdict_on_an_interrupted_run(good: Summary) -> None:
     assert verdict(replace(good, status="interrupted")).sentence.startswith("interrupted: ")

@@ -1,4 +1,4 @@
-"""`vo run` starts the smoother's process before it loads anything, and never leaves it behind."""
+"""`vo run` starts the smoother's process before loading anything else, and always ends it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 VO = Path(sys.executable).with_name("vo")
 HEAVY = {"cv2", "gtsam", "numba", "numpy"}
 
-# Read by Python as it starts, the smoother's as well: notes which processes there are, and what is
-# loaded when they start another.
+# Loaded by Python at start-up, also in the smoother: records all processes, and the modules loaded
+# when a process is started.
 NOTES = """
 import os, sys
 from pathlib import Path
@@ -26,7 +26,7 @@ def note(event, arguments):
 sys.addaudithook(note)
 (Path(__file__).parent / f"{os.getpid()}.pid").touch()
 """
-# Waits, before the odometry is loaded, for the smoother's process to have noted itself.
+# Waits, before the odometry is loaded, until the smoother's process has recorded itself.
 WAIT = """
 import time
 
@@ -44,7 +44,7 @@ sys.meta_path.insert(0, Waiter())
 
 
 def run(folder: Path, source: Path, *words: str, more: str = "") -> tuple[int, str]:
-    """Exit status, and what is said on standard error."""
+    """Exit status and standard error of a run."""
     (folder / "sitecustomize.py").write_text(NOTES + more, encoding="utf-8")
     command = [VO, "run", source, "-o", folder / "out", *words]
     environment = {**os.environ, "PYTHONPATH": str(folder)}
@@ -55,7 +55,7 @@ def run(folder: Path, source: Path, *words: str, more: str = "") -> tuple[int, s
 
 
 def modules_at_starts(folder: Path) -> list[set[str]]:
-    """What was loaded when a process was started, one set for each."""
+    """Modules loaded at each start of a process."""
     file = folder / "started"
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     return [set(line.split()) for line in lines]
@@ -73,7 +73,7 @@ def assert_all_ended(folder: Path, count: int) -> None:
             os.kill(pid, 0)
 
 
-def test_it_is_started_once_and_before_anything_heavy(
+def test_it_is_started_once_and_before_heavy_modules(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     assert run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4")[0] == 0
@@ -82,13 +82,13 @@ def test_it_is_started_once_and_before_anything_heavy(
     assert_all_ended(tmp_path, 2)
 
 
-def test_with_one_thread_there_is_none(synthetic_stereo: Path, tmp_path: Path) -> None:
+def test_none_is_started_with_one_thread(synthetic_stereo: Path, tmp_path: Path) -> None:
     assert run(tmp_path, synthetic_stereo, "--set", "threads=1", "--end", "4")[0] == 0
     assert not modules_at_starts(tmp_path)
     assert_all_ended(tmp_path, 1)
 
 
-def test_a_wrong_setting_starts_none(tmp_path: Path) -> None:
+def test_none_is_started_with_an_invalid_setting(tmp_path: Path) -> None:
     assert run(tmp_path, tmp_path, "--set", "thread=2")[0] == 1
     assert_all_ended(tmp_path, 1)
 
@@ -104,12 +104,12 @@ def test_it_ends_with_a_run_that_fails(tmp_path: Path, source: str, then: str, s
     assert_all_ended(tmp_path, 2)
 
 
-def test_a_process_that_cannot_be_started_costs_a_warning(
-    synthetic_stereo: Path, tmp_path: Path
-) -> None:
+def test_a_failed_start_is_only_a_warning(synthetic_stereo: Path, tmp_path: Path) -> None:
     more = 'sys.executable = "/nowhere/python"'
-    status, told = run(tmp_path, synthetic_stereo, "--threads", "2", "--end", "4", "-q", more=more)
+    status, errors = run(
+        tmp_path, synthetic_stereo, "--threads", "2", "--end", "4", "-q", more=more
+    )
     assert status == 0
-    assert told.startswith("warning: smoothing in the same process, no other can be started")
+    assert errors.startswith("warning: smoothing in the same process, no other can be started")
     assert len(modules_at_starts(tmp_path)) == 2
     assert_all_ended(tmp_path, 1)

@@ -15,7 +15,7 @@ def vo_synth(*arguments: object) -> Result:
     return CliRunner().invoke(app, ["synth", *map(str, arguments)])
 
 
-def test_makes_a_recording_and_says_what_it_is(tmp_path: Path) -> None:
+def test_renders_a_recording_and_describes_it(tmp_path: Path) -> None:
     out = tmp_path / "made"
     flags = ("--world", "corridor", "--motion", "robot", "--camera", "pinhole", "--mono")
     result = vo_synth(out, *SMALL, *flags, "--effects", "none,noise=2", "--seed", "3")
@@ -29,7 +29,7 @@ def test_makes_a_recording_and_says_what_it_is(tmp_path: Path) -> None:
     assert source.rig.cam0.width == 160
 
 
-def test_a_preset_gives_way_to_flags(tmp_path: Path) -> None:
+def test_options_override_a_preset(tmp_path: Path) -> None:
     result = vo_synth(
         tmp_path / "a.mcap", "--preset", "tum", *SMALL, "--format", "mcap", "--codec", "jpeg", "-q"
     )
@@ -47,7 +47,7 @@ def test_refuses_to_overwrite_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         (("--world", "moon"), "setting 'world'"),
         (("--preset", "kiti"), "did you mean 'kitti'"),
@@ -59,12 +59,12 @@ def test_refuses_to_overwrite_in_one_line(tmp_path: Path) -> None:
         (("--format", "tum"), "--mono"),
     ],
 )
-def test_what_cannot_be_is_one_error_line(
-    tmp_path: Path, flags: tuple[str, ...], said: str
+def test_invalid_arguments_are_one_error_line(
+    tmp_path: Path, flags: tuple[str, ...], message: str
 ) -> None:
     result = vo_synth(tmp_path / "out", *SMALL, *flags)
     assert result.exit_code == 1
-    assert result.output.startswith("error: ") and said in result.output
+    assert result.output.startswith("error: ") and message in result.output
     assert result.output.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -76,5 +76,5 @@ def test_list_shows_presets_cameras_and_settings() -> None:
         assert word in result.output
 
 
-def test_without_a_place_to_write_it_is_a_usage_error() -> None:
+def test_a_missing_output_is_a_usage_error() -> None:
     assert vo_synth().exit_code == 2

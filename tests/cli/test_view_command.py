@@ -1,4 +1,4 @@
-"""`vo view`: what it opens, what it says of bad input, and that a real browser draws it."""
+"""`vo view`: choice of the file, error messages, and display in a real browser."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def recorded(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture
 def page(recorded: Path) -> Iterator[str]:
-    """Address that `vo view --web` prints; the command ends well when it is interrupted."""
+    """Address printed by `vo view --web`, whose exit status is checked after SIGTERM."""
     command = [VO, "view", recorded, "--web"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as serving:
         assert serving.stdout is not None
@@ -54,7 +54,7 @@ def page(recorded: Path) -> Iterator[str]:
         assert serving.wait(20) == 0
 
 
-def test_a_folder_stands_for_its_newest_recording(recorded: Path) -> None:
+def test_the_newest_recording_of_a_folder_is_opened(recorded: Path) -> None:
     assert find_recording(recorded) == recorded / "run.rrd"
 
 
@@ -71,13 +71,13 @@ def test_bad_recordings_are_one_line(tmp_path: Path) -> None:
         ("empty.rrd", "is empty"),
         ("other.rrd", "is not an .rrd file"),
     ):
-        code, said = view(tmp_path / name)
-        assert (code, said.count("\n")) == (1, 1)
-        assert said.startswith(f"error: {tmp_path / name} {words}")
+        code, message = view(tmp_path / name)
+        assert (code, message.count("\n")) == (1, 1)
+        assert message.startswith(f"error: {tmp_path / name} {words}")
     (tmp_path / "folder").mkdir()
-    code, said = view(tmp_path / "folder")
+    code, message = view(tmp_path / "folder")
     assert code == 1
-    assert "holds no .rrd file" in said and "--rrd" in said
+    assert "contains no .rrd file" in message and "--rrd" in message
 
 
 def test_no_screen_is_one_line(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,9 +85,9 @@ def test_no_screen_is_one_line(recorded: Path, monkeypatch: pytest.MonkeyPatch) 
         pytest.skip("there is always a screen")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    code, said = view(recorded)
-    assert (code, said.count("\n")) == (1, 1)
-    assert said.startswith("error: a viewer cannot be opened here: ") and "--web" in said
+    code, message = view(recorded)
+    assert (code, message.count("\n")) == (1, 1)
+    assert message.startswith("error: a viewer cannot be opened here: ") and "--web" in message
 
 
 def test_serves_page_and_recording_to_this_machine_only(page: str, recorded: Path) -> None:

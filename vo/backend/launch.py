@@ -21,7 +21,7 @@ _PIPE_BYTES = 1 << 20
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
 # where this process finds them, not in the folder that it happens to be started in.
 # numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
-# Ctrl-C is for the process that asks. What is loaded is no garbage, see `vo.cli.loading`.
+# Ctrl-C is for the process that asks. What is loaded is no garbage, see `vo.cli.garbage`.
 _PROGRAM = """
 import gc, signal, sys
 gc.disable()

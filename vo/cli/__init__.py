@@ -1,1 +1,1 @@
-"""The command line: parse, load the config, call one library function, print a table."""
+"""Command line: parse arguments, load settings, call one library function, print a table."""

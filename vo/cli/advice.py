@@ -1,4 +1,4 @@
-"""What a run's summary means in plain words, and what to try when it is not good."""
+"""Verdict on a run, and advice for runs with problems."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from vo.types import ImageDefect
 
 Grade = Literal["good", "caution", "bad"]
 
-_FEW_INLIERS = 50
-_MOST_RANGES = 3
-_MOSTLY = 0.5
-_LONG_WITHOUT_MAP = 0.1  # of all frames
+_MIN_INLIERS = 50
+_MAX_RANGES = 3
+_MIN_TRACKED = 0.5  # of all frames
+_MAX_STARTING = 0.1  # of all frames
 _CAUSES = {
     ImageDefect.BLACK: "exposure too short, lens cap on, lights off?",
     ImageDefect.WHITE: "exposure too long?",
@@ -21,80 +21,81 @@ _CAUSES = {
 
 
 class Verdict(NamedTuple):
-    """A run in one sentence."""
+    """Quality of a run, and one sentence about it."""
 
     grade: Grade
     sentence: str
 
 
 def verdict(summary: Summary) -> Verdict:
-    """How good a run was, the worst news first."""
+    """Grade a run by its worst problem."""
     frames, tracked = summary.frames, summary.tracked
     if not tracked:
         return Verdict("bad", f"no path: none of the {frames} frames has a pose")
-    whole = tracked + summary.interpolated >= frames
-    have = f"all {frames} frames have a pose" if whole else f"{tracked} of {frames} frames do"
+    is_complete = tracked + summary.interpolated >= frames
+    have = f"all {frames} frames have a pose" if is_complete else f"{tracked} of {frames} frames do"
     segments = len(summary.segments)
     apart = f", in {segments} segments that are not connected" if segments > 1 else ""
     if summary.status != "finished":
         return Verdict("bad", f"{summary.status}: {have}{apart}")
-    if not whole:
-        share = tracked / frames
-        have = f"{tracked} of {frames} frames have a pose ({share:.1%})"
-        if share < _MOSTLY:
+    if not is_complete:
+        ratio = tracked / frames
+        have = f"{tracked} of {frames} frames have a pose ({ratio:.1%})"
+        if ratio < _MIN_TRACKED:
             return Verdict("bad", f"mostly lost: {have}{apart}")
         return Verdict("caution", f"with gaps: {have}{apart}")
     if segments > 1 or _is_poor(summary):
-        return Verdict("caution", f"complete, but not to be trusted: {have}{apart}")
+        return Verdict("caution", f"complete, but unreliable: {have}{apart}")
     if summary.warnings:
-        return Verdict("good", f"complete, with notes: {have}")
+        return Verdict("good", f"complete, with warnings: {have}")
     return Verdict("good", f"complete: {have}")
 
 
 def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
-    """What can be done about what was wrong, most promising first; empty after a good run."""
+    """Advice for the problems of a run, most promising first; empty after a good run."""
     lines = []
     mono = summary.facts.mode == "mono"
-    lights = dict.fromkeys(ImageDefect.of(r.reason) for r in summary.without_pose)
+    defects = dict.fromkeys(ImageDefect.of(r.reason) for r in summary.without_pose)
     lines += [
-        f"images are {light.value}: {_CAUSES[light]} vo info --contact-sheet sheet.png shows them"
-        for light in lights
-        if light is not None
+        f"images are {defect.value}: {_CAUSES[defect]} (see vo info --contact-sheet sheet.png)"
+        for defect in defects
+        if defect is not None
     ]
     if lines and not summary.tracked:
         return lines
-    if not summary.tracked or summary.starting > _LONG_WITHOUT_MAP * summary.frames:
+    if not summary.tracked or summary.starting > _MAX_STARTING * summary.frames:
         if mono:
             lines.append(
-                "one camera finds no depth while it stands still or only turns: begin where it "
-                "moves sideways (--start N), or give it a second camera"
+                "a single camera needs translation to initialise the map: start where it moves "
+                "sideways (--start N), or use two cameras"
             )
         else:
             lines.append(
-                "check the calibration: baseline, focal length, left and right not swapped"
+                "check the calibration (baseline, focal length), and that left and right are not "
+                "swapped"
             )
-            lines.append("if all is too far away for the baseline, --mode mono does without it")
+            lines.append("if the scene is too far away for the baseline, use --mode mono")
     if summary.lost:
-        how = "vo view shows it" if is_recorded else "record with --rrd, then vo view"
-        lines.append(f"look at what happened in {_ranges(summary)}: {how}")
+        how = "use vo view" if is_recorded else "record with --rrd, then use vo view"
+        lines.append(f"to inspect {_lost_ranges(summary)}, {how}")
         lines.append(
-            "--config accurate, or --set features.count=3000; images that are blurred, dark or "
-            "full of moving things cannot be tracked"
+            "try --config accurate, or --set features.count=3000; blurred or dark images, or those "
+            "filled by moving objects, cannot be tracked"
         )
     elif _is_poor(summary):
-        lines.append("few landmarks agree: check the calibration, or try --config accurate")
+        lines.append("few inlier landmarks: check the calibration, or try --config accurate")
     return lines
 
 
 def _is_poor(summary: Summary) -> bool:
-    return bool(summary.tracked) and (summary.median_inliers or 0.0) < _FEW_INLIERS
+    return bool(summary.tracked) and (summary.median_inliers or 0.0) < _MIN_INLIERS
 
 
-def _ranges(summary: Summary) -> str:
-    """The frames that were lost, as people would say them."""
+def _lost_ranges(summary: Summary) -> str:
+    """The lost frames in words."""
     lost = [r for r in summary.without_pose if r.state == "lost"]
-    said = [
-        str(r.first) if r.first == r.last else f"{r.first} to {r.last}" for r in lost[:_MOST_RANGES]
+    texts = [
+        str(r.first) if r.first == r.last else f"{r.first} to {r.last}" for r in lost[:_MAX_RANGES]
     ]
-    more = ", …" if len(lost) > _MOST_RANGES else ""
-    return f"frames {', '.join(said)}{more}" if said else "the frames that were lost"
+    more = ", …" if len(lost) > _MAX_RANGES else ""
+    return f"frames {', '.join(texts)}{more}" if texts else "the lost frames"

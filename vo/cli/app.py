@@ -1,4 +1,4 @@
-"""The Typer application: one `error: …` line for what a user can mend, a traceback for bugs."""
+"""The Typer application: user errors become one `error: …` line, bugs keep their traceback."""
 
 from __future__ import annotations
 
@@ -18,75 +18,71 @@ from vo.cli.eval import eval_command
 from vo.cli.info import info_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
-from vo.cli.synth import EPILOG, synth_command
+from vo.cli.synth import synth_command
 from vo.cli.view import view_command
 from vo.errors import VoError
 
+# Headings of the commands in `vo --help`.
+_ODOMETRY, _RESULTS, _RECORDINGS = "Odometry", "Results", "Recordings and cameras"
+
 
 class _Group(TyperGroup):
-    """Turns a `VoError` of any command into one line on stderr and exit status 1.
-
-    So it does with what the system refuses, such as standard output on a full disk.
-    """
+    """Prints a `VoError` or OSError of any command as one line and exits with status 1."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        _refuse_empty_words(args)
+        _refuse_empty_arguments(args)
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        _print_whatever_the_locale()
+        _replace_unprintable_characters()
         try:
             return super().invoke(ctx)
         except VoError as error:
             typer.echo(f"error: {error}", err=True)
             raise typer.Exit(1) from error
         except OSError as error:
-            if error.errno is None or error.errno == errno.EPIPE:  # a pipe that was closed is none
+            if error.errno is None or error.errno == errno.EPIPE:  # a closed pipe is no error
                 raise
-            where = "what is printed" if error.filename is None else error.filename
+            where = "standard output" if error.filename is None else error.filename
             typer.echo(f"error: {where}: {error.strerror}", err=True)
-            _give_up_stdout()
+            _discard_stdout()
             raise typer.Exit(1) from error
 
 
-def _refuse_empty_words(words: list[str]) -> None:
-    """As a path an empty word would be the current folder, which nobody means by it."""
-    for number, word in enumerate(words):
-        name, equals, value = word.partition("=")
-        if word.strip() and not (equals and name.startswith("--") and not value.strip()):
+def _refuse_empty_arguments(arguments: list[str]) -> None:
+    """Refuse empty arguments, which as paths would mean the current folder."""
+    for number, argument in enumerate(arguments):
+        name, equals, value = argument.partition("=")
+        if argument.strip() and not (equals and name.startswith("--") and not value.strip()):
             continue
-        before = name if equals else words[number - 1] if number else ""
-        what = f"what follows {before}" if before.startswith("-") else "an argument"
-        typer.echo(f"error: {what} is empty; is a variable of the shell not set?", err=True)
+        option = name if equals else arguments[number - 1] if number else ""
+        what = f"the value of {option}" if option.startswith("-") else "an argument"
+        typer.echo(f"error: {what} is empty; is a shell variable not set?", err=True)
         raise typer.Exit(2)
 
 
-def _print_whatever_the_locale() -> None:
-    """Where it knows ASCII only, other letters become question marks instead of an error."""
+def _replace_unprintable_characters() -> None:
+    """Print question marks for characters that the locale lacks, instead of raising an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
-def _give_up_stdout() -> None:
-    """What is still to be printed would fail again as the program ends."""
+def _discard_stdout() -> None:
+    """Discard buffered output, which could not be written at exit either."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError, AttributeError):  # it is closed already, or no file
+    except (OSError, ValueError, AttributeError):  # closed, or not a file
         return
 
 
 app = typer.Typer(
-    cls=_Group,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Visual odometry: a camera's path, with its uncertainty, from images.",
+    cls=_Group, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_given: bool) -> None:
+    if is_given:
         from vo import __version__
 
         typer.echo(f"vo {__version__}")
@@ -98,26 +94,37 @@ def _vo(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version and stop."
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
 ) -> None:
-    """Keeps `vo` a group of commands even with one command."""
+    """Visual odometry: the trajectory of a camera, with its uncertainty, from images.
+
+    Try it without a recording:
+
+      vo demo
+
+    Run it on a recording, evaluate the trajectory, and write a report:
+
+      vo run my_sequence/ -o out/
+      vo eval out/ my_sequence/
+      vo report out/
+    """
 
 
-app.command("run")(run_command)
-app.command("info")(info_command)
-app.command("convert")(convert_command)
-app.command("calibrate")(calibrate_command)
-app.command("eval")(eval_command)
-app.command("view")(view_command)
-app.command("report")(report_command)
-app.command("demo")(demo_command)
-app.command("synth", epilog=EPILOG)(synth_command)
+app.command("run", rich_help_panel=_ODOMETRY)(run_command)
+app.command("demo", rich_help_panel=_ODOMETRY)(demo_command)
+app.command("eval", rich_help_panel=_RESULTS)(eval_command)
+app.command("report", rich_help_panel=_RESULTS)(report_command)
+app.command("view", rich_help_panel=_RESULTS)(view_command)
+app.command("info", rich_help_panel=_RECORDINGS)(info_command)
+app.command("convert", rich_help_panel=_RECORDINGS)(convert_command)
+app.command("calibrate", rich_help_panel=_RECORDINGS)(calibrate_command)
+app.command("synth", rich_help_panel=_RECORDINGS)(synth_command)
 
 
-def keep_only(words: list[str]) -> None:
-    """Of all commands leave the one that is called: Typer would make all of them ready."""
-    called = [c for c in app.registered_commands if [c.name] == words]
-    if called:
-        app.registered_commands = called
+def keep_only(arguments: list[str]) -> None:
+    """Remove all commands but the given one, as Typer would prepare all of them."""
+    given = [command for command in app.registered_commands if [command.name] == arguments]
+    if given:
+        app.registered_commands = given

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from vo.cli.run import ModeChoice
+from vo.cli import options
 from vo.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from vo.calibrating.calibrate import CalibrationResult
 
 
-# Headings of the options in `--help`.
-_BOARD, _INPUT, _ESTIMATION, _OUTPUT = "Board", "Input", "Estimation", "Output"
+# Headings of the options in `--help`, besides those in `options`.
+_BOARD, _ESTIMATION = "Board", "Estimation"
 
 _MAX_GROUP = 10
 """Largest number of frames read for each frame searched."""
@@ -44,153 +44,125 @@ class Model(StrEnum):
     EQUIDISTANT = "equidistant"
 
 
+Recording = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Recording of the board, in any format of `vo run`; no calibration is needed.",
+        show_default=False,
+    ),
+]
+Output = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Calibration file to write.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+Kind = Annotated[BoardKind, typer.Option(help="Kind of board.", rich_help_panel=_BOARD)]
+Columns = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="Inner corners in a row: squares minus one.",
+        min=1,
+        rich_help_panel=_BOARD,
+    ),
+]
+Rows = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="Inner corners in a column: squares minus one.",
+        min=1,
+        rich_help_panel=_BOARD,
+    ),
+]
+Square = Annotated[
+    float,
+    typer.Option(metavar="METRES", help="Measured side of a square.", rich_help_panel=_BOARD),
+]
+Marker = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Side of a ChArUco marker.",
+        show_default="0.75 squares",
+        rich_help_panel=_BOARD,
+    ),
+]
+Dictionary = Annotated[
+    str,
+    typer.Option(metavar="NAME", help="Dictionary of the ChArUco markers.", rich_help_panel=_BOARD),
+]
+Legacy = Annotated[
+    bool,
+    typer.Option("--legacy", help="ChArUco layout of OpenCV before 4.6.", rich_help_panel=_BOARD),
+]
+LensChoice = Annotated[
+    Model,
+    typer.Option(help="Lens model. auto: the simplest that fits.", rich_help_panel=_ESTIMATION),
+]
+LookAt = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Largest number of frames to search, those with the least motion.",
+        rich_help_panel=_ESTIMATION,
+    ),
+]
+Views = Annotated[
+    int,
+    typer.Option(
+        min=3,
+        metavar="N",
+        help="Largest number of views to use, the most different ones.",
+        rich_help_panel=_ESTIMATION,
+    ),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Plot coverage, residuals and errors to this .png, .pdf or .svg file.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+PrintBoard = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Write a board to print in true size: .pdf, .png or .svg.",
+        rich_help_panel=_BOARD,
+    ),
+]
+
+
 def calibrate_command(
-    source: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="RECORDING",
-            help="Recording of the board, in any format of `vo run`; no calibration is needed.",
-            show_default=False,
-        ),
-    ] = None,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Calibration file to write.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = Path("calibration.yaml"),
-    board: Annotated[
-        BoardKind, typer.Option(help="Kind of board.", rich_help_panel=_BOARD)
-    ] = BoardKind.CHESSBOARD,
-    columns: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            help="Inner corners in a row: squares minus one.",
-            min=1,
-            rich_help_panel=_BOARD,
-        ),
-    ] = 9,
-    rows: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            help="Inner corners in a column: squares minus one.",
-            min=1,
-            rich_help_panel=_BOARD,
-        ),
-    ] = 6,
-    square: Annotated[
-        float,
-        typer.Option(metavar="METRES", help="Measured side of a square.", rich_help_panel=_BOARD),
-    ] = 0.03,
-    marker: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Side of a ChArUco marker.",
-            show_default="0.75 squares",
-            rich_help_panel=_BOARD,
-        ),
-    ] = None,
-    dictionary: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help="Dictionary of the ChArUco markers.", rich_help_panel=_BOARD
-        ),
-    ] = "4X4_50",
-    legacy: Annotated[
-        bool,
-        typer.Option(
-            "--legacy",
-            help="ChArUco layout of OpenCV before 4.6.",
-            rich_help_panel=_BOARD,
-        ),
-    ] = False,
-    model: Annotated[
-        Model,
-        typer.Option(help="Lens model. auto: the simplest that fits.", rich_help_panel=_ESTIMATION),
-    ] = Model.AUTO,
-    mode: Annotated[
-        ModeChoice,
-        typer.Option(help="mono: only the left camera.", rich_help_panel=_INPUT),
-    ] = ModeChoice.AUTO,
-    format: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORMAT",
-            help="Format of the recording, as in `vo run`.",
-            show_default="detected",
-            rich_help_panel=_INPUT,
-        ),
-    ] = None,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TOPIC",
-            help="Image topic of a log, as in `vo run`; repeatable.",
-            show_default="detected",
-            rich_help_panel=_INPUT,
-        ),
-    ] = None,
-    start: Annotated[
-        int,
-        typer.Option(
-            min=0, metavar="N", help="First frame, counted from 0.", rich_help_panel=_INPUT
-        ),
-    ] = 0,
-    end: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Stop before this frame.",
-            show_default="end of the recording",
-            rich_help_panel=_INPUT,
-        ),
-    ] = None,
-    look_at: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Largest number of frames to search, those with the least motion.",
-            rich_help_panel=_ESTIMATION,
-        ),
-    ] = 400,
-    views: Annotated[
-        int,
-        typer.Option(
-            min=3,
-            metavar="N",
-            help="Largest number of views to use, the most different ones.",
-            rich_help_panel=_ESTIMATION,
-        ),
-    ] = 60,
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Plot coverage, residuals and errors to this .png, .pdf or .svg file.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    json_output: Annotated[
-        bool,
-        typer.Option("--json", help="Print JSON instead of a table.", rich_help_panel=_OUTPUT),
-    ] = False,
-    print_board: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write a board to print in true size: .pdf, .png or .svg.",
-            rich_help_panel=_BOARD,
-        ),
-    ] = None,
+    source: Recording = None,
+    output: Output = Path("calibration.yaml"),
+    board: Kind = BoardKind.CHESSBOARD,
+    columns: Columns = 9,
+    rows: Rows = 6,
+    square: Square = 0.03,
+    marker: Marker = None,
+    dictionary: Dictionary = "4X4_50",
+    legacy: Legacy = False,
+    model: LensChoice = Model.AUTO,
+    mode: options.Mode = options.ModeChoice.AUTO,
+    format: options.Format = None,
+    topic: options.Topics = None,
+    start: options.Start = 0,
+    end: options.End = None,
+    look_at: LookAt = 400,
+    views: Views = 60,
+    picture: Picture = None,
+    json_output: options.Json = False,
+    print_board: PrintBoard = None,
 ) -> None:
     """Calibrate one or two cameras from a recording of a chessboard or ChArUco board.
 
@@ -210,24 +182,14 @@ def calibrate_command(
 
     made = make_board(board.value, columns, rows, square, marker, dictionary, legacy)
     if print_board is not None:
-        from vo.calibrating.printing import save_board
-
-        save_board(print_board, made)
-        typer.echo(f"{print_board}: {made}; print at 100 % and measure a square", err=True)
+        _print_board(print_board, made)
         if source is None:
             return
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
-    _check_outputs(output, picture)
-    request = _Request(
-        source, format, mode, tuple(topic or ()), start, end, look_at, model.value, views
-    )
-    try:
-        result = _calibrate(request, made)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted; {output} was not written", err=True)
-        raise typer.Exit(130) from None
-    _write(result, output, picture)
+    topics = tuple(topic or ())
+    request = _Request(source, format, mode, topics, start, end, look_at, model.value, views)
+    result = _calibrate_and_write(request, made, output, picture)
     if json_output:
         import json
 
@@ -240,18 +202,38 @@ def calibrate_command(
         print_result(result, output, picture)
 
 
+def _print_board(path: Path, board: Board) -> None:
+    from vo.calibrating.printing import save_board
+
+    save_board(path, board)
+    typer.echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
+
+
 class _Request(NamedTuple):
     """The recording to calibrate from, and the choice of its frames and views."""
 
     path: Path
     format: str | None
-    mode: ModeChoice
+    mode: options.ModeChoice
     topics: tuple[str, ...]
     start: int
     end: int | None
     max_frames: int
     model: str
     max_views: int
+
+
+def _calibrate_and_write(
+    request: _Request, board: Board, output: Path, picture: Path | None
+) -> CalibrationResult:
+    _check_outputs(output, picture)
+    try:
+        result = _calibrate(request, board)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted; {output} was not written", err=True)
+        raise typer.Exit(130) from None
+    _write(result, output, picture)
+    return result
 
 
 def _calibrate(request: _Request, board: Board) -> CalibrationResult:

@@ -1,4 +1,4 @@
-"""Where progress and warnings are told, which must never cost a run."""
+"""Console for progress and warnings, whose failures never end a run."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from rich.console import Console
 
 
 def standard_error() -> Console:
-    """A console on standard error; what a closed pipe or a full disk does not take is lost."""
-    file = None if sys.stderr is None else cast("IO[str]", _Forgiving(sys.stderr))
+    """A console on standard error; output to a closed pipe or a full disk is discarded."""
+    file = None if sys.stderr is None else cast("IO[str]", _FailSafeFile(sys.stderr))
     return Console(file=file, stderr=True, highlight=False)
 
 
-class _Forgiving:
-    """A text file whose failures to write go unnoticed."""
+class _FailSafeFile:
+    """A text file that ignores write errors."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
 
     def write(self, text: str) -> int:
-        """As far as that goes."""
+        """Write the text if possible."""
         with suppress(OSError):
             self._file.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """The same."""
+        """Flush if possible."""
         with suppress(OSError):
             self._file.flush()
 

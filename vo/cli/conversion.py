@@ -1,4 +1,4 @@
-"""From any recording to one that the generator's writers put on disk."""
+"""Conversion of a recording to a format of the synthetic generator's writers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,15 @@ import numpy as np
 
 from data_synth.records import Pixels, Recording, Shot
 from data_synth.writers.registry import FORMATS, load_writer
+from vo.cli.conversion_ground_truth import (
+    body_truth,
+    no_poses,
+    poses_around,
+    poses_at,
+    write_original_truth,
+)
 from vo.cli.conversion_imu import imu_around
 from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
-from vo.cli.conversion_truth import around, body_truth, no_poses, poses_at, settle_truth
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.geometry.transforms import inverse
 from vo.inspection.opening import OpenedRecording, collected_warnings, right_stamps
@@ -30,16 +36,16 @@ _NS_PER_S = 1e9
 
 @dataclass(frozen=True)
 class Conversion:
-    """What is to become of a recording.
+    """Settings of a conversion.
 
     Attributes:
         format: a key of the writers' `FORMATS`.
         codec: `png`, `jpeg` or `raw`.
         start: first frame.
         end: frame to stop before; None for the last.
-        stride: take every so many frames.
-        size: width and height of all images, or a factor; None leaves them.
-        gray: grey images with 8 bits, as the odometry sees them; else as they were recorded.
+        stride: step between frames.
+        size: width and height of all images, or a factor; None keeps the size.
+        gray: write 8-bit grey images; else images keep colour and bit depth.
     """
 
     format: str
@@ -52,7 +58,7 @@ class Conversion:
 
     @property
     def images(self) -> ImageKind:
-        """What images are read as; JPEG has no room for 16 bits."""
+        """Kind of images to read; JPEG does not support 16 bits."""
         if self.gray:
             return "grey"
         return "colour" if self.codec == "jpeg" else "recorded"
@@ -60,7 +66,15 @@ class Conversion:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The frames to write: numbers in the source, left and right stamps (-1: no right image)."""
+    """The frames to write.
+
+    Attributes:
+        numbers: (N,) frame numbers in the source.
+        left_ns: (N,) left stamps.
+        right_ns: (N,) right stamps; -1 without a right image.
+        unreadable: frame numbers of unreadable left images.
+        right_unreadable: frame numbers of unreadable right images.
+    """
 
     numbers: Ints
     left_ns: Ints
@@ -70,76 +84,79 @@ class _Plan:
 
 
 class _UnreadableError(Exception):
-    """An image that was listed turned out to be damaged while it was written."""
+    """A listed image could not be read during the conversion."""
 
 
 def convert(
     opened: OpenedRecording,
     output: Path,
-    how: Conversion,
+    settings: Conversion,
     *,
     force: bool = False,
     on_frame: OnFrame | None = None,
 ) -> Recording:
-    """Write a recording anew; it appears when it is whole.
+    """Write a recording in another format; the output appears when it is complete.
 
     Args:
-        opened: the recording, opened.
-        output: folder or, for MCAP, file to make.
-        how: what to change.
-        force: replace a file that is there.
-        on_frame: called with the frames done and their total.
+        opened: the recording.
+        output: folder to create or, for MCAP, file.
+        settings: settings of the conversion.
+        force: replace an existing file.
+        on_frame: called with the numbers of frames done and in total.
 
     Raises:
-        SourceError: a run would refuse the recording, or the numbers choose no frame.
-        ConfigError: the layout cannot hold it.
-        OutputError: there is something already, or the place cannot be written.
+        SourceError: `vo run` would refuse the recording, or no frame is selected.
+        ConfigError: the format cannot represent the recording.
+        OutputError: the output exists already, or cannot be written.
     """
     source = opened.source
     if source is None:
         raise SourceError(opened.refusal.splitlines()[0])
     _refuse_existing(output, force)
-    plan = _plan(opened, source, how)
-    truth = around(plan.left_ns, source.ground_truth)
-    _check(_recording(source, truth, plan, how), how)
-    imu, body_from_cam0 = imu_around(source, plan.left_ns, how.format)
-    has_colour = not how.gray and is_in_colour([s.image for s in opened.cameras[0].shots])
+    plan = _plan(opened, source, settings)
+    truth = poses_around(plan.left_ns, source.ground_truth)
+    _check(_recording(source, truth, plan, settings), settings)
+    imu, body_from_cam0 = imu_around(source, plan.left_ns, settings.format)
+    lefts = opened.cameras[0].shots
+    has_colour = not settings.gray and is_in_colour([shot.image for shot in lefts])
     while True:
         recording = replace(
-            _recording(source, truth, plan, how),
+            _recording(source, truth, plan, settings),
             imu=imu,
             body_from_cam0=body_from_cam0,
             body_truth=body_truth(truth, inverse(body_from_cam0)),
             has_colour=has_colour,
         )
-        _check(recording, how)
+        _check(recording, settings)
         try:
-            with _whole(output, force) as partial:
-                shots = _shots(source, plan, how, on_frame)
-                load_writer(how.format)(partial, recording, shots, how.codec)
-                settle_truth(partial, how.format, recording, truth)
+            with _atomic_output(output) as partial:
+                shots = _shots(source, plan, settings, on_frame)
+                load_writer(settings.format)(partial, recording, shots, settings.codec)
+                write_original_truth(partial, settings.format, recording, truth)
             return recording
-        except _UnreadableError:  # now that it is known which are damaged, they can be left out
+        except _UnreadableError:  # find all unreadable images and start again without them
             _find_unreadable(source, plan)
 
 
-def _plan(opened: OpenedRecording, source: Source, how: Conversion) -> _Plan:
-    chosen = choose_frames(len(source), how.start, how.end, how.stride)
+def _plan(opened: OpenedRecording, source: Source, settings: Conversion) -> _Plan:
+    chosen = choose_frames(len(source), settings.start, settings.end, settings.stride)
     numbers = np.array(chosen, dtype=np.int64)
     right_ns = np.full(len(numbers), -1, dtype=np.int64)
     if source.rig.is_stereo:
         left, right = opened.cameras
-        with collected_warnings():  # they were said when it was opened
+        with collected_warnings():  # repeated from opening
             right_ns = right_stamps(left.shots, right.shots)[numbers]
     left_ns = source.stamps_ns[numbers]
     if left_ns[0] < 0:
-        raise SourceError(f"stamps begin at {left_ns[0]} ns; only those from 0 on can be written")
+        raise SourceError(f"the first stamp is {left_ns[0]} ns; negative stamps cannot be written")
     return _Plan(numbers, left_ns, right_ns)
 
 
-def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conversion) -> Recording:
-    """The recording but for its inertial sensor; its body is cam0."""
-    rig = scaled_rig(source.rig, how.size)
+def _recording(
+    source: Source, truth: Trajectory | None, plan: _Plan, settings: Conversion
+) -> Recording:
+    """The recording without inertial measurements, with cam0 as its body."""
+    rig = scaled_rig(source.rig, settings.size)
     no_left = np.isin(plan.numbers, list(plan.unreadable))
     stamps, dropped = [plan.left_ns], [no_left]
     if rig.is_stereo:
@@ -148,7 +165,7 @@ def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conve
         stamps.append(np.where(plan.right_ns < 0, plan.left_ns, plan.right_ns))
         dropped.append(no_right)
     interval = np.median(np.diff(plan.left_ns)) if len(plan.left_ns) > 1 else _NS_PER_S
-    is_log = how.format.startswith("mcap")
+    is_log = settings.format.startswith("mcap")
     return Recording(
         name=source.name,
         rig=rig,
@@ -164,34 +181,32 @@ def _recording(source: Source, truth: Trajectory | None, plan: _Plan, how: Conve
     )
 
 
-def _check(recording: Recording, how: Conversion) -> None:
-    """Refuse what the layout cannot hold."""
-    known = FORMATS[how.format]
-    if how.codec not in known.codecs:
+def _check(recording: Recording, settings: Conversion) -> None:
+    """Refuse what the format cannot represent."""
+    known = FORMATS[settings.format]
+    if settings.codec not in known.codecs:
         raise ConfigError(
-            f"format {how.format} cannot hold images as {how.codec}; choose --codec "
+            f"format {settings.format} does not support codec {settings.codec}; use --codec "
             f"{' or '.join(known.codecs)}"
         )
-    if how.format == "kitti" and any(dropped.any() for dropped in recording.dropped):
-        alone = int(np.sum([dropped.sum() for dropped in recording.dropped]))
+    if settings.format == "kitti" and any(dropped.any() for dropped in recording.dropped):
+        missing = int(np.sum([dropped.sum() for dropped in recording.dropped]))
         raise ConfigError(
-            f"format kitti cannot say which images are missing, and {alone} are; choose "
-            "--format euroc, which can, or --mode mono"
+            f"format kitti does not allow missing images, and {missing} are missing; use "
+            "--format euroc, or --mode mono"
         )
-    if how.format == "tum" and not recording.has_depth:
-        raise ConfigError(
-            "format tum holds one camera with depth, and there is none; choose --format euroc"
-        )
+    if settings.format == "tum" and not recording.has_depth:
+        raise ConfigError("format tum needs depth images, and there are none; use --format euroc")
     known.check(recording.rig, False)
 
 
 def _shots(
-    source: Source, plan: _Plan, how: Conversion, on_frame: OnFrame | None
+    source: Source, plan: _Plan, settings: Conversion, on_frame: OnFrame | None
 ) -> Iterator[Shot]:
-    """The frames as they are to be written, each exactly once and in order."""
-    rig = scaled_rig(source.rig, how.size)
+    """The frames to write, each exactly once and in order."""
+    rig = scaled_rig(source.rig, settings.size)
     total, done = len(plan.numbers), 0
-    for frame in source.frames(how.start, how.end, how.stride, how.images):
+    for frame in source.frames(settings.start, settings.end, settings.stride, settings.images):
         while plan.numbers[done] != frame.index:
             yield _missing(plan, done, rig)
             done += 1
@@ -226,7 +241,7 @@ def _missing(plan: _Plan, row: int, rig: Rig) -> Shot:
 
 
 def _find_unreadable(source: Source, plan: _Plan) -> None:
-    """Go through all frames and note what cannot be read."""
+    """Read all frames and record unreadable images."""
     first, last = int(plan.numbers[0]), int(plan.numbers[-1])
     stride = int(plan.numbers[1] - first) if len(plan.numbers) > 1 else 1
     right_ns = dict(zip(plan.numbers.tolist(), plan.right_ns.tolist(), strict=True))
@@ -239,15 +254,15 @@ def _find_unreadable(source: Source, plan: _Plan) -> None:
 
 
 def _refuse_existing(path: Path, force: bool) -> None:
-    taken = path.exists() and (not path.is_dir() or any(path.iterdir()))
-    if taken and (path.is_dir() or not force):
-        hint = "remove it first" if path.is_dir() else "or --force to replace it"
-        raise OutputError(f"{path} is there already; give another name, {hint}")
+    exists = path.exists() and (not path.is_dir() or any(path.iterdir()))
+    if exists and (path.is_dir() or not force):
+        hint = "remove it first" if path.is_dir() else "replace it with --force"
+        raise OutputError(f"{path} exists already; give another name, or {hint}")
 
 
 @contextmanager
-def _whole(path: Path, force: bool) -> Iterator[Path]:
-    """A place beside that takes the name of `path` at the end, or vanishes."""
+def _atomic_output(path: Path) -> Iterator[Path]:
+    """Temporary path beside `path`, renamed to it at the end, or removed after an error."""
     partial = path.parent / f".{path.name}.partial-{os.getpid()}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The inertial measurements of a recording on their way to another layout."""
+"""Conversion of inertial measurements."""
 
 from __future__ import annotations
 
@@ -9,54 +9,60 @@ import numpy as np
 from data_synth.records import BODY, Imu
 from vo.errors import VoError
 from vo.geometry.transforms import inverse
+from vo.sources.imu import Imu as SourceImu
+from vo.sources.imu import ImuSamples
 from vo.sources.source import Source
 from vo.types import Floats, Ints
 
 _log = logging.getLogger(__name__)
 
-_WITH_ROOM = ("euroc", "mcap", "mcap-ros2")
+_FORMATS_WITH_IMU = ("euroc", "mcap", "mcap-ros2")
 _SENSOR = "imu0"
 
 
 def imu_around(source: Source, stamps_ns: Ints, format: str) -> tuple[Imu | None, Floats]:
-    """What the first inertial sensor measured, from one sample before the frames to one after.
+    """Measurements of the first inertial sensor, from one sample before the frames to one after.
 
     Args:
         source: the recording.
-        stamps_ns: of the frames.
+        stamps_ns: (N,) stamps of the frames.
         format: a key of the writers' `FORMATS`.
 
     Returns:
-        The measurements, None where there are none or the layout has no room for them; and
-        body_from_cam0: the body is the sensor, or cam0 where nobody knows where the sensor is.
+        The measurements, None if there are none or the format does not support them; and
+        body_from_cam0, where the body is the sensor, or cam0 if the pose of the sensor is unknown.
     """
     if not source.imus:
         return None, np.eye(4)
     sensor = source.imus[0]
-    if format not in _WITH_ROOM:
-        _log.warning("%s left out: format %s has no room for it", sensor.name, format)
+    if format not in _FORMATS_WITH_IMU:
+        _log.warning("%s left out: format %s does not support it", sensor.name, format)
         return None, np.eye(4)
     try:
-        all_ns = sensor.stamps_ns
-        first = int(np.searchsorted(all_ns, stamps_ns[0])) - 1
-        last = int(np.searchsorted(all_ns, stamps_ns[-1], side="right"))
-        kept = all_ns[max(0, first) : last + 1]
-        samples = sensor.read(int(kept[0]), int(kept[-1])) if len(kept) else None
-        place = sensor.cam0_from_imu
+        samples, cam0_from_imu = _read_around(sensor, stamps_ns), sensor.cam0_from_imu
     except VoError as error:
         _log.warning("inertial measurements left out: %s", error)
         return None, np.eye(4)
     if samples is None or len(samples) < 2:
-        _log.warning("%s left out: it measured nothing at the time of the frames", sensor.name)
+        _log.warning("%s left out: no measurements during the frames", sensor.name)
         return None, np.eye(4)
-    if place is None:
-        _log.warning("%s: nothing says where it is beside the camera", sensor.name)
+    if cam0_from_imu is None:
+        _log.warning("%s: its pose relative to the camera is unknown", sensor.name)
     imu = Imu(
         stamps_ns=samples.stamps_ns,
         gyro=samples.gyro,
         accel=samples.accel,
         rate_hz=1e9 / float(np.median(np.diff(samples.stamps_ns))),
         noise=sensor.noise,
-        frame=_SENSOR if place is None else BODY,
+        frame=_SENSOR if cam0_from_imu is None else BODY,
     )
-    return imu, np.eye(4) if place is None else inverse(place)
+    return imu, np.eye(4) if cam0_from_imu is None else inverse(cam0_from_imu)
+
+
+def _read_around(sensor: SourceImu, stamps_ns: Ints) -> ImuSamples | None:
+    """Samples from one before the first stamp to one after the last; None without any."""
+    all_ns = sensor.stamps_ns
+    first = int(np.searchsorted(all_ns, stamps_ns[0])) - 1
+    last = int(np.searchsorted(all_ns, stamps_ns[-1], side="right"))
+    kept = all_ns[max(0, first) : last + 1]
+    return sensor.read(int(kept[0]), int(kept[-1])) if len(kept) else None

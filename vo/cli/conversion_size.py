@@ -1,4 +1,4 @@
-"""Images and cameras in another size."""
+"""Resizing of images and calibrations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Size = tuple[int, int] | float
 
 
 def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
-    """The same lens on other pixels; the corners of the image, not the pixels' centres, stay."""
+    """The camera at another image size; the outer corners of the image are kept."""
     su, sv = width / camera.width, height / camera.height
     return replace(
         camera,
@@ -30,7 +30,7 @@ def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
 
 
 def scaled_rig(rig: Rig, size: Size | None) -> Rig:
-    """Every camera scaled, their distance as it was."""
+    """The rig with all cameras scaled."""
     if size is None:
         return rig
     cam1 = None if rig.cam1 is None else _scaled_to(rig.cam1, size)
@@ -45,17 +45,17 @@ def _scaled_to(camera: Camera, size: Size) -> Camera:
 
 
 def resized(image: Pixels, camera: Camera) -> Pixels:
-    """An image in the size of a camera, grey or colour, 8 or 16 bits."""
+    """An image, grey or colour, resized to the image size of a camera."""
     size = (camera.width, camera.height)
     if (image.shape[1], image.shape[0]) == size:
         return image
     shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
-    way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return cast("Pixels", cv2.resize(image, size, interpolation=way))
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return cast("Pixels", cv2.resize(image, size, interpolation=method))
 
 
 def resized_depth(depth: Floats32, camera: Camera) -> Floats32:
-    """Moved, never mixed, as edges are in it."""
+    """A depth image, resized without mixing depths at edges."""
     size = (camera.width, camera.height)
     if (depth.shape[1], depth.shape[0]) == size:
         return depth

@@ -1,4 +1,4 @@
-"""`vo demo`: a synthetic stereo recording, made, run and scored in one command."""
+"""`vo demo`: render a synthetic stereo recording, run on it, and evaluate the result."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ def demo_command(
             "--output",
             "-o",
             metavar="FOLDER",
-            help="Folder for the recording, which is kept, and the results.",
+            help="Folder for the recording and the results.",
         ),
     ] = Path("out/demo"),
 ) -> None:
-    """Show the odometry at work on a synthetic stereo recording with exact truth.
+    """Demonstrate visual odometry on a synthetic stereo recording.
 
-    Films a walk of 20 s around a furnished room (the first time only), computes
-    the camera's path from its images, compares it with the truth, and says
-    where the results are.
+    Renders a walk of 20 s around a furnished room (kept for the next time),
+    estimates the trajectory, evaluates it against the exact ground truth, and
+    prints the paths of the results.
+
+      vo demo
     """
     from rich.console import Console
 
@@ -46,11 +48,11 @@ def demo_command(
     from vo.cli.eval_table import print_evaluation
 
     print_evaluation(evaluation, inputs, console=console)
-    _print_what_next(console, sequence, results, rrd, plot)
+    _print_next_steps(console, sequence, results, rrd, plot)
 
 
 def _find_or_make_sequence(output: Path, console: Console) -> Path:
-    """The recording: it appears only when it is whole, so one that is there is good."""
+    """The recording, rendered unless it exists; an existing one is always complete."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
     from data_synth.cache import cached_sequence
@@ -58,15 +60,15 @@ def _find_or_make_sequence(output: Path, console: Console) -> Path:
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("getting the renderer ready", total=None)
+        task = bar.add_task("preparing the renderer", total=None)
 
         def show(done: int, total: int) -> None:
             bar.update(task, description="rendering", completed=done, total=total)
 
         recipe = load_recipe("demo")
         sequence = cached_sequence(recipe, output, "recording", on_frame=show)
-        made = "" if bar.tasks[0].total else " (made before)"
-    console.print(f"recording   {sequence}{made}: {recipe.about}", soft_wrap=True)
+        origin = "" if bar.tasks[0].total else " (made earlier)"
+    console.print(f"recording   {sequence}{origin}: {recipe.about}", soft_wrap=True)
     return sequence
 
 
@@ -91,24 +93,24 @@ def _evaluate(results: Path, sequence: Path, plot: Path) -> tuple[Inputs, Evalua
 
     inputs = load_inputs(results, sequence)
     evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
-    save_plot(plot, evaluation, inputs.reference, "vo demo: path against truth")
+    save_plot(plot, evaluation, inputs.reference, "vo demo: estimate and ground truth")
     return inputs, evaluation
 
 
-def _print_what_next(
+def _print_next_steps(
     console: Console, sequence: Path, results: Path, rrd: Path, plot: Path
 ) -> None:
     vo, rerun = _program("vo"), _program("rerun")
     quoted = [shlex.quote(str(path)) for path in (sequence, results, rrd)]
     lines = (
         f"\nplot        {plot}",
-        f"for rerun   {rrd}",
+        f"rerun file  {rrd}",
         f"results     {results}",
         "\nTry next:",
-        f"  {rerun} {quoted[2]}    # look at the run in 3D",
-        f"  {vo} eval {quoted[1]} {quoted[0]} --json    # the same numbers for a script",
-        f"  {vo} synth out/street --preset kitti    # another world, camera and motion",
-        f"  {vo} run MY_RECORDING --output out/mine    # your own, see README.md",
+        f"  {rerun} {quoted[2]}    # view the run in 3D",
+        f"  {vo} eval {quoted[1]} {quoted[0]} --json    # the same figures as JSON",
+        f"  {vo} synth out/street --preset kitti    # another scene, camera and motion",
+        f"  {vo} run MY_RECORDING --output out/mine    # your own recording, see README.md",
         f"  {vo} --help",
     )
     for line in lines:
@@ -116,7 +118,7 @@ def _print_what_next(
 
 
 def _program(name: str) -> str:
-    """How to call a program of this environment from here."""
+    """Command that starts a program of this environment."""
     if shutil.which(name):
         return name
     return shlex.quote(os.path.relpath(Path(sys.executable).parent / name))

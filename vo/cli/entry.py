@@ -1,4 +1,4 @@
-"""Where the program `vo` begins and ends: Ctrl-C is answered there too, and with no traceback."""
+"""Entry point of the program `vo`: start-up, Ctrl-C at any time, and exit."""
 
 from __future__ import annotations
 
@@ -9,41 +9,41 @@ import signal
 import sys
 from types import FrameType
 
-from vo.cli.loading import loading
+from vo.cli.garbage import collection_paused
 from vo.compiling.processor import use_common_instructions
 
 _INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> None:
-    """Load the command line and hand over to it."""
-    answers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if answers:
+    """Load the command line and execute the command."""
+    handles_interrupts = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if handles_interrupts:
         # While modules are loaded, an exception could be swallowed or turned into another one.
-        signal.signal(signal.SIGINT, _leave)
-    # Matrices are small here: a second thread of BLAS only waits, at the cost of the core it waits
-    # on, and the bits of a result may depend on their number.
+        signal.signal(signal.SIGINT, _exit_at_once)
+    # Matrices are small here: a second BLAS thread would only wait and occupy a core, and results
+    # may depend on the number of threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     use_common_instructions()
-    # Nothing here uses scipy; numba would load it, where it is installed, to look for a BLAS.
+    # scipy is not used; numba would load it, if installed, to search for a BLAS.
     sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
-    # Others' plugins for pydantic are not wanted: it would look through all packages for them.
+    # pydantic would search all installed packages for plugins.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    with loading():
+    with collection_paused():
         from vo.cli.app import app, keep_only
 
         keep_only(sys.argv[1:2])
 
-    atexit.register(gc.freeze)  # as the program ends there is nothing to be gained by a search
-    if answers:
-        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # all is done by then
+    atexit.register(gc.freeze)  # a garbage collection at exit would be wasted time
+    if handles_interrupts:
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # everything is done
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         app()
-    except KeyboardInterrupt:  # before a command began, or after it
-        _leave(signal.SIGINT, None)
+    except KeyboardInterrupt:  # before or after the command
+        _exit_at_once(signal.SIGINT, None)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    """End at once: nothing has been begun that would have to be tidied up."""
+def _exit_at_once(number: int, frame: FrameType | None) -> None:
+    """End the process without clean-up, as there is nothing to clean up."""
     os._exit(_INTERRUPTED)

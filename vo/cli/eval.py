@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.cli import options
+
 if TYPE_CHECKING:
     from vo.evaluation.inputs import Inputs
     from vo.evaluation.report import Evaluation
 
-# Headings of the options in `--help`.
-_PAIRING, _METRICS, _OUTPUT = "Association and alignment", "Metrics", "Output"
+# Headings of the options in `--help`, besides those in `options`.
+_PAIRING, _METRICS = "Association and alignment", "Metrics"
 
 
 class Align(StrEnum):
@@ -26,83 +28,88 @@ class Align(StrEnum):
     SCALE = "scale"
 
 
+Estimate = Annotated[
+    Path,
+    typer.Argument(
+        metavar="ESTIMATE", help="Trajectory file (TUM, KITTI, EuRoC), or the folder of a run."
+    ),
+]
+Reference = Annotated[
+    Path,
+    typer.Argument(metavar="TRUTH", help="Ground truth file, or recording with ground truth."),
+]
+Alignment = Annotated[
+    Align,
+    typer.Option(
+        help="Transform that aligns the estimate with the ground truth. auto: sim3 for a mono run, "
+        "else se3.",
+        rich_help_panel=_PAIRING,
+    ),
+]
+Tolerance = Annotated[
+    float,
+    typer.Option(
+        min=0.0,
+        metavar="SECONDS",
+        help="Largest difference between the stamps of a pair.",
+        rich_help_panel=_PAIRING,
+    ),
+]
+Interpolate = Annotated[
+    bool,
+    typer.Option(
+        "--interpolate/--no-interpolate",
+        help="Interpolate the ground truth at the estimate's stamps, or take the nearest pose.",
+        rich_help_panel=_PAIRING,
+    ),
+]
+Delta = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Step of the relative error in matched poses.",
+        rich_help_panel=_METRICS,
+    ),
+]
+DeltaM = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Step of the relative error in metres.",
+        show_default="about a tenth of the path",
+        rich_help_panel=_METRICS,
+    ),
+]
+AllSegments = Annotated[
+    bool,
+    typer.Option(
+        "--all-segments",
+        help="Evaluate all segments of a run as one, not only the longest.",
+        rich_help_panel=_METRICS,
+    ),
+]
+Plot = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Plot path and errors to this .png, .pdf or .svg file.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+
+
 def eval_command(
-    estimate: Annotated[
-        Path,
-        typer.Argument(
-            metavar="ESTIMATE",
-            help="Trajectory file (TUM, KITTI, EuRoC), or the folder of a run.",
-        ),
-    ],
-    reference: Annotated[
-        Path,
-        typer.Argument(
-            metavar="TRUTH", help="Ground truth file, or a recording with ground truth."
-        ),
-    ],
-    align: Annotated[
-        Align,
-        typer.Option(
-            help="Transform that aligns the estimate with the ground truth. auto: sim3 for a mono "
-            "run, else se3.",
-            rich_help_panel=_PAIRING,
-        ),
-    ] = Align.AUTO,
-    tolerance: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            metavar="SECONDS",
-            help="Largest difference between the stamps of a pair.",
-            rich_help_panel=_PAIRING,
-        ),
-    ] = 0.01,
-    interpolate: Annotated[
-        bool,
-        typer.Option(
-            "--interpolate/--no-interpolate",
-            help="Interpolate the ground truth at the estimate's stamps, or take the nearest pose.",
-            rich_help_panel=_PAIRING,
-        ),
-    ] = False,
-    delta: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Step of the relative error in matched poses.",
-            rich_help_panel=_METRICS,
-        ),
-    ] = 1,
-    delta_m: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Step of the relative error in metres.",
-            rich_help_panel=_METRICS,
-            show_default="about a tenth of the path",
-        ),
-    ] = None,
-    all_segments: Annotated[
-        bool,
-        typer.Option(
-            "--all-segments",
-            help="Evaluate all segments of a run as one, not only the longest.",
-            rich_help_panel=_METRICS,
-        ),
-    ] = False,
-    json_output: Annotated[
-        bool,
-        typer.Option("--json", help="Print JSON instead of a table.", rich_help_panel=_OUTPUT),
-    ] = False,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Plot path and errors to this .png, .pdf or .svg file.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
+    estimate: Estimate,
+    reference: Reference,
+    align: Alignment = Align.AUTO,
+    tolerance: Tolerance = 0.01,
+    interpolate: Interpolate = False,
+    delta: Delta = 1,
+    delta_m: DeltaM = None,
+    all_segments: AllSegments = False,
+    json_output: options.Json = False,
+    plot: Plot = None,
 ) -> None:
     """Evaluate an estimated trajectory against ground truth.
 

@@ -7,69 +7,35 @@ from typing import Annotated
 
 import typer
 
-from vo.cli.run import ModeChoice
+from vo.cli import options
 
-# Headings of the options in `--help`.
-_INPUT, _CHECKS, _OUTPUT = "Input", "Checks", "Output"
+ContactSheet = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Write evenly spaced images to this PNG file.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+AllImages = Annotated[
+    bool,
+    typer.Option(
+        "--all",
+        help="Check all images and inertial samples, not 24 images per camera.",
+        rich_help_panel=options.INPUT,
+    ),
+]
 
 
 def info_command(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="RECORDING", help="Recording in any format of `vo run`."),
-    ],
-    contact_sheet: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write evenly spaced images to this PNG file.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    json_output: Annotated[
-        bool,
-        typer.Option("--json", help="Print JSON instead of text.", rich_help_panel=_OUTPUT),
-    ] = False,
-    all_images: Annotated[
-        bool,
-        typer.Option(
-            "--all",
-            help="Check all images and inertial samples, not 24 images per camera.",
-            rich_help_panel=_CHECKS,
-        ),
-    ] = False,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Calibration to use instead of the recording's own.",
-            rich_help_panel=_INPUT,
-        ),
-    ] = None,
-    format: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORMAT",
-            help="Format of the recording, as in `vo run`.",
-            show_default="detected",
-            rich_help_panel=_INPUT,
-        ),
-    ] = None,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TOPIC",
-            help="Image topic of a log, as in `vo run`; repeatable.",
-            show_default="detected",
-            rich_help_panel=_INPUT,
-        ),
-    ] = None,
-    mode: Annotated[
-        ModeChoice,
-        typer.Option(
-            help="mono: only the left camera; stereo: require both.", rich_help_panel=_INPUT
-        ),
-    ] = ModeChoice.AUTO,
+    source: options.Recording,
+    contact_sheet: ContactSheet = None,
+    json_output: options.Json = False,
+    all_images: AllImages = False,
+    calibration: options.Calibration = None,
+    format: options.Format = None,
+    topic: options.Topics = None,
+    mode: options.Mode = options.ModeChoice.AUTO,
 ) -> None:
     """Show what a recording contains, its problems, and how to run it.
 

@@ -13,30 +13,37 @@ if TYPE_CHECKING:
     from vo.report.run_folder import RunRecord
 
 
+Runs = Annotated[
+    list[Path],
+    typer.Argument(metavar="RUN", help="Output folders of `vo run`; several are compared."),
+]
+Output = Annotated[
+    Path,
+    typer.Option(
+        "--output", "-o", metavar="FILE", help="HTML file to write; overwritten if it exists."
+    ),
+]
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TRUTH",
+        help="Ground truth file, or recording with ground truth.",
+        show_default="that of the run's recording",
+    ),
+]
+Plots = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Also save each figure as PNG and PDF in this folder."),
+]
+Images = Annotated[bool, typer.Option(help="Include small images of notable frames.")]
+
+
 def report_command(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN", help="Output folders of `vo run`; several are compared."),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="HTML file to write; overwritten if it exists."
-        ),
-    ] = Path("report.html"),
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="TRUTH",
-            help="Ground truth file, or a recording with ground truth.",
-            show_default="that of the run's recording",
-        ),
-    ] = None,
-    plots: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Also save each figure as PNG and PDF in this folder."),
-    ] = None,
-    images: Annotated[bool, typer.Option(help="Include small images of notable frames.")] = True,
+    runs: Runs,
+    output: Output = Path("report.html"),
+    truth: Truth = None,
+    plots: Plots = None,
+    images: Images = True,
 ) -> None:
     """Write an HTML report of one or several runs.
 

@@ -1,4 +1,4 @@
-"""A run's summary as a table for people, and what to do next."""
+"""Summary of a run as a text table, with advice and next commands."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _COLOURS = {"good": "[green]", "caution": "[yellow]", "bad": "[red]"}
 def print_summary(
     summary: Summary, output: Path, rrd: Path | None = None, console: Console | None = None
 ) -> None:
-    """Print how good a run was, its warnings, where it is, and what to do next."""
+    """Print the verdict on a run, figures, warnings, advice and next commands."""
     console = console or Console(highlight=False)
     grade, sentence = verdict(summary)
     console.print(f"[bold]{'result':<10} {_COLOURS[grade]}{escape(sentence)}[/][/]", soft_wrap=True)
     for name, value in _facts(summary, output, rrd):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
-    said = [("[yellow]warning:[/]", warning) for warning in summary.warnings]
-    said += [("[cyan]try:[/]", line) for line in advice(summary, is_recorded=rrd is not None)]
-    said += [("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd)]
-    for word, line in said:
-        console.print(word, escape(line), soft_wrap=True)
+    lines = [("[yellow]warning:[/]", warning) for warning in summary.warnings]
+    lines += [("[cyan]try:[/]", line) for line in advice(summary, is_recorded=rrd is not None)]
+    lines += [("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd)]
+    for label, line in lines:
+        console.print(label, escape(line), soft_wrap=True)
 
 
 def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, str]]:
@@ -38,13 +38,13 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
     facts = [
         ("source", f"{summary.facts.source} ({kind})"),
         ("frames", _frames(summary)),
-        ("tracked", f"{summary.tracked} ({_share(summary.tracked, summary.frames)})"),
+        ("tracked", f"{summary.tracked} ({_percent(summary.tracked, summary.frames)})"),
         *([("between", f"{summary.interpolated} interpolated")] if summary.interpolated else []),
         ("lost", str(summary.lost)),
         ("segments", str(len(summary.segments))),
         ("keyframes", f"{summary.keyframes}, with {summary.landmarks} landmarks"),
         ("path", f"{summary.path_m:.3f} {unit}"),
-        ("speed", f"{speed}, {summary.peak_rss_mb:.0f} MB at most"),
+        ("speed", f"{speed}, peak memory {summary.peak_rss_mb:.0f} MB"),
         ("output", str(output)),
     ]
     if summary.profile is not None:
@@ -53,19 +53,19 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
 
 
 def _profile(profile: Profile) -> str:
-    """The largest stages first."""
+    """Time of each stage in seconds, the largest first."""
     stages = sorted(profile.stages_ms.items(), key=lambda item: -item[1])
     parts = [f"{stage} {1e-3 * spent:.2f}" for stage, spent in stages]
     return f"{1e-3 * profile.wall_ms:.2f} s: " + ", ".join(parts)
 
 
 def _frames(summary: Summary) -> str:
-    others = {"while there was no map": summary.starting, "skipped": len(summary.skipped)}
+    others = {"during initialisation": summary.starting, "skipped": len(summary.skipped)}
     notes = [f"{count} {what}" for what, count in others.items() if count]
     return ", ".join((str(summary.frames), *notes))
 
 
-def _share(part: int, whole: int) -> str:
+def _percent(part: int, whole: int) -> str:
     return f"{100.0 * part / whole:.1f} %" if whole else "-"
 
 
@@ -77,7 +77,7 @@ def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str
         commands.append(f"vo report {_quoted(output)} -o {_quoted(output / 'report.html')}")
     if rrd is not None:
         commands.append(f"vo view {_quoted(rrd)}")
-    elif Path(summary.facts.source).exists():  # what came through a pipe is gone
+    elif Path(summary.facts.source).exists():  # not after a run from a pipe
         again = f"vo run {_quoted(summary.facts.source)} --output {_quoted(output)}"
         if summary.facts.calibration is not None:
             again += f" --calibration {_quoted(summary.facts.calibration)}"

@@ -1,4 +1,4 @@
-"""A log that comes through a pipe, kept in a file for as long as the run lasts."""
+"""Recording from standard input, kept in a temporary file during the run."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from typing import IO
 from vo.errors import SourceError, VoError
 
 NAME = "standard input"
-"""What it is called in all that is said."""
+"""Name of the recording in messages and results."""
 
 _log = logging.getLogger(__name__)
 
 
 @contextmanager
 def spooled_input() -> Iterator[Path]:
-    """A file that grows with what comes through standard input; gone afterwards.
+    """A temporary file that grows with the data from standard input.
 
-    Images are found again by their place, which a pipe does not have. Errors that are raised
-    inside, and what is logged to handlers of `vo`, speak of standard input instead of the file.
+    A file is needed because images are read by their offset. Errors raised inside, and messages
+    logged to handlers of `vo`, contain "standard input" instead of the path of the file.
 
     Raises:
-        SourceError: nothing can come through standard input.
+        SourceError: standard input is closed or a terminal.
     """
     if sys.stdin is None or sys.stdin.closed or sys.stdin.isatty():
-        raise SourceError(f"nothing comes through {NAME}; as in: cat log.mcap | vo run - -o out")
+        raise SourceError(f"no data on {NAME}; use it like this: cat log.mcap | vo run - -o out")
     with TemporaryDirectory(prefix="vo-") as folder:
         path = Path(folder) / f"{NAME}.mcap"
         handlers = logging.getLogger("vo").handlers
-        rename = _Renamed(path)
+        rename = _PathReplacement(path)
         for handler in handlers:
             handler.addFilter(rename)
-        # Without buffers, whose locks a thread that still waits would hold as the program ends.
+        # Unbuffered: a thread that is still reading would hold the lock of a buffer at exit.
         source = open(sys.stdin.fileno(), "rb", buffering=0, closefd=False)  # noqa: SIM115
         target = path.open("wb", buffering=0)
         threading.Thread(target=_copy, args=(source, target), daemon=True).start()
@@ -51,8 +51,8 @@ def spooled_input() -> Iterator[Path]:
                 handler.removeFilter(rename)
 
 
-class _Renamed(logging.Filter):
-    """Puts the name that users know in the place of the file's."""
+class _PathReplacement(logging.Filter):
+    """Replaces the path of the temporary file in log messages."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -69,7 +69,7 @@ def _copy(source: IO[bytes], target: IO[bytes]) -> None:
     except OSError as error:
         where = Path(target.name).parent.parent
         _log.warning(
-            "%s is taken no further, as it is kept in %s (%s); TMPDIR chooses another folder",
+            "%s is read no further, as %s cannot store it (%s); set TMPDIR to another folder",
             NAME,
             where,
             error.strerror,

@@ -1,4 +1,4 @@
-"""`vo synth`: makes a recording with exact ground truth."""
+"""`vo synth`: synthetic recordings with exact ground truth."""
 
 from __future__ import annotations
 
@@ -7,108 +7,157 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.cli import options
+
 if TYPE_CHECKING:
     from rich.console import Console
 
     from data_synth.recipe import Recipe
 
-EPILOG = """\
-Examples:
+# Headings of the options in `--help`, besides those in `options`.
+_SCENE, _CAMERA = "Scene and motion", "Camera"
 
-vo synth out/street --preset kitti
-
-vo synth out/mine --camera my_calibration.yaml --world warehouse --motion robot --seconds 60
-
-vo synth out/hard --preset euroc --effects blur=2,noise=3,dark=1 --seed 7
-
-vo synth log.mcap --preset phone --format mcap-ros2 --codec jpeg
-
-Then: vo run out/street -o out/run; vo eval out/run out/street
-"""
+Output = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="OUTPUT", help="Folder to create, or a file for MCAP.", show_default=False
+    ),
+]
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PRESET|FILE",
+        help="Settings to start from: a preset (see --list) or a YAML file.",
+        rich_help_panel=_SCENE,
+    ),
+]
+World = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WORLD",
+        help="room, corridor, street, warehouse or terrain.",
+        rich_help_panel=_SCENE,
+    ),
+]
+Motion = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MOTION",
+        help="car, robot, handheld, drone, rotate, stop_and_go or loop.",
+        rich_help_panel=_SCENE,
+    ),
+]
+Camera = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="Name of a camera (see --list), or a calibration file.",
+        rich_help_panel=_CAMERA,
+    ),
+]
+Mono = Annotated[
+    bool | None,
+    typer.Option("--mono/--stereo", help="One camera, or two.", rich_help_panel=_CAMERA),
+]
+EffectStrengths = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=STRENGTH,…",
+        help="Image effects: 0 for none, 1 for the usual strength. `none`, alone or first in the "
+        "list, turns all others off.",
+        rich_help_panel=_CAMERA,
+    ),
+]
+Seconds = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Duration.", rich_help_panel=_SCENE),
+]
+Fps = Annotated[
+    float | None,
+    typer.Option(metavar="RATE", help="Frames per second.", rich_help_panel=_CAMERA),
+]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help="Random seed; equal seeds give equal files.", rich_help_panel=_SCENE
+    ),
+]
+Format = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FORMAT",
+        help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+Codec = Annotated[
+    str | None,
+    typer.Option(
+        metavar="CODEC",
+        help="Image codec: png, jpeg (lossy), or raw in MCAP.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+Depth = Annotated[
+    bool | None,
+    typer.Option(
+        "--depth/--no-depth", help="Write true depth images too.", rich_help_panel=options.OUTPUT
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override any setting (see --list); repeatable.",
+        rich_help_panel=_SCENE,
+    ),
+]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Replace existing files.", rich_help_panel=options.OUTPUT),
+]
+List = Annotated[bool, typer.Option("--list", help="List presets, cameras and settings, and exit.")]
 
 
 def synth_command(
-    output: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="OUTPUT", help="Folder to make, or a file for MCAP.", show_default=False
-        ),
-    ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PRESET|FILE",
-            help="Where to start from: a preset (see --list) or a YAML file.",
-        ),
-    ] = None,
-    world: Annotated[
-        str | None,
-        typer.Option(metavar="WORLD", help="room, corridor, street, warehouse or terrain."),
-    ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MOTION", help="car, robot, handheld, drone, rotate, stop_and_go or loop."
-        ),
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Name of a camera (see --list), or a calibration file of your own.",
-        ),
-    ] = None,
-    mono: Annotated[
-        bool | None, typer.Option("--mono/--stereo", help="One camera, or both.")
-    ] = None,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME=STRENGTH,…",
-            help="What the camera suffers from: 0 is not at all, 1 is as usual. Or `none` for a "
-            "perfect one, also as the first of the list.",
-        ),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Length of the recording.")
-    ] = None,
-    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Frames per second.")] = None,
-    seed: Annotated[
-        int | None, typer.Option(metavar="N", help="The same seed gives the same bytes.")
-    ] = None,
-    format: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORMAT", help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2."
-        ),
-    ] = None,
-    codec: Annotated[
-        str | None,
-        typer.Option(metavar="CODEC", help="Of the images: png, jpeg (loses), or raw in MCAP."),
-    ] = None,
-    depth: Annotated[
-        bool | None, typer.Option("--depth/--no-depth", help="Write the true depth too.")
-    ] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Any other setting, as --list shows them; may be given again.",
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
-    list_: Annotated[
-        bool, typer.Option("--list", help="Show presets, cameras and settings, and stop.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+    output: Output = None,
+    preset: Preset = None,
+    world: World = None,
+    motion: Motion = None,
+    camera: Camera = None,
+    mono: Mono = None,
+    effects: EffectStrengths = None,
+    seconds: Seconds = None,
+    fps: Fps = None,
+    seed: Seed = None,
+    format: Format = None,
+    codec: Codec = None,
+    depth: Depth = None,
+    overrides: Overrides = None,
+    force: Force = False,
+    list_: List = False,
+    quiet: options.Quiet = False,
 ) -> None:
-    """Make a synthetic recording with exact ground truth.
+    """Render a synthetic recording with exact ground truth.
 
-    Films a world along a path with a camera of your choice: how good is the
-    odometry for that camera and motion? The recording holds images,
-    calibration, inertial measurements and the truth. It appears when it is
-    whole.
+    The recording contains images, calibration, inertial measurements and
+    ground truth. The output appears when it is complete.
+
+    Render a preset, run on it, and evaluate:
+
+      vo synth out/street --preset kitti
+      vo run out/street -o out/run
+      vo eval out/run out/street
+
+    Use your own camera:
+
+      vo synth out/mine --camera calibration.yaml --world warehouse --motion robot --seconds 60
+
+    Make it difficult, or write another format:
+
+      vo synth out/hard --preset euroc --effects blur=2,noise=3,dark=1 --seed 7
+      vo synth log.mcap --preset phone --format mcap-ros2 --codec jpeg
     """
     from rich.console import Console
 
@@ -119,28 +168,20 @@ def synth_command(
         print_choices(console)
         return
     if output is None:
-        raise typer.BadParameter("give the folder or file to make", param_hint="OUTPUT")
+        raise typer.BadParameter("give the folder or file to create", param_hint="OUTPUT")
     from data_synth.recipe import load_recipe
 
-    named = {
-        "world": world,
-        "motion": motion,
-        "camera": camera,
-        "mono": mono,
-        "seconds": seconds,
-        "fps": fps,
-        "seed": seed,
-        "format": format,
-        "codec": codec,
-        "depth": depth,
-    }
+    scene = {"world": world, "motion": motion, "camera": camera, "mono": mono}
+    sampling = {"seconds": seconds, "fps": fps, "seed": seed}
+    files = {"format": format, "codec": codec, "depth": depth}
+    named = {**scene, **sampling, **files}
     given = [f"{key}={value}" for key, value in named.items() if value is not None]
-    recipe = load_recipe(preset, [*(overrides or ()), *given, *_effects(effects)])
-    _make(recipe, output, force, console)
+    recipe = load_recipe(preset, [*(overrides or ()), *given, *_effect_settings(effects)])
+    _render(recipe, output, force, console)
 
 
-def _effects(text: str | None) -> list[str]:
-    """`none,blur=2` as overrides."""
+def _effect_settings(text: str | None) -> list[str]:
+    """Settings of a list of effects, such as `none,blur=2`."""
     from vo.errors import ConfigError
 
     parts = [part.strip() for part in (text or "").split(",") if part.strip()]
@@ -153,28 +194,28 @@ def _effects(text: str | None) -> list[str]:
         elif "=" in part:
             settings.append(f"effects.{part}")
         else:
-            raise ConfigError(f"effect '{part}' is not of the form NAME=STRENGTH, as in blur=2")
+            raise ConfigError(f"invalid effect '{part}'; use NAME=STRENGTH, such as blur=2")
     return settings
 
 
-def _make(recipe: Recipe, output: Path, force: bool, console: Console) -> None:
+def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
     from data_synth.sequence import make_sequence
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    still = console.quiet or not console.is_terminal
-    with Progress(*columns, Remaining(), console=console, disable=still) as bar:
+    is_hidden = console.quiet or not console.is_terminal
+    with Progress(*columns, Remaining(), console=console, disable=is_hidden) as bar:
         task = bar.add_task(f"building the {recipe.world}", total=None)
 
         def show(done: int, total: int) -> None:
             bar.update(task, description="rendering", completed=done, total=total)
 
         recording = make_sequence(output, recipe, force=force, on_frame=show)
-    stereo = "stereo" if recording.rig.is_stereo else "mono"
+    kind = "stereo" if recording.rig.is_stereo else "mono"
     console.print(
-        f"{output}: {len(recording)} {stereo} frames, {recipe.seconds:g} s, "
+        f"{output}: {len(recording)} {kind} frames, {recipe.seconds:g} s, "
         f"{recording.path_m:.1f} m of path, {recipe.format}",
         soft_wrap=True,
     )

@@ -1,4 +1,4 @@
-"""What `vo synth --list` prints."""
+"""Output of `vo synth --list`: presets, cameras and settings."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from vo.settings import Section
 
 
 def print_choices(console: Console) -> None:
-    """Print presets, cameras and every setting with its default."""
+    """Print presets, cameras, and all settings with their defaults."""
     console.print(_presets())
     console.print(_cameras())
     for title, model, prefix in (
         ("Settings", Recipe, ""),
-        ("Effects: 0 is not at all, 1 is as usual", Effects, "effects."),
+        ("Effects: 0 for none, 1 for the usual strength", Effects, "effects."),
         ("Inertial sensor", ImuRecipe, "imu."),
     ):
         console.print(_settings(title, model, prefix))
 
 
 def _presets() -> Table:
-    table = Table("preset", "world", "motion", "camera", "what for", title="Presets", box=None)
+    table = Table("preset", "world", "motion", "camera", "purpose", title="Presets", box=None)
     for name in recipe_names():
         recipe = load_recipe(name)
         table.add_row(name, recipe.world, recipe.motion, recipe.camera, recipe.about)

