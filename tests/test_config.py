@@ -113,10 +113,10 @@ def test_a_typo_in_a_file_names_the_file(tmp_path: Path) -> None:
         ("smoothing.window=1000000", "'smoothing.window'.*less than or equal to 100"),
         ("smoothing.fixed=1000000000", "'smoothing.fixed'.*less than or equal to 100"),
         ("features=3", "'features'.*found 3"),
-        ("features.count", "not of the form section.key=value"),
-        ("=3", "not of the form section.key=value"),
+        ("features.count", "use section.key=value"),
+        ("=3", "use section.key=value"),
         ("seed.deeper=3", "unknown setting|'seed'"),
-        ("features.count=[1", "not YAML"),
+        ("features.count=[1", "it must be YAML"),
     ],
 )
 def test_wrong_overrides(text: str, complaint: str) -> None:
@@ -129,8 +129,8 @@ def test_wrong_overrides(text: str, complaint: str) -> None:
     ("text", "complaint"),
     [
         ("features: [1", "cannot read config"),
-        ("- a\n- b\n", "not a mapping of sections but list"),
-        ("just words", "not a mapping of sections but str"),
+        ("- a\n- b\n", "contains list, not a mapping"),
+        ("just words", "contains str, not a mapping"),
         ("features: 3\n", "'features'"),
         ("\x00", "cannot read config"),
     ],

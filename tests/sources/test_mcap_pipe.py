@@ -62,7 +62,7 @@ def test_damage_is_told_of_standard_input(tmp_path: Path) -> None:
     assert ".mcap" not in summary
 
 
-def test_nothing_can_come_through_a_closed_input(tmp_path: Path) -> None:
+def test_a_closed_standard_input_is_refused(tmp_path: Path) -> None:
     program = "import os; os.close(0); os.execvp(VO, [VO, 'run', '-', '-o', 'out'])"
     vo = str(Path(sys.executable).with_name("vo"))
     done = subprocess.run(
@@ -73,5 +73,5 @@ def test_nothing_can_come_through_a_closed_input(tmp_path: Path) -> None:
         timeout=120,
     )
     assert done.returncode == 1
-    assert done.stderr.startswith("error: nothing comes through standard input")
+    assert done.stderr.startswith("error: no data on standard input")
     assert not (tmp_path / "out").exists()
