@@ -33,12 +33,13 @@ ALLOWED = {
     "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
-    "vo.odometry": GROUND | ODOMETRY,
+    "vo.warmup": GROUND | {"vo"},
+    "vo.odometry": GROUND | ODOMETRY | {"vo.warmup"},
     "vo.run": GROUND | OUTER | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts"},
     "vo.cli": GROUND
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
-    | {"vo.odometry", "vo.run"}
+    | {"vo.odometry", "vo.run", "vo.warmup"}
     | {"data_synth"},
     "data_synth": {"vo.errors", "vo.types", "vo.settings"}
     | {"vo.compiling", "vo.geometry", "vo.formats"},

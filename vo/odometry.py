@@ -74,6 +74,7 @@ from vo.types import (
     RightCamera,
     State,
 )
+from vo.warmup import warm_up
 
 # Frames after which the smoother's answer is taken in, unless a keyframe comes before: always the
 # same, so that the path does not depend on how fast the smoother is. A stereo map can do without
@@ -113,6 +114,7 @@ class Odometry:
     def __init__(
         self, rig: Rig, config: Config, smoother_process: Popen[bytes] | None = None
     ) -> None:
+        warm_up(Odometry)
         cv2.setRNGSeed(config.seed)
         self.history = TrajectoryStore()
         self.details = True

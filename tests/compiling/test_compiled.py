@@ -17,8 +17,8 @@ import pytest
 
 from vo.compiling import machine_code, store
 from vo.compiling.fingerprint import fingerprint
-from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
-from vo.compiling.kinds import describe
+from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
+from vo.compiling.signatures import describe
 
 HELPER = """
 from vo.compiling.fingerprint import fingerprint
@@ -35,10 +35,10 @@ MODULE = """
 import sys
 import numpy as np
 from vo.compiling.fingerprint import fingerprint
-from vo.compiling.function import WrittenOut, compiled
+from vo.compiling.function import Intrinsic, compiled
 from vo_helper import SHIFT, half
 
-_bits = WrittenOut("vo.frontend.instructions", "population_count")
+_bits = Intrinsic("vo.frontend.instructions", "population_count")
 
 @compiled
 def moved(values, by):
@@ -70,10 +70,10 @@ RESULT = "[20.0, 20.5, 21.0] 3 (10, True) (0.25, 3) refused"
 def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder of machine code, empty."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    store._folder.cache_clear()
+    store.folder.cache_clear()
     yield tmp_path / "vo"
     monkeypatch.undo()
-    store._folder.cache_clear()
+    store.folder.cache_clear()
 
 
 def program(folder: Path, module: str = MODULE, helper: str = HELPER) -> list[str]:
@@ -257,7 +257,7 @@ def test_arguments_go_by_position() -> None:
 
 def test_instructions_are_for_compiled_functions() -> None:
     with pytest.raises(TypeError, match="blend can be called in compiled functions only"):
-        WrittenOut("vo.frontend.instructions", "blend")(1)
+        Intrinsic("vo.frontend.instructions", "blend")(1)
 
 
 def test_threads_that_need_it_at_once_get_the_same(kept: Path) -> None:
@@ -292,7 +292,7 @@ def test_what_may_change_unnoticed_is_refused(kept: Path) -> None:
 _A_LIST = [1, 2, 3]
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _filled(rows: Any, result: Any) -> Any:
     for i in range(len(rows)):
         row = rows[i]

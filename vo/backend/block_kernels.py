@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
+from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
 
 _LANES = 8
 _UNSEEN = 1e-12  # information on a point in every direction, against all it has
@@ -17,11 +17,11 @@ _SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below 
 # Of one observation or point: derivatives by a pose, by a point, and errors; of a pair: a block.
 _ROWS, _POINT, _ERRORS, _BLOCK = 3 * _LANES, 9, 3, 6 * _LANES
 
-_set_product = WrittenOut("vo.backend.instructions", "set_product")
-_add_product = WrittenOut("vo.backend.instructions", "add_product")
-_subtract_product = WrittenOut("vo.backend.instructions", "subtract_product")
-_add_row = WrittenOut("vo.backend.instructions", "add_row")
-_subtract_row = WrittenOut("vo.backend.instructions", "subtract_row")
+_set_product = Intrinsic("vo.backend.instructions", "set_product")
+_add_product = Intrinsic("vo.backend.instructions", "add_product")
+_subtract_product = Intrinsic("vo.backend.instructions", "subtract_product")
+_add_row = Intrinsic("vo.backend.instructions", "add_row")
+_subtract_row = Intrinsic("vo.backend.instructions", "subtract_row")
 
 
 @compiled(fastmath={"contract"})
@@ -108,7 +108,7 @@ def reduced(  # type: ignore[no-untyped-def]
     return _assembled(blocks, size), whole
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _differentiate(  # type: ignore[no-untyped-def]
     points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
 ):
@@ -192,7 +192,7 @@ def _assembled(blocks, count):  # type: ignore[no-untyped-def]
     return matrix
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _invert(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a point's (3, 3) normal matrix.
 
@@ -208,7 +208,7 @@ def _invert(m, inverse):  # type: ignore[no-untyped-def]
     _divide(inverse, _cofactors(m, inverse))
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a symmetric (3, 3); False if it is singular."""
     determinant, trace = _cofactors(m, inverse), m[0, 0] + m[1, 1] + m[2, 2]
@@ -218,7 +218,7 @@ def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
     """Fill those on and above the diagonal of a symmetric (3, 3); gives the determinant."""
     c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
@@ -231,7 +231,7 @@ def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
     return m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
     """Make an inverse of cofactors on and above the diagonal."""
     for p in range(3):
@@ -283,7 +283,7 @@ def eliminated(  # type: ignore[no-untyped-def]
     return _assembled(blocks, poses)
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore[no-untyped-def]
     """Inverse of white I + creep (keyframes since the first, of the earlier one), in place."""
     for a in range(n):
@@ -303,7 +303,7 @@ def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore
                     weight[r, c] -= factor * weight[k, c]
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _disparity_weights(by_point, first, n, disparity, bias, weight):  # type: ignore[no-untyped-def]
     """Inverse of disparity I + bias 1 1^T over those that were measured (Sherman-Morrison)."""
     measured = 0
@@ -318,12 +318,12 @@ def _disparity_weights(by_point, first, n, disparity, bias, weight):  # type: ig
             weight[a, b] = (own if a == b else 0.0) - shared if both else 0.0
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _is_measured(by_point, n):  # type: ignore[no-untyped-def]
     return by_point[n, 2, 0] != 0.0 or by_point[n, 2, 1] != 0.0 or by_point[n, 2, 2] != 0.0
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _add_point_normal(by_point, first, n, weight, weight_d, lifted, normal):  # type: ignore[no-untyped-def]
     """Fill `lifted`, the weights times the derivatives by the point, and their square."""
     normal[:] = 0.0

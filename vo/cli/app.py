@@ -20,6 +20,7 @@ from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import synth_command
 from vo.cli.view import view_command
+from vo.cli.warmup import warmup_command
 from vo.errors import VoError
 
 # Headings of the commands in `vo --help`.
@@ -114,6 +115,7 @@ def _vo(
 
 app.command("run", rich_help_panel=_ODOMETRY)(run_command)
 app.command("demo", rich_help_panel=_ODOMETRY)(demo_command)
+app.command("warmup", rich_help_panel=_ODOMETRY)(warmup_command)
 app.command("eval", rich_help_panel=_RESULTS)(eval_command)
 app.command("report", rich_help_panel=_RESULTS)(report_command)
 app.command("view", rich_help_panel=_RESULTS)(view_command)

@@ -19,7 +19,7 @@ from vo.types import Estimate, State
 _LINE_EVERY_S = 5.0
 _MIN_SHOWN_OFFSET_PX = 0.05
 _STYLES = {State.STARTING: "yellow", State.TRACKING: "green", State.LOST: "bold red"}
-_WAITING = "getting ready (the very first run compiles, which takes half a minute)"
+_WAITING = "getting ready"
 
 
 def make_progress(console: Console | None = None, *, quiet: bool = False) -> Progress:
@@ -133,25 +133,32 @@ class _Counts:
 
 
 @contextmanager
-def warnings_on(console: Console) -> Iterator[None]:
-    """Print each warning of the library once, as one line, above a progress bar."""
+def warnings_on(console: Console, *, quiet: bool = False) -> Iterator[None]:
+    """Print each warning of the library once, as one line, above a progress bar.
+
+    Also print when functions are compiled, unless quiet.
+    """
     handler = _LineHandler(console)
-    logger = logging.getLogger("vo")
+    logger, compiler = logging.getLogger("vo"), logging.getLogger("vo.compiling")
     logger.addHandler(handler)
+    if not quiet:
+        compiler.setLevel(logging.INFO)
     try:
         yield
     finally:
         logger.removeHandler(handler)
+        compiler.setLevel(logging.NOTSET)
 
 
 class _LineHandler(logging.Handler):
     def __init__(self, console: Console) -> None:
-        super().__init__(logging.WARNING)
+        super().__init__(logging.INFO)
         self._console = console
         self._printed: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        line = " ".join(f"{record.levelname.lower()}: {record.getMessage()}".split())
+        prefix = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        line = " ".join(f"{prefix}{record.getMessage()}".split())
         if line in self._printed:  # for example, of a file that is read twice
             return
         self._printed.add(line)

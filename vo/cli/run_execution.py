@@ -34,7 +34,7 @@ def execute(request: RunRequest) -> None:
             from vo.cli.progress import warnings_on
             from vo.cli.run_table import print_summary
         console = standard_error()
-        stack.enter_context(warnings_on(console))
+        stack.enter_context(warnings_on(console, quiet=outputs.quiet))
         summary = _run(request, config, smoother, console, stack)
         if not outputs.quiet:
             print_summary(summary, outputs.folder, request.visualisation.rrd)

@@ -6,7 +6,8 @@ import hashlib
 import logging
 import os
 import pickle
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,7 +20,7 @@ _log = logging.getLogger(__name__)
 def place_of(name: str, fingerprint: str, types: str) -> Path:
     """Where the machine code of a function for some types of arguments belongs."""
     made_for = hashlib.sha256(f"{machine_code.maker()}\n{types}".encode()).hexdigest()
-    return _folder() / f"{name}-{made_for[:16]}-{fingerprint[:16]}.bin"
+    return folder() / f"{name}-{made_for[:16]}-{fingerprint[:16]}.bin"
 
 
 def load(place: Path) -> MachineCode | None:
@@ -52,12 +53,34 @@ def save(place: Path, code: MachineCode) -> None:
             new.unlink(missing_ok=True)
 
 
+@contextmanager
+def locked(place: Path) -> Iterator[None]:
+    """Keep other processes from compiling the same function at the same time, if the disk allows.
+
+    Only on systems that have `fcntl`.
+    """
+    lock, file = place.with_suffix(".lock"), None
+    with suppress(OSError, ImportError):
+        import fcntl
+
+        place.parent.mkdir(parents=True, exist_ok=True)
+        file = lock.open("w")
+        fcntl.flock(file, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if file is not None:
+            with suppress(OSError):
+                lock.unlink(missing_ok=True)
+            file.close()
+
+
 @lru_cache(maxsize=1)
-def _folder() -> Path:
-    """Where numba is told to keep its own, beside this module, or the user's cache."""
-    told = os.environ.get("NUMBA_CACHE_DIR")
-    if told:
-        return Path(told) / "vo"
+def folder() -> Path:
+    """NUMBA_CACHE_DIR if it is set, else beside this module, else the user's cache folder."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return Path(given) / "vo"
     beside = Path(__file__).parent / "__pycache__"
     with suppress(OSError):
         beside.mkdir(exist_ok=True)

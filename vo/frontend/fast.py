@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.compiling.function import WrittenOut, compiled
+from vo.compiling.function import Intrinsic, compiled
 from vo.types import Bytes, Floats32
 
 _RING = 3  # radius of the ring of pixels that a corner is compared with
@@ -13,7 +13,7 @@ _ON_RING = 16  # pixels on it
 _PER_CELL = 3.0  # corners that a cell should hold
 
 
-_contrast = WrittenOut("vo.frontend.instructions", "contrast")
+_contrast = Intrinsic("vo.frontend.instructions", "contrast")
 
 
 class FastGrid:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.compiling.function import WrittenOut, compiled
+from vo.compiling.function import Intrinsic, compiled
 from vo.types import Bools, Bytes, Floats, Floats32, Ints
 
 _CELL_PX = 32.0
@@ -20,7 +20,7 @@ _ANGLE_BINS = 30
 _ANGLE_BINS_KEPT = 3
 NO_MATCH = -1
 
-_population_count = WrittenOut("vo.frontend.instructions", "population_count")
+_population_count = Intrinsic("vo.frontend.instructions", "population_count")
 
 
 @compiled(inline="always")

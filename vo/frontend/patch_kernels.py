@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import UNCOUNTED, WrittenOut, compiled
+from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
 
 _LANES = 16
 # A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
@@ -19,9 +19,9 @@ _HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 # (docs/accuracy.md).
 _SETTLED, _NEARLY = 4e-6, 1e-4
 
-_blend_16 = WrittenOut("vo.frontend.instructions", "blend_16")
-_pair = WrittenOut("vo.frontend.instructions", "pair")
-_prefetch = WrittenOut("vo.frontend.instructions", "prefetch")
+_blend_16 = Intrinsic("vo.frontend.instructions", "blend_16")
+_pair = Intrinsic("vo.frontend.instructions", "pair")
+_prefetch = Intrinsic("vo.frontend.instructions", "prefetch")
 
 
 @compiled
@@ -44,7 +44,7 @@ def align(  # type: ignore[no-untyped-def]
     return found
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _align_each(patches, looked_in, half, iterations, stride, work, pixels, found):  # type: ignore[no-untyped-def]
     """Fill what was found; buffers are a workspace and whole numbers for a stretched patch."""
     references, reference, reference_xy, inverses = patches
@@ -80,7 +80,7 @@ def _align_each(patches, looked_in, half, iterations, stride, work, pixels, foun
         sigma[n] = np.sqrt(left_over * 0.5 * (hxx + hyy) / determinant)
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _prefetch_patch(image, x, y, reach):  # type: ignore[no-untyped-def]
     """Ask for the rows of the next patch: a third of the time went into waiting for them."""
     height, width = image.shape
@@ -105,7 +105,7 @@ def _workspace(half, stride):  # type: ignore[no-untyped-def]
     return work
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     """The patch, one pixel wider on each side; False if that is outside of the image."""
     height, width = image.shape
@@ -122,7 +122,7 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: ignore[no-untyped-def]
     """The same for the patch as it looks after the stretch."""
     height, width = image.shape
@@ -142,7 +142,7 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
     return True
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
     rows = work[4]
     for i in range(count):
@@ -151,14 +151,14 @@ def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignor
             _blend_16(flat, first, ax, shift, rows, to)
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
     wide, rows = work[0], work[4]
     for k in range(np.uintp(size)):
         wide[k] = rows[k] + ay * (rows[k + np.uintp(stride)] - rows[k])
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type: ignore[no-untyped-def]
     """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors.
 
@@ -188,7 +188,7 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
         wide[k] = top + share_y[k] * (low - top)
 
 
-@compiled(fastmath={"reassoc", "contract"}, **UNCOUNTED)
+@compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
 def _template(side, stride, work):  # type: ignore[no-untyped-def]
     """Template and gradients of the wide patch, their means taken off; their sums of products."""
     wide, template, gx, gy, weight = work[0], work[1], work[2], work[3], work[5]
@@ -221,7 +221,7 @@ def _template(side, stride, work):  # type: ignore[no-untyped-def]
     return mean_t, hxx, hxy, hyy, variance, bx, by
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps from (x, y): where they end, correlation there, squared last step."""
     height, width = image.shape
@@ -258,7 +258,7 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
     return x, y, score, length
 
 
-@compiled(fastmath={"reassoc", "contract"}, **UNCOUNTED)
+@compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
 def _compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
     """Sum and squares of the patch in the target, and its products with template and gradients.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.compiling.function import UNCOUNTED, compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.types import Floats, Ints
 
 _NEAREST = 1e-3  # depth in distances of the reference camera below which nothing is predicted
@@ -115,7 +115,7 @@ def _in_view(points, reference, poses, intrinsics, most_scale, corners):  # type
     return rows[:count].copy(), xy[:count].copy()
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _add_in_view(points, reference, poses, intrinsics, most_scale, corners, rows, xy):  # type: ignore[no-untyped-def]
     count = 0
     fx, fy, cx, cy = intrinsics
@@ -146,7 +146,7 @@ def _predict(points, normals, reference, point, camera, poses, intrinsics):  # t
     return found
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _predict_each(points, normals, reference, point, camera, poses, intrinsics, found):  # type: ignore[no-untyped-def]
     xy, scale, back, slope = found
     fx, fy, cx, cy = intrinsics
@@ -176,7 +176,7 @@ def _predict_each(points, normals, reference, point, camera, poses, intrinsics, 
             back[n, 0, 0] = back[n, 1, 1] = 1.0
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
     """A point of the world in a camera's frame."""
     x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
@@ -187,13 +187,13 @@ def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _distance(pose, at):  # type: ignore[no-untyped-def]
     x, y, z = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
     return np.sqrt(x * x + y * y + z * z)
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
     """Pixel, less the principal point, of a point moved along its surface.
 
@@ -213,7 +213,7 @@ def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-unty
     return fx * x / z, fy * y / z
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _along(normal, pose, at):  # type: ignore[no-untyped-def]
     """How far a point is from a camera, along a normal."""
     return (
@@ -223,6 +223,6 @@ def _along(normal, pose, at):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

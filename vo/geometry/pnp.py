@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vo.compiling.function import UNCOUNTED, compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bools, Floats
 
@@ -122,7 +122,7 @@ def _gauss_newton(  # type: ignore[no-untyped-def]
     return transform, residual, h
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _weigh(  # type: ignore[no-untyped-def]
     t, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, limit, rows, residual
 ):
@@ -173,7 +173,7 @@ def _normal_equations(rows):  # type: ignore[no-untyped-def]
     return h, b
 
 
-@compiled(fastmath={"reassoc", "contract"}, **UNCOUNTED)
+@compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
 def _dot(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(len(a)):
@@ -181,7 +181,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(**UNCOUNTED)
+@compiled(**NO_REFCOUNT)
 def _inner(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(len(a)):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.compiling.function import UNCOUNTED, compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.types import Bools, Floats, Ints
 
 _SINGULAR = 1e-13  # determinant of a point's normal matrix against its trace cubed
@@ -177,7 +177,7 @@ def _refined(  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     """A point's robust cost, inf if behind, its normal matrix (00 11 22 10 20 21) and gradient."""
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
@@ -225,7 +225,7 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     return cost, (n00, n11, n22, n10, n20, n21), (r0, r1, r2)
 
 
-@compiled(fastmath={"contract"}, **UNCOUNTED)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _stepped(at, normal, right, damping):  # type: ignore[no-untyped-def]
     """Whether the damped normal matrix is regular, and where its step, by cofactors, leads."""
     xx, yy, zz, xy, xz, yz = normal

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import UNCOUNTED, compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.types import Floats, Ints
 
 _REACH_PX = 100.0  # points farther away tell nothing
@@ -100,7 +100,7 @@ def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
 
 
 @compiled(
-    fastmath={"reassoc", "contract"}, error_model="numpy", **UNCOUNTED
+    fastmath={"reassoc", "contract"}, error_model="numpy", **NO_REFCOUNT
 )  # in vector instructions
 def _fitted(dx, dy, more):  # type: ignore[no-untyped-def]
     gx = gy = 0.0

@@ -1,4 +1,4 @@
-"""What numba tells arguments apart by: of arrays their numbers, dimensions and layout."""
+"""Signatures of calls: types of the arguments; of arrays dtype, dimensions and layout."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _ARRAY = np.ndarray
 _NUMBERS = {bool: "?", int: "i8", float: "f8"}
 
 
-def kinds_of(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What is the same for arguments that the same machine code takes; made to be quick."""
+def signature_of(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Key that is equal for arguments of the same types; computed at every call, so kept fast."""
     return tuple(
         [
             (v.dtype, v.ndim, v.flags.num)
             if type(v) is _ARRAY
-            else (type(v), kinds_of(v))
+            else (type(v), signature_of(v))
             if isinstance(v, tuple)
             else type(v)
             for v in values
@@ -25,7 +25,7 @@ def kinds_of(values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def describe(value: Any) -> str | None:
-    """The kind in words, the same wherever the machine code is; None for what has no words here."""
+    """Type of a value as text, equal in all processes; None if the type is not supported."""
     if type(value) is _ARRAY:
         return _describe_array(value)
     if isinstance(value, tuple):

@@ -1,0 +1,109 @@
+"""Compilation happens in `vo warmup`, or once before the first frame, and never again."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+VO = Path(sys.executable).with_name("vo")
+NOTICE = "compiling the inner loops, once"
+# Creates an odometry, and prints whether the given file exists before the first frame.
+LIBRARY_USE = """
+import logging, sys
+from pathlib import Path
+from vo.compiling.processor import use_common_instructions
+use_common_instructions()
+from vo.config import load_config
+from vo.odometry import Odometry
+from vo.types import Camera, Rig
+
+logging.basicConfig(level=logging.INFO)
+Odometry(Rig(Camera(320, 240, 200.0, 200.0, 160.0, 120.0)), load_config()).close()
+print(Path(sys.argv[1]).exists())
+"""
+
+
+def run(cache: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+
+
+def files_in(cache: Path) -> set[str]:
+    return {path.name for path in (cache / "vo").iterdir()}
+
+
+@pytest.fixture(scope="module")
+def first_warmup(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """Cache folder after `vo warmup`, and what that printed to standard output and error."""
+    cache = tmp_path_factory.mktemp("cache")
+    done = run(cache, VO, "warmup")
+    return cache, done.stdout, done.stderr
+
+
+@pytest.fixture
+def outdated(first_warmup: tuple[Path, str, str], tmp_path: Path) -> tuple[Path, Path]:
+    """A warm cache folder that lacks one function, and the file of that function."""
+    cache = tmp_path / "cache"
+    shutil.copytree(first_warmup[0], cache)
+    for stamp in (cache / "vo").glob("warm-*"):
+        stamp.unlink()
+    (missing,) = (cache / "vo").glob("vo.frontend.fast._contrasts-*")
+    missing.unlink()
+    return cache, missing
+
+
+def test_warmup_compiles_once(first_warmup: tuple[Path, str, str]) -> None:
+    cache, printed, notice = first_warmup
+    assert printed.startswith("compiled in ")
+    assert notice.startswith(NOTICE) and len(notice.splitlines()) == 1
+
+    again = run(cache, VO, "warmup")
+
+    assert (again.stdout, again.stderr) == ("nothing to compile\n", "")
+
+
+@pytest.mark.parametrize("mode", ["stereo", "mono"])
+def test_run_after_warmup_compiles_nothing(
+    first_warmup: tuple[Path, str, str], synthetic_stereo: Path, tmp_path: Path, mode: str
+) -> None:
+    cache = first_warmup[0]
+    before = files_in(cache)
+
+    done = run(cache, VO, "run", synthetic_stereo, "-o", tmp_path / "out", "--mode", mode)
+
+    assert files_in(cache) == before
+    assert NOTICE not in done.stderr
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_run_compiles_what_is_missing(
+    outdated: tuple[Path, Path], synthetic_stereo: Path, tmp_path: Path, quiet: bool
+) -> None:
+    cache, missing = outdated
+    options = ["--quiet"] if quiet else []
+
+    done = run(cache, VO, "run", synthetic_stereo, "-o", tmp_path / "out", "--end", "2", *options)
+
+    assert missing.exists()
+    assert (NOTICE in done.stderr) is not quiet
+    assert run(cache, VO, "warmup").stdout == "nothing to compile\n"
+
+
+def test_library_compiles_before_the_first_frame(outdated: tuple[Path, Path]) -> None:
+    cache, missing = outdated
+
+    done = run(cache, sys.executable, "-c", LIBRARY_USE, missing)
+
+    assert done.stdout == "True\n"
+    assert NOTICE in done.stderr

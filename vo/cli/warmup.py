@@ -1,0 +1,26 @@
+"""`vo warmup`: compile everything before the first run."""
+
+from __future__ import annotations
+
+import time
+
+import typer
+
+
+def warmup_command() -> None:
+    """Compile the inner loops now instead of in the first run.
+
+    For container images and robots. The machine code is kept in the folder NUMBA_CACHE_DIR if
+    that variable is set, else beside the package, or in the user's cache folder if the package
+    cannot be written to. One image serves all x86-64 processors with AVX2.
+    """
+    from vo.cli.console import standard_error
+    from vo.cli.progress import warnings_on
+    from vo.odometry import Odometry
+    from vo.warmup import warm_up
+
+    begin = time.monotonic()
+    with warnings_on(standard_error()):
+        has_compiled = warm_up(Odometry)
+    elapsed = f"compiled in {time.monotonic() - begin:.0f} s"
+    typer.echo(elapsed if has_compiled else "nothing to compile")

@@ -1,0 +1,140 @@
+"""Compilation of all functions that the odometry needs, before its first frame."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from vo import __version__
+from vo.compiling import machine_code, store
+from vo.compiling.function import announce_compilation, compiled_here
+from vo.config import Config, load_config
+from vo.formats.png import decode_grey
+from vo.types import Bytes, Camera, Frame, Rig
+
+_PACKAGE = Path(__file__).parent
+_SIZE = (240, 320)  # of the images, rows and columns
+_FOCAL_PX = 200.0
+_DISTORTION = (-0.1, 0.01, 0.0, 0.0)
+_BASELINE_M = 0.1
+# Two textured planes: a single plane leaves the pose of the second camera ambiguous.
+_DISPARITIES_PX = (8, 4)
+_FRAMES = 12
+
+_is_running = False
+
+
+def is_warm() -> bool:
+    """Whether `warm_up` has been completed for this version of the code and this processor."""
+    return _stamp().exists()
+
+
+def warm_up(make_odometry: Callable[[Rig, Config], Any]) -> bool:
+    """Compile all functions of the odometry, unless that was done before.
+
+    Runs the odometry on generated images, so that exactly the functions and signatures that it
+    uses are compiled. The machine code is cached on disk; whether, when or where this function is
+    called makes no difference to results.
+
+    Args:
+        make_odometry: the class `vo.odometry.Odometry`, whose constructor calls this function.
+
+    Returns:
+        Whether anything had to be compiled.
+    """
+    global _is_running
+    if _is_running or is_warm():
+        return False
+    compiled_before = compiled_here()
+    _is_running = True
+    try:
+        _run_all(make_odometry)
+    finally:
+        _is_running = False
+    _save_stamp()
+    return compiled_here() != compiled_before
+
+
+def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
+    if not machine_code.is_understood():  # numba's own cache does not report compilations
+        announce_compilation()
+    for rig in _rigs():
+        _run(make_odometry, rig)
+    _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
+    decode_grey(packed.tobytes())
+
+
+def _run(make_odometry: Callable[[Rig, Config], Any], rig: Rig) -> None:
+    """Run the odometry, in this process alone."""
+    odometry = make_odometry(rig, load_config(overrides=["threads=1"]))
+    try:
+        for frame in _frames(rig.is_stereo):
+            odometry.step(frame)
+        odometry.finish()
+    finally:
+        odometry.close()
+
+
+def _rigs() -> Iterator[Rig]:
+    cam1_from_cam0 = np.eye(4)
+    cam1_from_cam0[0, 3] = -_BASELINE_M
+    rows, columns = _SIZE
+    center = (columns / 2, rows / 2)
+    camera = Camera(columns, rows, _FOCAL_PX, _FOCAL_PX, *center, "radtan", _DISTORTION)
+    yield Rig(camera, camera, cam1_from_cam0)
+    yield Rig(camera)
+
+
+def _frames(stereo: bool) -> Iterator[Frame]:
+    """Images of a camera that moves to the right by half a baseline from frame to frame."""
+    texture = _texture()
+    for index in range(_FRAMES):
+        images = [_image(texture, (index + 2 * right) / 2) for right in range(2)]
+        yield Frame(index, index * 100_000_000, images[0], images[1] if stereo else None)
+
+
+def _texture() -> Bytes:
+    rows, columns = _SIZE
+    coarse = np.random.default_rng(0).integers(0, 256, (rows // 4, columns), dtype=np.uint8)
+    return np.repeat(np.repeat(coarse, 4, axis=0), 4, axis=1)
+
+
+def _image(texture: Bytes, baselines: float) -> Bytes:
+    """The planes, the far one above, from a position given in baselines to the right."""
+    rows, columns = _SIZE
+    image = np.empty(_SIZE, np.uint8)
+    halves = (slice(rows // 2, rows), slice(rows // 2))
+    for half, disparity in zip(halves, _DISPARITIES_PX, strict=True):
+        begin = round(baselines * disparity)
+        image[half] = texture[half, begin : begin + columns]
+    return image
+
+
+def _stamp() -> Path:
+    """File that exists once everything was compiled.
+
+    Its name is a hash of the version, the modules with compiled functions, the compiler and the
+    processor.
+    """
+    digest = hashlib.sha256(f"{__version__} {machine_code.maker()}".encode())
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        source = path.read_bytes()
+        if b"vo.compiling" in source or b"numba" in source:
+            digest.update(source)
+    return store.folder() / f"warm-{digest.hexdigest()[:16]}"
+
+
+def _save_stamp() -> None:
+    """Replace stamps of other versions; nothing if the folder cannot be written to."""
+    stamp = _stamp()
+    with suppress(OSError):
+        stamp.parent.mkdir(parents=True, exist_ok=True)
+        for other in stamp.parent.glob("warm-*"):
+            other.unlink(missing_ok=True)
+        stamp.touch()
