@@ -24,11 +24,11 @@ from vo.cores import available_cores
 from vo.frontend.exposure import image_defect
 from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
-from vo.geometry.lens_error import edge_px
+from vo.geometry.k1_error import edge_shift_px
 from vo.geometry.rectification import rectified_rig
-from vo.geometry.right_camera import right_camera
-from vo.geometry.row_errors import RowErrors
+from vo.geometry.right_camera_error import right_camera_error
 from vo.geometry.transforms import adjoint, inverse
+from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframes import add_keyframe, add_tracked, change_since
 from vo.mapping.local_map import Keyframe, Map
 from vo.mapping.triangulate_mono import triangulate_between_keyframes
@@ -71,7 +71,7 @@ from vo.types import (
     Landmarks,
     LensError,
     Rig,
-    RightCamera,
+    RightCameraError,
     State,
 )
 from vo.warmup import warm_up
@@ -131,8 +131,8 @@ class Odometry:
         self._map = Map(capacity, self._rig.height, self._rig.width)
         self._motion = ConstantVelocity()
         self._mono_start = MonocularInitializer(config)
-        self._rows: RowErrors | None = None  # of the right camera, if a pair has told
-        self._corrected = RowErrors()  # what of that is corrected in right images
+        self._rows: VerticalDisparity | None = None  # of the right camera, if a pair has told
+        self._corrected = VerticalDisparity()  # what of that is corrected in right images
         self._state = State.STARTING
         self._segment = 0
         self._lost: list[PreprocessedFrame] = []  # the newest frames, since the map was lost
@@ -159,13 +159,13 @@ class Odometry:
     @property
     def lens_error(self) -> LensError | None:
         """What was wrong with a single camera's lens and is corrected."""
-        k1 = self._rig.lens_error
-        return LensError(k1, edge_px(self._rig, k1)) if k1 != 0.0 else None
+        k1 = self._rig.k1_error
+        return LensError(k1, edge_shift_px(self._rig, k1)) if k1 != 0.0 else None
 
     @property
-    def right_camera(self) -> RightCamera | None:
+    def right_camera(self) -> RightCameraError | None:
         """What was wrong with the right camera's calibration and is corrected."""
-        return right_camera(self._corrected, self._rig)
+        return right_camera_error(self._corrected, self._rig)
 
     def step(self, frame: Frame) -> Estimate:
         """Take in the next frame."""
@@ -381,7 +381,7 @@ class Odometry:
         else:
             k1 = self._lens_watch.update(left, windows)
             if k1 is not None:
-                self._rig = self._rig.with_lens_error(k1)
+                self._rig = self._rig.with_k1_error(k1)
                 for keyframe in self._map.keyframes:
                     keyframe.see_through(self._rig)
                 self._smooth_map()
@@ -400,7 +400,7 @@ class Odometry:
             change = self._rig.disparity_error(right_u) - before.disparity_error(right_u)
             keyframe.disparity -= change
 
-    def _realign(self, corrected: RowErrors, clock: Stopwatch) -> None:
+    def _realign(self, corrected: VerticalDisparity, clock: Stopwatch) -> None:
         """Move the disparities of the past to where a better alignment would have seen them."""
         self._take_in(clock)
         before, self._corrected = self._corrected, corrected
@@ -408,7 +408,7 @@ class Odometry:
         for keyframe in self._map.keyframes:
             x = (keyframe.image_xy[:, 0] - keyframe.disparity - rig.cx) / rig.fx
             y = (keyframe.image_xy[:, 1] - rig.cy) / rig.fy
-            keyframe.disparity += corrected.columns_px(x, y) - before.columns_px(x, y)
+            keyframe.disparity += corrected.horizontal_px(x, y) - before.horizontal_px(x, y)
         with clock.stage("window"):
             self._smooth_map()
 

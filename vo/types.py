@@ -197,7 +197,7 @@ class Keypoints:
         return len(self.xy)
 
 
-class RightCamera(NamedTuple):
+class RightCameraError(NamedTuple):
     """How the right camera differs from its calibration, where that was found and corrected.
 
     Attributes:

@@ -30,7 +30,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability
 
 from data_synth.records import Shot
-from vo.geometry.rectification import working_rig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import inverse
 from vo.types import Camera
 
@@ -139,7 +139,7 @@ def test_calibration_rectifies_as_the_odometry_does(
 ) -> None:
     recording = make_recording(camera)
     path = write(dialect, tmp_path / "a.mcap", recording)
-    working = working_rig(recording.rig)
+    working = rectified_rig(recording.rig)
     point = np.array([0.3, -0.2, 4.0])
     rows, depth_rays = [], []
     for number, cam_from_cam0 in enumerate((np.eye(4), CAM1_FROM_CAM0)):

@@ -12,8 +12,8 @@ from vo.config import Config
 from vo.frontend.orb import OrbDetector
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
 from vo.geometry.rectification import RectifiedRig, rectified_rig
-from vo.geometry.right_camera import right_camera
-from vo.geometry.row_errors import RowErrors
+from vo.geometry.right_camera_error import right_camera_error
+from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.refinement.disparity_bias import is_from_yaw
 from vo.sources.registry import open_source
 from vo.types import Bytes
@@ -50,15 +50,17 @@ def _seen_by_turned(image: Bytes, rig: RectifiedRig, pitch_deg: float, roll_deg:
 def _learned(left: Bytes, right: Bytes, rig: RectifiedRig) -> VerticalDisparityCorrection:
     alignment = VerticalDisparityCorrection(CONFIG)
     assert alignment.asks()
-    assert alignment.learn(_view(left), _view(right), rig) == (alignment.corrected != RowErrors())
+    assert alignment.learn(_view(left), _view(right), rig) == (
+        alignment.corrected != VerticalDisparity()
+    )
     return alignment
 
 
 def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: RectifiedRig) -> None:
     alignment = _learned(*pair, rig)
-    assert alignment.corrected == RowErrors()
+    assert alignment.corrected == VerticalDisparity()
     assert alignment.aligned(rig) is rig
-    assert right_camera(alignment.corrected, rig) is None
+    assert right_camera_error(alignment.corrected, rig) is None
     assert alignment.found is not None
     assert alignment.found[:2] == pytest.approx((0.0, 0.0), abs=0.05)
 
@@ -70,7 +72,7 @@ def test_a_turned_camera_is_found_and_turned_back(
     left, right = pair
     seen = _seen_by_turned(right, rig, *angles)
     alignment = _learned(left, seen, rig)
-    found = right_camera(alignment.corrected, rig)
+    found = right_camera_error(alignment.corrected, rig)
     assert found is not None
     assert (found.pitch_deg, found.roll_deg) == pytest.approx(angles, abs=0.04)
     assert found.yaw_deg == 0.0
@@ -127,7 +129,7 @@ def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
             seen = _seen_by_turned(right, rig, 0.4 if number == 1 else 0.2, 0.0)
             aligned = alignment.aligned(rig).rectify(seen, 1)
             alignment.learn(_view(left), _view(aligned), rig)
-            camera = right_camera(alignment.corrected, rig)
+            camera = right_camera_error(alignment.corrected, rig)
             found[number] = None if camera is None else camera.pitch_deg
     assert list(found) == [1, 3, 7, 15, 31]
     assert found[1] == pytest.approx(0.4, abs=0.03)
@@ -136,7 +138,7 @@ def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
 
 def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: RectifiedRig) -> None:
     left, right = pair
-    assert _learned(right, left, rig).corrected == RowErrors()
+    assert _learned(right, left, rig).corrected == VerticalDisparity()
 
 
 def test_it_can_be_switched_off() -> None:

@@ -263,20 +263,20 @@ def test_a_lens_error_is_one_of_k1(coefficients: tuple[float, ...]) -> None:
     k1, *others = coefficients or (0.0, 0.0, 0.0, 0.0)
     seen = replace(PLAIN, distortion_model="radtan", distortion=(k1 + 0.01, *others))
     working = rectified_rig(Rig(replace(PLAIN, distortion_model=model, distortion=coefficients)))
-    corrected = working.with_lens_error(0.02).with_lens_error(0.01)
+    corrected = working.with_k1_error(0.02).with_k1_error(0.01)
     ideal = _points(working, 3.0)[1]
     at = cameras.distort(seen, (ideal - (PLAIN.cx, PLAIN.cy)) / (PLAIN.fx, PLAIN.fy))
     np.testing.assert_allclose(corrected.distort(ideal), at, atol=1e-9)
     np.testing.assert_allclose(corrected.undistort(at), ideal, atol=1e-6)
-    assert corrected.lens_error == 0.01
+    assert corrected.k1_error == 0.01
     np.testing.assert_allclose(
-        corrected.with_lens_error(0.0).undistort(at), working.undistort(at), atol=1e-9
+        corrected.with_k1_error(0.0).undistort(at), working.undistort(at), atol=1e-9
     )
 
 
 def test_images_of_a_wide_lens_are_corrected_as_they_are_worked_on() -> None:
     wide = replace(PLAIN, distortion_model="equidistant", distortion=EQUIDISTANT)
-    working = rectified_rig(Rig(wide)).with_lens_error(0.01)
+    working = rectified_rig(Rig(wide)).with_k1_error(0.01)
     assert working.lens is not None
     assert working.lens.distortion == (0.01, 0.0, 0.0, 0.0)
     assert working.lens.fx == working.fx
@@ -285,7 +285,7 @@ def test_images_of_a_wide_lens_are_corrected_as_they_are_worked_on() -> None:
 def test_a_corrected_lens_that_folds_earlier_loses_no_feature() -> None:
     folded = replace(PLAIN, distortion_model="radtan", distortion=(-0.28, 0.0, 0.0, 0.0))
     working = rectified_rig(Rig(folded))
-    corrected = working.with_lens_error(-0.05)
+    corrected = working.with_k1_error(-0.05)
     radius = np.linspace(0.0, 0.75, 200) * PLAIN.fx
     xy = np.column_stack([PLAIN.cx + radius, np.full(200, PLAIN.cy)])
     before, after = working.undistort(xy), corrected.undistort(xy)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vo.backend.calibration_residual import CalibrationResidual
-from vo.geometry.lens_error import bend_of_k1, edge_px
+from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.refinement.radial_distortion import RadialDistortionEstimator
 from vo.types import Camera, Rig
@@ -62,7 +62,7 @@ def test_an_error_that_proves_to_be_none_is_taken_back() -> None:
 def test_what_moves_the_corners_by_a_fifth_of_a_pixel_is_not_corrected() -> None:
     for focal in (230.0, 460.0, 920.0):
         rig = _rig(focal)
-        k1 = 0.19 / edge_px(rig, 1.0)
+        k1 = 0.19 / edge_shift_px(rig, 1.0)
         assert _corrections([k1] * 2000, 0.01 * k1, rig) == []
         assert _corrections([3.0 * k1] * 20, 0.01 * k1, rig) == [
             (2, pytest.approx(3.0 * k1, rel=1e-3))
@@ -73,7 +73,7 @@ def test_what_a_lens_hides_at_its_edges_is_reckoned_with() -> None:
     # Ideal points look 1.8 times as bent as k1 is wrong by.
     lens = Camera(752, 480, 460.0, 460.0, 376.0, 240.0, "radtan", (-0.28, 0.07, 0.0, 0.0))
     rig = rectified_rig(Rig(lens))
-    bend = bend_of_k1(rig)
+    bend = residual_per_k1(rig)
     assert 1.7 < bend < 1.9
     ((_, wanted), *_) = _corrections([0.005 * bend] * 3, rig=rig)
     assert wanted == pytest.approx(0.005)

@@ -15,7 +15,7 @@ from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.orb import OrbDetector
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
 from vo.geometry.rectification import RectifiedRig
-from vo.geometry.row_errors import RowErrors
+from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.scheduling import give_way
 from vo.types import Bools, Bytes, Floats32, Frame, Keypoints
 
@@ -48,8 +48,8 @@ class PreprocessedFrame:
     right: LazyFuture[Keypoints] | None = None
     depth: Floats32 | None = None
     path: Path | None = None
-    rows: RowErrors | None = None
-    corrected: RowErrors = RowErrors()
+    rows: VerticalDisparity | None = None
+    corrected: VerticalDisparity = VerticalDisparity()
 
     @property
     def keypoints(self) -> Keypoints:

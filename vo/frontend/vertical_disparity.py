@@ -21,8 +21,8 @@ from vo.config import Config
 from vo.frontend.alignment import align_between
 from vo.frontend.matching import match_segments
 from vo.geometry.rectification import RectifiedRig
-from vo.geometry.right_camera import is_worth_correcting, largest_change
-from vo.geometry.row_errors import RowErrors, RowFit
+from vo.geometry.right_camera_error import is_worth_correcting, largest_change
+from vo.geometry.vertical_disparity_model import VerticalDisparity, VerticalDisparityFit
 from vo.types import Bytes, Floats, Keypoints
 
 _FARTHEST = 0.06  # rows are looked for within this share of the image's height
@@ -52,10 +52,10 @@ class VerticalDisparityCorrection:
     """
 
     def __init__(self, config: Config) -> None:
-        self.found: RowErrors | None = None
-        self.corrected = RowErrors()
+        self.found: VerticalDisparity | None = None
+        self.corrected = VerticalDisparity()
         self._config = config
-        self._fit = RowFit()
+        self._fit = VerticalDisparityFit()
         self._aligned: RectifiedRig | None = None
         self._pairs = 0
         self._next = 0
@@ -76,7 +76,7 @@ class VerticalDisparityCorrection:
         fitted = self._fit.result()
         self.found = fitted.errors
         corrects = self._aligned is not None or is_worth_correcting(fitted, rig)
-        wanted = fitted.errors if corrects else RowErrors()
+        wanted = fitted.errors if corrects else VerticalDisparity()
         if largest_change(self.corrected, wanted, rig) < _LEAST_CHANGE_PX:
             return False
         self.corrected = wanted
@@ -94,7 +94,7 @@ class VerticalDisparityCorrection:
             return False
         centre, focal = (rig.cx, rig.cy), (rig.fx, rig.fy)
         x, y = ((np.column_stack([found[:, 0], xy[:, 1]]) - centre) / focal).T
-        rows_px = found[:, 1] - xy[:, 1] + self.corrected.rows_px(x, y)
+        rows_px = found[:, 1] - xy[:, 1] + self.corrected.vertical_px(x, y)
         fit = deepcopy(self._fit)
         if np.count_nonzero(fit.add(x, y, rows_px)) < max(_FEWEST, _LEAST_SHARE * len(xy)):
             return False

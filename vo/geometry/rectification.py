@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from vo.errors import CalibrationError
 from vo.geometry import cameras
 from vo.geometry.distortion import centre_scale
-from vo.geometry.row_errors import RowErrors
 from vo.geometry.transforms import inverse, make_transform
+from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.types import Bytes, Camera, Floats, Floats32, Rig
 
 _Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
@@ -48,7 +48,7 @@ class RectifiedRig:
         lens: the distorted camera whose images are used as recorded, or None if there is nothing
             to undo; with its error corrected.
         maps: OpenCV's rectification maps of each camera, None for images that are used as is.
-        lens_error: what k1 of that lens is larger by than calibrated.
+        k1_error: k1 of that lens minus its calibrated value.
         disparity_offset_px: what a slightly wrong calibration adds to every disparity.
         disparity_curve_px: what it adds besides at one focal length from the image's middle, with
             the square of the distance, left and right.
@@ -65,7 +65,7 @@ class RectifiedRig:
     cam0_from_rectified: Floats
     lens: Camera | None = None
     maps: tuple[_Maps | None, ...] = (None, None)
-    lens_error: float = 0.0
+    k1_error: float = 0.0
     disparity_offset_px: float = 0.0
     disparity_curve_px: float = 0.0
     offset_is_yaw: bool = False
@@ -94,23 +94,23 @@ class RectifiedRig:
         nearest = cv2.remap(depth, self.maps[0][0], None, cv2.INTER_NEAREST)
         return np.asarray(nearest, dtype=np.float32)
 
-    def with_right_corrected(self, errors: RowErrors) -> RectifiedRig:
+    def with_right_corrected(self, errors: VerticalDisparity) -> RectifiedRig:
         """The same rig whose right images are taken from where points are really seen."""
         v, u = np.ogrid[: self.height, : self.width]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
-        at_u = (u + errors.columns_px(x, y)).astype(np.float32)
-        at_v = (v + errors.rows_px(x, y)).astype(np.float32)
+        at_u = (u + errors.horizontal_px(x, y)).astype(np.float32)
+        at_v = (v + errors.vertical_px(x, y)).astype(np.float32)
         if self.maps[1] is not None:
             recorded = cv2.convertMaps(*self.maps[1], cv2.CV_32FC1)
             at_u, at_v = (_looked_up(side, at_u, at_v) for side in recorded)
         return replace(self, maps=(self.maps[0], cv2.convertMaps(at_u, at_v, cv2.CV_16SC2)))
 
-    def with_lens_error(self, k1: float) -> RectifiedRig:
+    def with_k1_error(self, k1: float) -> RectifiedRig:
         """The same rig with a lens whose k1 is larger by so much than calibrated."""
-        return replace(self, lens=_bent(self.any_lens, k1 - self.lens_error), lens_error=k1)
+        return replace(self, lens=_bent(self.lens_or_pinhole, k1 - self.k1_error), k1_error=k1)
 
     @property
-    def any_lens(self) -> Camera:
+    def lens_or_pinhole(self) -> Camera:
         """The lens; one that distorts nothing where there is none."""
         size, intrinsics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
         ideal = Camera(*size, *intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
@@ -127,9 +127,9 @@ class RectifiedRig:
         if self.lens is None:
             return at
         rays = cameras.normalise(self.lens, at)
-        if self.lens_error != 0.0:  # with which it may not reach as far
+        if self.k1_error != 0.0:  # with which it may not reach as far
             beyond = np.isnan(rays).any(axis=1)
-            rays[beyond] = cameras.normalise(_bent(self.lens, -self.lens_error), at[beyond])
+            rays[beyond] = cameras.normalise(_bent(self.lens, -self.k1_error), at[beyond])
         rays[np.linalg.norm(rays, axis=1) > _MAX_RAY] = np.nan
         return np.asarray(rays * (self.fx, self.fy) + (self.cx, self.cy))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vo.types import RightCamera
+from vo.types import RightCameraError
 
 
 @dataclass(frozen=True)
@@ -144,4 +144,4 @@ class StereoReport:
     positive: float
     disparity_px: float
     depth_m: float | None
-    right_camera: RightCamera | None = None
+    right_camera: RightCameraError | None = None

@@ -9,10 +9,10 @@ import numpy as np
 
 from vo.errors import CalibrationError
 from vo.geometry.rectification import RectifiedRig, rectified_rig
-from vo.geometry.right_camera import is_worth_correcting, right_camera
-from vo.geometry.row_errors import RowFit
+from vo.geometry.right_camera_error import is_worth_correcting, right_camera_error
+from vo.geometry.vertical_disparity_model import VerticalDisparityFit
 from vo.inspection.image_records import StereoReport
-from vo.types import Bytes, Floats, Rig, RightCamera
+from vo.types import Bytes, Floats, Rig, RightCameraError
 
 _FEATURES = 1500
 _MIN_MATCHES = 15
@@ -60,16 +60,16 @@ def compare_stereo_images(
 
 def _right_camera(
     found: Sequence[tuple[tuple[Bytes, Bytes], Floats]], rig: RectifiedRig
-) -> RightCamera | None:
+) -> RightCameraError | None:
     """Error of the right camera's calibration from the rows of all pairs, if significant."""
-    fit = RowFit()
+    fit = VerticalDisparityFit()
     for pair, points in found:
         exact = _refined(*pair, points)
         x, y = (exact[:, 2] - rig.cx) / rig.fx, (exact[:, 1] - rig.cy) / rig.fy
         if len(exact) >= _MIN_MATCHES:
             fit.add(x, y, exact[:, 3] - exact[:, 1])
     fitted = fit.result()
-    return right_camera(fitted.errors, rig) if is_worth_correcting(fitted, rig) else None
+    return right_camera_error(fitted.errors, rig) if is_worth_correcting(fitted, rig) else None
 
 
 def _refined(left: Bytes, right: Bytes, points: Floats) -> Floats:

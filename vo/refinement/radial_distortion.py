@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.backend.calibration_residual import CalibrationResidual
-from vo.geometry.lens_error import bend_of_k1, edge_px
+from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig
 
 # At the image's edges: what is too little to tell from uneven patches, and to correct anew.
@@ -22,8 +22,8 @@ class RadialDistortionEstimator:
 
     def __init__(self, rig: RectifiedRig) -> None:
         self.applied = 0.0
-        self._bend = bend_of_k1(rig)
-        k1_of_px = 1.0 / edge_px(rig, 1.0)
+        self._bend = residual_per_k1(rig)
+        k1_of_px = 1.0 / edge_shift_px(rig, 1.0)
         self._systematic = _SYSTEMATIC_PX * k1_of_px
         self._least_change = _LEAST_CHANGE_PX * k1_of_px
         self._weight = 0.0

@@ -12,7 +12,16 @@ from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import Floats, ImageDefect, Ints, LensError, PlacedFrames, RightCamera, Skipped, State
+from vo.types import (
+    Floats,
+    ImageDefect,
+    Ints,
+    LensError,
+    PlacedFrames,
+    RightCameraError,
+    Skipped,
+    State,
+)
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -90,7 +99,7 @@ class Summary:
     median_disparity_px: float | None
     disparity_offset_px: float
     disparity_curve_px: float = 0.0
-    right_camera: RightCamera | None = None
+    right_camera: RightCameraError | None = None
     lens_error: LensError | None = None
     profile: Profile | None = None
 
@@ -145,7 +154,7 @@ def summarise(
     wall_s: float,
     disparity_offset_px: float = 0.0,
     disparity_curve_px: float = 0.0,
-    right_camera: RightCamera | None = None,
+    right_camera: RightCameraError | None = None,
     lens_error: LensError | None = None,
     error: str | None = None,
     profile: Profile | None = None,
@@ -222,7 +231,7 @@ def _path_length(steps: Floats) -> float:
     return float(steps.sum())
 
 
-def _rounded(values: StageTime | RightCamera | LensError, digits: int = 3) -> dict[str, float]:
+def _rounded(values: StageTime | RightCameraError | LensError, digits: int = 3) -> dict[str, float]:
     return {name: round(value, digits) for name, value in values._asdict().items()}
 
 
@@ -281,7 +290,7 @@ def _of_light(without_pose: Sequence[FrameRange], light: ImageDefect) -> list[st
     return [f"images {', '.join(said[:_MOST_RANGES])}{more} are {light.value}"]
 
 
-def _of_right_camera(found: RightCamera) -> str:
+def _of_right_camera(found: RightCameraError) -> str:
     return (
         f"the right camera is not as calibrated ({found.in_words}); this has been corrected, but "
         "calibrate anew: vo calibrate"

@@ -6,11 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from vo.geometry.row_errors import FittedRows, RowErrors, RowFit, sigma_of_rows
+from vo.geometry.vertical_disparity_model import (
+    FittedVerticalDisparity,
+    VerticalDisparity,
+    VerticalDisparityFit,
+    vertical_disparity_sigma,
+)
 from vo.types import Bools, Floats
 
 FOCAL = 450.0
-FOUND = RowErrors(pitch_px=-1.5, roll_px=0.8, zoom_px=0.6, bend_px=-0.3, skew_px=2.0)
+FOUND = VerticalDisparity(pitch_px=-1.5, roll_px=0.8, zoom_px=0.6, bend_px=-0.3, skew_px=2.0)
 
 
 def _places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
@@ -18,15 +23,15 @@ def _places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _fitted(x: Floats, y: Floats, rows_px: Floats) -> tuple[FittedRows, Bools]:
-    fit = RowFit()
+def _fitted(x: Floats, y: Floats, rows_px: Floats) -> tuple[FittedVerticalDisparity, Bools]:
+    fit = VerticalDisparityFit()
     agrees = fit.add(x, y, rows_px)
     return fit.result(), agrees
 
 
 def test_errors_are_found_again() -> None:
     x, y = _places(2000)
-    fitted, agrees = _fitted(x, y, FOUND.rows_px(x, y))
+    fitted, agrees = _fitted(x, y, FOUND.vertical_px(x, y))
     # What is usual pulls a little, bend most.
     assert fitted.errors == pytest.approx(FOUND, abs=0.05)
     assert agrees.all()
@@ -35,11 +40,11 @@ def test_errors_are_found_again() -> None:
 def test_a_third_of_wrong_matches_changes_little() -> None:
     rng = np.random.default_rng(1)
     x, y = _places(900)
-    rows = FOUND.rows_px(x, y) + 0.1 * rng.standard_normal(len(x))
+    rows = FOUND.vertical_px(x, y) + 0.1 * rng.standard_normal(len(x))
     rows[:300] = rng.uniform(-20.0, 20.0, 300)
     fitted, agrees = _fitted(x, y, rows)
     corner = np.array([0.8]), np.array([0.5])
-    assert fitted.errors.rows_px(*corner) == pytest.approx(FOUND.rows_px(*corner), abs=0.15)
+    assert fitted.errors.vertical_px(*corner) == pytest.approx(FOUND.vertical_px(*corner), abs=0.15)
     assert agrees[300:].mean() > 0.95
     assert agrees[:300].mean() < 0.1
 
@@ -47,20 +52,24 @@ def test_a_third_of_wrong_matches_changes_little() -> None:
 def test_less_is_known_where_there_are_no_points() -> None:
     x, y = _places(300)
     left = x < 0.0
-    fitted, _ = _fitted(x[left], y[left], FOUND.rows_px(x[left], y[left]))
-    on_left, on_right = sigma_of_rows(fitted, np.array([-0.4, 0.8]), np.array([0.2, 0.2]))
+    fitted, _ = _fitted(x[left], y[left], FOUND.vertical_px(x[left], y[left]))
+    on_left, on_right = vertical_disparity_sigma(
+        fitted, np.array([-0.4, 0.8]), np.array([0.2, 0.2])
+    )
     assert on_right > 3.0 * on_left > 0.0
 
 
 def test_what_one_half_of_the_image_leaves_open_the_other_one_tells() -> None:
     x, y = _places(600)
-    fit, corner = RowFit(), (np.array([0.8]), np.array([0.4]))
-    fit.add(x[x < 0], y[x < 0], FOUND.rows_px(x[x < 0], y[x < 0]))
-    (before,) = sigma_of_rows(fit.result(), *corner)
-    fit.add(x[x > 0], y[x > 0], FOUND.rows_px(x[x > 0], y[x > 0]))
-    (after,) = sigma_of_rows(fit.result(), *corner)
+    fit, corner = VerticalDisparityFit(), (np.array([0.8]), np.array([0.4]))
+    fit.add(x[x < 0], y[x < 0], FOUND.vertical_px(x[x < 0], y[x < 0]))
+    (before,) = vertical_disparity_sigma(fit.result(), *corner)
+    fit.add(x[x > 0], y[x > 0], FOUND.vertical_px(x[x > 0], y[x > 0]))
+    (after,) = vertical_disparity_sigma(fit.result(), *corner)
     assert after < 0.5 * before
-    assert fit.result().errors.rows_px(*corner) == pytest.approx(FOUND.rows_px(*corner), abs=0.05)
+    assert fit.result().errors.vertical_px(*corner) == pytest.approx(
+        FOUND.vertical_px(*corner), abs=0.05
+    )
 
 
 def _turned(axis: tuple[float, float, float]) -> Callable[[Floats], Floats]:
@@ -72,20 +81,20 @@ def _turned(axis: tuple[float, float, float]) -> Callable[[Floats], Floats]:
 @pytest.mark.parametrize(
     ("change", "errors"),
     [
-        (_turned((1.0, 0.0, 0.0)), RowErrors(pitch_px=1e-3 * FOCAL)),
-        (_turned((0.0, 0.0, -1.0)), RowErrors(roll_px=1e-3 * FOCAL)),
-        (lambda rays: rays * (1.001, 1.001, 1.0), RowErrors(zoom_px=1e-3 * FOCAL)),
+        (_turned((1.0, 0.0, 0.0)), VerticalDisparity(pitch_px=1e-3 * FOCAL)),
+        (_turned((0.0, 0.0, -1.0)), VerticalDisparity(roll_px=1e-3 * FOCAL)),
+        (lambda rays: rays * (1.001, 1.001, 1.0), VerticalDisparity(zoom_px=1e-3 * FOCAL)),
     ],
     ids=["pitch", "roll", "zoom"],
 )
 def test_the_errors_are_those_of_a_camera_that_was_moved(
-    change: Callable[[Floats], Floats], errors: RowErrors
+    change: Callable[[Floats], Floats], errors: VerticalDisparity
 ) -> None:
     x, y = _places(50)
     seen = change(np.column_stack([x, y, np.ones(len(x))]))
     moved = FOCAL * (seen[:, :2] / seen[:, 2:] - np.column_stack([x, y]))
-    np.testing.assert_allclose(moved[:, 1], errors.rows_px(x, y), atol=2e-3)
-    np.testing.assert_allclose(moved[:, 0], errors.columns_px(x, y), atol=2e-3)
+    np.testing.assert_allclose(moved[:, 1], errors.vertical_px(x, y), atol=2e-3)
+    np.testing.assert_allclose(moved[:, 0], errors.horizontal_px(x, y), atol=2e-3)
 
 
 def test_a_camera_that_looks_sideways_skews_the_rows() -> None:

@@ -5,43 +5,49 @@ from __future__ import annotations
 import numpy as np
 
 from vo.geometry.rectification import RectifiedRig
-from vo.geometry.row_errors import FittedRows, RowErrors, sigma_of_rows
-from vo.types import Floats, RightCamera
+from vo.geometry.vertical_disparity_model import (
+    FittedVerticalDisparity,
+    VerticalDisparity,
+    vertical_disparity_sigma,
+)
+from vo.types import Floats, RightCameraError
 
 _SURE = 2.0  # standard deviations
 # Less is left alone: nothing is lost by it, and images that are used as recorded stay as they are.
 _WORTH_PX, _WORTH_WITH_SKEW_PX = 0.5, 2.0
 
 
-def is_worth_correcting(fitted: FittedRows, rig: RectifiedRig) -> bool:
+def is_worth_correcting(fitted: FittedVerticalDisparity, rig: RectifiedRig) -> bool:
     """Whether errors at the corners of the image are large and surely there."""
     x, y = _corners(rig)
-    sure = np.abs(fitted.errors.rows_px(x, y)) > _SURE * sigma_of_rows(fitted, x, y)
+    sure = np.abs(fitted.errors.vertical_px(x, y)) > _SURE * vertical_disparity_sigma(fitted, x, y)
     without_skew = fitted.errors._replace(skew_px=0.0)
-    along = np.maximum(np.abs(without_skew.rows_px(x, y)), np.abs(without_skew.columns_px(x, y)))
-    across = np.abs(fitted.errors.rows_px(x, y))
+    along = np.maximum(
+        np.abs(without_skew.vertical_px(x, y)), np.abs(without_skew.horizontal_px(x, y))
+    )
+    across = np.abs(fitted.errors.vertical_px(x, y))
     return bool((sure & ((along > _WORTH_PX) | (across > _WORTH_WITH_SKEW_PX))).any())
 
 
-def largest_change(one: RowErrors, other: RowErrors, rig: RectifiedRig) -> float:
+def largest_change(one: VerticalDisparity, other: VerticalDisparity, rig: RectifiedRig) -> float:
     """By how many pixels two corrections differ at the corners of the image, at most."""
     x, y = _corners(rig)
-    rows = one.rows_px(x, y) - other.rows_px(x, y)
-    columns = one.columns_px(x, y) - other.columns_px(x, y)
+    rows = one.vertical_px(x, y) - other.vertical_px(x, y)
+    columns = one.horizontal_px(x, y) - other.horizontal_px(x, y)
     return float(max(np.abs(rows).max(), np.abs(columns).max()))
 
 
-def right_camera(corrected: RowErrors, rig: RectifiedRig) -> RightCamera | None:
+def right_camera_error(corrected: VerticalDisparity, rig: RectifiedRig) -> RightCameraError | None:
     """The same in words of the right camera, and how it looks sideways, if that is known."""
     yaw_px = -rig.disparity_offset_px if rig.offset_is_yaw else 0.0
-    if corrected == RowErrors() and yaw_px == 0.0:
+    if corrected == VerticalDisparity() and yaw_px == 0.0:
         return None
-    return RightCamera(
+    return RightCameraError(
         pitch_deg=float(np.rad2deg(corrected.pitch_px / rig.fx)),
         yaw_deg=float(np.rad2deg(yaw_px / rig.fx)),
         roll_deg=float(np.rad2deg(corrected.roll_px / rig.fx)),
         zoom_percent=100.0 * corrected.zoom_px / rig.fx,
-        rows_px=float(np.abs(corrected.rows_px(*_corners(rig))).max()),
+        rows_px=float(np.abs(corrected.vertical_px(*_corners(rig))).max()),
     )
 
 

@@ -25,7 +25,7 @@ _TOGETHER = 25.0
 _USUAL_PX = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
 
 
-class RowErrors(NamedTuple):
+class VerticalDisparity(NamedTuple):
     """The right image against what its calibration says; x, y are pixels over focal length.
 
     Attributes:
@@ -44,25 +44,25 @@ class RowErrors(NamedTuple):
     bend_px: float = 0.0
     skew_px: float = 0.0
 
-    def rows_px(self, x: Floats, y: Floats) -> Floats:
+    def vertical_px(self, x: Floats, y: Floats) -> Floats:
         """How much lower than expected a point is seen that should be at (x, y)."""
         rows = self.pitch_px * (1.0 + y * y) + self.roll_px * x + self.zoom_px * y
         return np.asarray(rows + self.bend_px * y * (x * x + y * y) + self.skew_px * x * y)
 
-    def columns_px(self, x: Floats, y: Floats) -> Floats:
+    def horizontal_px(self, x: Floats, y: Floats) -> Floats:
         """How much farther to the right, as far as rows tell."""
         columns = self.pitch_px * x * y - self.roll_px * y + self.zoom_px * x
         return np.asarray(columns + self.bend_px * x * (x * x + y * y))
 
 
-class FittedRows(NamedTuple):
+class FittedVerticalDisparity(NamedTuple):
     """Errors of rows, and their covariance (5, 5)."""
 
-    errors: RowErrors
+    errors: VerticalDisparity
     covariance: Floats
 
 
-class RowFit:
+class VerticalDisparityFit:
     """Gathers what pairs say of errors of rows."""
 
     def __init__(self) -> None:
@@ -86,13 +86,15 @@ class RowFit:
         self._vector += vector
         return np.asarray(np.abs(rows_px - terms @ found) <= 3.0 * sigma)
 
-    def result(self) -> FittedRows:
+    def result(self) -> FittedVerticalDisparity:
         """What all pairs together say."""
         covariance = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
-        return FittedRows(RowErrors(*(covariance @ self._vector).tolist()), covariance)
+        return FittedVerticalDisparity(
+            VerticalDisparity(*(covariance @ self._vector).tolist()), covariance
+        )
 
 
-def sigma_of_rows(fitted: FittedRows, x: Floats, y: Floats) -> Floats:
+def vertical_disparity_sigma(fitted: FittedVerticalDisparity, x: Floats, y: Floats) -> Floats:
     """Standard deviations of `rows_px` at some places."""
     terms = _terms(x, y)
     return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", terms, fitted.covariance, terms)))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vo.geometry.lens_error import bend_of_k1, edge_px
+from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.types import Camera, Rig
 
@@ -16,15 +16,15 @@ def _rig(*distortion: float) -> RectifiedRig:
 
 def test_an_error_moves_the_corners_most() -> None:
     radius = np.hypot(319.5, 199.5) / 420.0
-    assert edge_px(_rig(), 0.01) == pytest.approx(0.01 * 420.0 * radius**3, rel=1e-6)
+    assert edge_shift_px(_rig(), 0.01) == pytest.approx(0.01 * 420.0 * radius**3, rel=1e-6)
 
 
 def test_a_lens_that_does_not_reach_the_corners_has_an_edge_too() -> None:
-    assert 0.0 < edge_px(_rig(-0.4, 0.0, 0.0, 0.0), 0.01) < 10.0
+    assert 0.0 < edge_shift_px(_rig(-0.4, 0.0, 0.0, 0.0), 0.01) < 10.0
 
 
 def test_without_distortion_ideal_points_are_bent_as_the_image_is() -> None:
-    assert bend_of_k1(_rig()) == pytest.approx(1.0, abs=1e-4)
+    assert residual_per_k1(_rig()) == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -35,8 +35,10 @@ def test_undistorting_changes_how_much_ideal_points_are_bent(
 ) -> None:
     rig = _rig(*distortion)
     xy = np.random.default_rng(0).uniform((0.0, 0.0), (639.0, 399.0), (500, 2))
-    ideal, wrong = rig.undistort(xy), rig.with_lens_error(0.002).undistort(xy)
+    ideal, wrong = rig.undistort(xy), rig.with_k1_error(0.002).undistort(xy)
     ray = (ideal - (319.5, 199.5)) / 420.0
-    bent = ideal - 0.002 * bend_of_k1(rig) * 420.0 * ray * np.sum(ray**2, axis=1, keepdims=True)
+    bent = ideal - 0.002 * residual_per_k1(rig) * 420.0 * ray * np.sum(
+        ray**2, axis=1, keepdims=True
+    )
     left, was = (np.linalg.norm(at - wrong, axis=1) for at in (bent, ideal))
     assert np.sqrt(np.mean(left**2)) < 0.35 * np.sqrt(np.mean(was**2))
