@@ -11,22 +11,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
-from vo import odometry
 from vo.backend.covariance import propagated
-from vo.backend.sliding_window import Window, take_in
+from vo.backend.sliding_window import SlidingWindow, Window
 from vo.backend.solution import WindowSolution
 from vo.config import Config, load_config
 from vo.evaluation.association import associate
-from vo.geometry.rectification import RectifiedRig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import adjoint, inverse, se3_log
-from vo.mapping.local_map import Keyframe, Map
+from vo.mapping.keyframe import Keyframe
+from vo.odometry import Odometry
 from vo.sources.registry import open_source
 from vo.types import Floats, Ints, KeyframePose, Mode, Trajectory
 
@@ -53,26 +54,16 @@ class Pair(NamedTuple):
 class JointCovariance:
     """Joint covariance of the newest keyframes, those that left the window included."""
 
-    def __init__(self, memory: int) -> None:
+    def __init__(self, memory: int, cam0_from_rectified: Floats) -> None:
         self._memory = memory
         self._ids: list[int] = []
-        self._cam0_from_rectified = np.eye(6)
+        self._cam0_from_rectified = adjoint(cam0_from_rectified)
         self._blocks: dict[tuple[int, int], Floats] = {}
 
-    def take_in(
-        self,
-        world: Map,
-        window: Window,
-        solution: WindowSolution,
-        rig: RectifiedRig,
-        config: Config,
-    ) -> list[Keyframe]:
-        """Apply a solution like the odometry, and record its covariances."""
-        moved = take_in(world, window, solution, rig, config)
+    def record(self, window: Window, solution: WindowSolution) -> None:
+        """Record the covariances of a solution that is applied."""
         if solution.converged:
-            self._cam0_from_rectified = adjoint(rig.cam0_from_rectified)
             self._add([keyframe.id for keyframe in window.keyframes], solution)
-        return moved
 
     def block(self, row: int, column: int) -> Floats | None:
         """(6, 6) covariance of two keyframes in their cam0 frames, None if unknown."""
@@ -107,6 +98,23 @@ class JointCovariance:
                 known[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] = block
                 known[6 * b : 6 * b + 6, 6 * a : 6 * a + 6] = block.T
         return known
+
+
+@contextmanager
+def recorded_solutions(joint: JointCovariance) -> Iterator[None]:
+    """Record the solution of every window that is applied meanwhile."""
+    apply_solution = SlidingWindow.apply_solution
+
+    def recording(self: SlidingWindow, window: Window, solution: WindowSolution) -> list[Keyframe]:
+        moved = apply_solution(self, window, solution)
+        joint.record(window, solution)
+        return moved
+
+    SlidingWindow.apply_solution = recording  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        SlidingWindow.apply_solution = apply_solution  # type: ignore[method-assign]
 
 
 def pairs(
@@ -160,13 +168,12 @@ def measure(folder: Path, mode: Mode, config: Config) -> tuple[int, dict[int, li
     source = open_source(folder, mode=mode)
     if source.ground_truth is None:
         raise SystemExit(f"error: {folder} has no ground truth")
-    joint = JointCovariance(max(STEPS))
-    odometry.take_in = joint.take_in
-    with closing(odometry.Odometry(source.rig, config)) as runner:
-        for _ in runner.steps(source.frames()):
+    joint = JointCovariance(max(STEPS), rectified_rig(source.rig).cam0_from_rectified)
+    with recorded_solutions(joint), closing(Odometry(source.rig, config)) as odometry:
+        for _ in odometry.track_all(source.frames()):
             pass
-        runner.finish()
-        keyframes = runner.history.keyframes()
+        odometry.finish()
+        keyframes = odometry.trajectory.keyframes()
     result: dict[int, list[Pair]] = {step: [] for step in (0, *STEPS)}
     for segment in sorted({k.segment for k in keyframes}):
         rows = [i for i, k in enumerate(keyframes) if k.segment == segment]

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from vo.config import Config
+from vo.settings import is_expert
 
 FOLDER = Path(__file__).resolve().parent.parent / "configs"
 
@@ -29,11 +30,11 @@ CHANGES: dict[str, dict[str, Any]] = {
         "features.count": 800,
         "tracking.max_landmarks": 500,
         "mapping.new_per_keyframe": 350,
-        "mapping.look_back": 3,
+        "mapping.fuse_keyframes": 3,
         "mapping.neighbours": 3,
         "smoothing.window": 5,
         "smoothing.fixed": 3,
-        "keyframes.min_tracked_share": 0.65,
+        "keyframes.min_tracked_ratio": 0.65,
         "keyframes.min_tracked": 120,
         "keyframes.min_tracked_mono": 80,
         "keyframes.min_parallax_deg": 1.5,
@@ -68,11 +69,16 @@ def render(preset: str) -> str:
 
 def _lines(model: type[BaseModel], section: str, changes: dict[str, Any]) -> Iterator[str]:
     indent = "  " if section else ""
-    for name, info in model.model_fields.items():
+    fields = sorted(model.model_fields.items(), key=lambda field: is_expert(field[1]))
+    has_expert_line = False
+    for name, info in fields:
         if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
             yield from ("", f"# {_one_line(info.annotation.__doc__)}", f"{name}:")
             yield from _lines(info.annotation, f"{name}.", changes)
             continue
+        if is_expert(info) and not has_expert_line:
+            has_expert_line = True
+            yield f"{indent}# Expert settings"
         value = changes.pop(section + name, info.default)
         note = f"; default {_yaml(info.default)}" if value != info.default else ""
         comment = f"{info.description}{_range(info)}{note}"

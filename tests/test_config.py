@@ -40,7 +40,7 @@ def keys_of_text(path: Path) -> dict[str, str]:
     """Every key that a preset gives a value, with its comment, as written."""
     found, section = {}, ""
     for line in path.read_text(encoding="utf-8").splitlines():
-        if not line or line.startswith("#"):
+        if not line or line.strip().startswith("#"):
             continue
         key, _, rest = line.partition(":")
         if not rest:
@@ -202,3 +202,26 @@ def test_the_wheel_brings_the_presets(tmp_path: Path) -> None:
     assert {f"vo/configs/{preset}.yaml" for preset in PRESETS} <= names
     assert "vo/run.py" in names
     assert "data_synth/sequence.py" in names
+
+
+def test_old_names_of_settings_still_work_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text("tracking: {search_share: 0.03}\nmapping: {look_back: 2}\n", encoding="utf-8")
+    config = load_config(path, ["stereo.offset_correction=false"])
+    assert config.tracking.search_ratio == 0.03
+    assert config.mapping.fuse_keyframes == 2
+    assert not config.refinement.disparity_correction
+    (message,) = [record.getMessage() for record in caplog.records]
+    assert "tracking.search_share is now tracking.search_ratio" in message
+    assert "stereo.offset_correction is now refinement.disparity_correction" in message
+
+
+def test_an_override_by_an_old_name_replaces_the_value_of_a_preset() -> None:
+    assert load_config("fast", ["tracking.min_share=0.2"]).tracking.min_inlier_ratio == 0.2
+
+
+def test_an_old_name_with_a_wrong_value_is_an_error_about_the_new_name() -> None:
+    with pytest.raises(ConfigError, match="tracking.search_ratio"):
+        load_config("default", ["tracking.search_share=2"])

@@ -26,14 +26,14 @@ def test_a_pair_high_above_the_ground_keeps_its_scale() -> None:
         for index, shot in enumerate(film(plan, pool, FRAMES)):
             left, right = shot.images
             assert left is not None
-            estimate = odometry.step(Frame(index, round(index / recipe.fps * 1e9), left, right))
-            assert estimate.world_from_cam0 is not None, estimate.reason
+            estimate = odometry.track(Frame(index, round(index / recipe.fps * 1e9), left, right))
+            assert estimate.world_from_cam0 is not None, estimate.failure
             disparities_px.append(estimate.median_disparity_px)
     odometry.finish()
     odometry.close()
     assert 0.5 < np.median(np.array(disparities_px, float)) < 2.0
-    assert odometry.disparity_offset_px == 0.0
-    path = odometry.history.trajectory().world_from_cam[:, :3, 3]
+    assert odometry.calibration_errors.disparity_offset_px == 0.0
+    path = odometry.trajectory.trajectory().world_from_cam[:, :3, 3]
     truth = plan.recording.cam0_truth.world_from_cam[FRAMES.start : FRAMES.stop, :3, 3]
     fit = umeyama(path, truth, with_scale=True)
     assert abs(fit.scale - 1.0) < 0.01

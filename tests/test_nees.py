@@ -75,10 +75,7 @@ def test_a_cell_marks_covariances_that_are_too_large_or_too_small(nees: ModuleTy
     assert nees.cell([], 1) == "–"
 
 
-def test_measures_a_recording(
-    nees: ModuleType, synthetic_stereo: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(nees.odometry, "take_in", nees.take_in)  # put back after the test
+def test_measures_a_recording(nees: ModuleType, synthetic_stereo: Path) -> None:
     config = load_config("fast", ["keyframes.min_parallax_deg=0.2"])
     count, pairs = nees.measure(synthetic_stereo, "stereo", config)
     assert count >= nees.MIN_KEYFRAMES

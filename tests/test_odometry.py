@@ -15,11 +15,12 @@ from data_synth.film import film
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from vo.backend.optimizer import InProcessOptimizer
+from vo.backend.window_problem import WindowProblem
 from vo.config import Config, FeaturesConfig, KeyframeConfig
 from vo.geometry.similarity import Similarity, umeyama
 from vo.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.odometry import Odometry
-from vo.types import Estimate, Floats, Frame, Rig, State, WindowProblem
+from vo.types import Estimate, Floats, Frame, Rig, Snapshot, State
 
 FPS, FIRST, COUNT = 15.0, 15, 40  # a second after the start, when the walk is under way
 CONFIG = Config(threads=1, features=FeaturesConfig(count=800))  # enough for small images
@@ -49,10 +50,11 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What the odometry said, frame by frame, and its path at the end."""
+    """Results of the odometry, frame by frame, and its path at the end."""
 
     odometry: Odometry
     estimates: list[Estimate]
+    snapshots: list[Snapshot]  # empty unless they were asked for
 
     @property
     def states(self) -> list[State]:
@@ -60,15 +62,15 @@ class Run:
 
     @property
     def path(self) -> Floats:
-        return self.odometry.history.trajectory().world_from_cam
+        return self.odometry.trajectory.trajectory().world_from_cam
 
     @property
     def numbers(self) -> list[int]:
         """Frames that have a pose."""
-        return [int(f) for f in self.odometry.history.frames["frame_index"]]
+        return [int(f) for f in self.odometry.trajectory.frames["frame_index"]]
 
     def segment(self, number: int) -> list[int]:
-        frames = self.odometry.history.frames
+        frames = self.odometry.trajectory.frames
         return [int(f) for f in frames["frame_index"][frames["segment"] == number]]
 
 
@@ -93,17 +95,23 @@ def _recording() -> Recording:
     return Recording(plan.recording.rig, tuple(frames), poses)
 
 
-def _run(rig: Rig, frames: Iterable[Frame], config: Config = CONFIG) -> Run:
+def _run(
+    rig: Rig, frames: Iterable[Frame], config: Config = CONFIG, *, takes_snapshots: bool = False
+) -> Run:
     odometry = Odometry(rig, config)
-    estimates = list(odometry.steps(frames))
+    run = Run(odometry, [], [])
+    for estimate in odometry.track_all(frames):
+        run.estimates.append(estimate)
+        if takes_snapshots:
+            run.snapshots.append(odometry.snapshot())
     odometry.finish()
     odometry.close()
-    return Run(odometry, estimates)
+    return run
 
 
 @pytest.fixture(scope="module")
 def stereo(recording: Recording) -> Run:
-    return _run(recording.rig, recording.frames)
+    return _run(recording.rig, recording.frames, takes_snapshots=True)
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +144,7 @@ def test_stereo_tracks_every_frame_in_one_segment(stereo: Run) -> None:
     assert set(stereo.states) == {State.TRACKING}
     assert stereo.numbers == list(range(COUNT))
     assert {e.segment for e in stereo.estimates} == {0}
-    assert all(e.reason == "" for e in stereo.estimates)
+    assert all(e.failure is None for e in stereo.estimates)
 
 
 def test_stereo_errs_by_less_than_a_hundredth_of_the_path(
@@ -170,38 +178,44 @@ def test_the_first_pose_is_where_the_world_begins(stereo: Run) -> None:
     np.testing.assert_allclose(first, np.eye(4), atol=1e-12)
 
 
-def test_estimates_hold_together(stereo: Run) -> None:
+def test_estimates_and_snapshots_are_consistent(stereo: Run) -> None:
     keyframes = [e for e in stereo.estimates if e.is_keyframe]
     assert 2 <= len(keyframes) < COUNT
-    for estimate in stereo.estimates:
+    for estimate, snapshot in zip(stereo.estimates, stereo.snapshots, strict=True):
         assert 0 < estimate.inliers <= estimate.matches
-        told = [k.frame_index for k in estimate.keyframes]
-        assert told == sorted(told) and (estimate.frame_index in told) == estimate.is_keyframe
-        assert (estimate.landmarks is not None) == bool(told)
-        view = estimate.view
+        moved = [k.frame_index for k in estimate.keyframes]
+        assert moved == sorted(moved) and (estimate.frame_index in moved) == estimate.is_keyframe
+        assert (snapshot.landmarks is not None) == bool(moved)
+        assert (estimate.landmark_ids is not None) == bool(moved)
+        view = snapshot.view
         assert view.xy.shape == view.previous_xy.shape == (len(view.feature_state), 2)
         assert estimate.stage_ms["features"] > 0.0
 
 
-def test_what_only_recordings_show_can_be_left_out(stereo: Run, recording: Recording) -> None:
-    odometry = Odometry(recording.rig, CONFIG)
-    odometry.details = False
-    plain = list(odometry.steps(recording.frames[:15]))
-    odometry.close()
-    for ours, whole in zip(plain, stereo.estimates, strict=False):
-        np.testing.assert_array_equal(ours.world_from_cam0, whole.world_from_cam0)
-        np.testing.assert_array_equal(ours.view.xy, whole.view.xy)
-        assert ours.view.error_px is None and not ours.neighbours
-        assert whole.view.error_px is not None and not np.isnan(whole.view.error_px).all()
-        if ours.landmarks is not None and whole.landmarks is not None:
-            np.testing.assert_array_equal(ours.landmarks.ids, whole.landmarks.ids)
-            assert ours.landmarks.sigma is None and whole.landmarks.sigma is not None
+def test_snapshots_change_no_result_and_agree_with_it(stereo: Run, recording: Recording) -> None:
+    plain = _run(recording.rig, recording.frames[:15]).estimates
+    for ours, other, snapshot in zip(plain, stereo.estimates, stereo.snapshots, strict=False):
+        np.testing.assert_array_equal(ours.world_from_cam0, other.world_from_cam0)
+        view = snapshot.view
+        assert ours.features == len(view.xy)
+        assert view.error_px is not None and not np.isnan(view.error_px).all()
+        assert (ours.landmark_ids is None) == (snapshot.landmarks is None)
+        if ours.landmark_ids is not None and snapshot.landmarks is not None:
+            np.testing.assert_array_equal(ours.landmark_ids, snapshot.landmarks.ids)
+            assert snapshot.landmarks.sigma is not None
     assert sum(e.is_keyframe for e in plain) > 1
-    assert any(e.neighbours for e in stereo.estimates)
+    assert any(s.neighbours for s in stereo.snapshots)
+
+
+def test_before_the_first_frame_there_is_no_snapshot(recording: Recording) -> None:
+    odometry = Odometry(recording.rig, CONFIG)
+    with pytest.raises(RuntimeError, match="no frame has been tracked yet"):
+        odometry.snapshot()
+    odometry.close()
 
 
 def test_landmarks_lie_inside_the_room(stereo: Run, recording: Recording) -> None:
-    landmarks = next(e.landmarks for e in reversed(stereo.estimates) if e.landmarks is not None)
+    landmarks = next(s.landmarks for s in reversed(stereo.snapshots) if s.landmarks is not None)
     xyz = landmarks.xyz @ recording.world_from_cam0[0, :3, :3].T
     xyz = xyz + recording.world_from_cam0[0, :3, 3]
     inside = np.all((xyz > (-5.0, -4.0, -0.5)) & (xyz < (5.0, 4.0, 3.4)), axis=1)
@@ -212,7 +226,7 @@ def test_landmarks_lie_inside_the_room(stereo: Run, recording: Recording) -> Non
 @pytest.mark.parametrize("kind", ["stereo", "mono"])
 def test_every_keyframe_has_a_covariance(kind: str, request: pytest.FixtureRequest) -> None:
     run: Run = request.getfixturevalue(kind)
-    covariances = [k.covariance for k in run.odometry.history.keyframes()]
+    covariances = [k.covariance for k in run.odometry.trajectory.keyframes()]
     known = [c for c in covariances if c is not None and np.isfinite(c).all()]
     assert len(known) == len(covariances) > 4
     np.testing.assert_array_equal(known[0], 0.0)
@@ -223,7 +237,7 @@ def test_every_keyframe_has_a_covariance(kind: str, request: pytest.FixtureReque
 
 def test_true_poses_lie_within_a_few_sigmas(stereo: Run, recording: Recording) -> None:
     world_from_first = recording.world_from_cam0[0]
-    for keyframe in list(stereo.odometry.history.keyframes())[1:]:
+    for keyframe in list(stereo.odometry.trajectory.keyframes())[1:]:
         truth = inverse(world_from_first) @ recording.world_from_cam0[keyframe.frame_index]
         assert keyframe.covariance is not None
         error = se3_log(inverse(keyframe.world_from_cam0) @ truth)
@@ -249,7 +263,7 @@ def test_the_number_of_threads_makes_no_difference(
         assert one.state == other.state
         np.testing.assert_array_equal(one.world_from_cam0, other.world_from_cam0)
     covariances = [
-        [k.covariance for k in run.odometry.history.keyframes()] for run in (many, alone)
+        [k.covariance for k in run.odometry.trajectory.keyframes()] for run in (many, alone)
     ]
     np.testing.assert_array_equal(*covariances)
 
@@ -275,85 +289,86 @@ def _with_shifted_right(frames: Iterable[Frame], shift_px: float) -> list[Frame]
 
 
 def test_without_a_disparity_offset_none_is_found(stereo: Run) -> None:
-    assert abs(stereo.odometry.disparity_offset_px) < 0.1
+    assert abs(stereo.odometry.calibration_errors.disparity_offset_px) < 0.1
 
 
 @pytest.mark.parametrize("shift_px", [0.5, -0.5])
 def test_a_disparity_offset_is_found_and_corrected(recording: Recording, shift_px: float) -> None:
     run = _run(recording.rig, _with_shifted_right(recording.frames[:30], shift_px))
-    assert run.odometry.disparity_offset_px == pytest.approx(shift_px, abs=0.15)
+    assert run.odometry.calibration_errors.disparity_offset_px == pytest.approx(shift_px, abs=0.15)
     _, fit = _fit(run, recording, with_scale=True)
     assert fit.scale == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_disparity_offset_is_left_alone_where_that_is_asked_for(recording: Recording) -> None:
-    stereo = CONFIG.stereo.model_copy(update={"offset_correction": False})
+def test_a_disparity_offset_is_not_corrected_if_switched_off(
+    recording: Recording,
+) -> None:
+    refinement = CONFIG.refinement.model_copy(update={"disparity_correction": False})
     frames = _with_shifted_right(recording.frames[:15], 0.5)
-    run = _run(recording.rig, frames, CONFIG.model_copy(update={"stereo": stereo}))
-    assert run.odometry.disparity_offset_px == 0.0
+    run = _run(recording.rig, frames, CONFIG.model_copy(update={"refinement": refinement}))
+    assert run.odometry.calibration_errors.disparity_offset_px == 0.0
     _, fit = _fit(run, recording, with_scale=True)
     assert abs(fit.scale - 1.0) > 0.01  # so the shift is one that matters
 
 
-def test_the_calibration_is_asked_for_each_of_ten_windows_and_then_every_third_time(
+def test_calibration_is_estimated_in_each_of_ten_windows_and_then_in_every_third(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = _asked(monkeypatch)
+    estimated = _estimated(monkeypatch)
     often = KeyframeConfig(max_gap_s=1e-3, min_parallax_deg=0.05)  # so that there are enough
     _run(recording.rig, recording.frames, CONFIG.model_copy(update={"keyframes": often}))
-    assert len(asked) > 20
-    assert asked[:10] == [True] * 10
-    assert asked[10:] == [number % 3 == 0 for number in range(10, len(asked))]
+    assert len(estimated) > 20
+    assert estimated[:10] == [True] * 10
+    assert estimated[10:] == [number % 3 == 0 for number in range(10, len(estimated))]
 
 
 @pytest.mark.parametrize(
-    ("mode", "section", "setting"),
-    [("stereo", "stereo", "offset_correction"), ("mono", "tracking", "lens_correction")],
+    ("mode", "setting"), [("stereo", "disparity_correction"), ("mono", "lens_correction")]
 )
-def test_the_calibration_is_not_asked_for_where_it_is_to_be_left_alone(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch, mode: str, section: str, setting: str
+def test_calibration_is_not_estimated_if_its_correction_is_switched_off(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, mode: str, setting: str
 ) -> None:
-    asked = _asked(monkeypatch)
-    changed = getattr(CONFIG, section).model_copy(update={setting: False})
+    estimated = _estimated(monkeypatch)
+    refinement = CONFIG.refinement.model_copy(update={setting: False})
     rig = recording.rig if mode == "stereo" else recording.mono_rig
     frames = recording.frames[:15] if mode == "stereo" else recording.mono()[:25]
-    _run(rig, frames, CONFIG.model_copy(update={section: changed}))
-    assert asked
-    assert not any(asked)
+    _run(rig, frames, CONFIG.model_copy(update={"refinement": refinement}))
+    assert estimated
+    assert not any(estimated)
 
 
-def _asked(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
-    """Whether each window that is handed in from here on is to tell of the calibration."""
-    asked: list[bool] = []
-    ask = InProcessOptimizer.ask
+def _estimated(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Whether the calibration is estimated in each window that is submitted from here on."""
+    estimated: list[bool] = []
+    submit = InProcessOptimizer.submit
 
     def noted(self: InProcessOptimizer, problem: WindowProblem) -> None:
-        asked.append(problem.calibrates)
-        ask(self, problem)
+        estimated.append(problem.estimates_calibration)
+        submit(self, problem)
 
-    monkeypatch.setattr(InProcessOptimizer, "ask", noted)
-    return asked
+    monkeypatch.setattr(InProcessOptimizer, "submit", noted)
+    return estimated
 
 
 # Lens
 
 
 def _with_k1(recording: Recording, k1: float) -> Rig:
-    """A calibration that is wrong by so much: the lens of the recording has no distortion."""
+    """A calibration that is wrong by k1: the lens of the recording has no distortion."""
     cam0 = recording.rig.cam0
     return Rig(replace(cam0, distortion_model="radtan", distortion=(k1, 0.0, 0.0, 0.0)))
 
 
-def test_a_lens_that_is_as_calibrated_is_left_alone(mono: Run) -> None:
-    assert mono.odometry.lens_error is None
+def test_a_lens_that_is_as_calibrated_is_not_corrected(mono: Run) -> None:
+    assert mono.odometry.calibration_errors.lens_error is None
 
 
 @pytest.mark.parametrize("k1", [-0.02, -0.01, 0.02])
-def test_what_a_calibration_leaves_of_the_lens_is_found_and_corrected(
+def test_an_error_of_the_lens_is_found_and_corrected(
     recording: Recording, mono: Run, k1: float
 ) -> None:
     run = _run(_with_k1(recording, k1), recording.mono())
-    found = run.odometry.lens_error
+    found = run.odometry.calibration_errors.lens_error
     assert found is not None
     assert found.k1 == pytest.approx(-k1, rel=0.1)  # three pixels in the corners, or six
     radius = np.hypot(240.0, 150.0) / 264.0
@@ -363,11 +378,11 @@ def test_what_a_calibration_leaves_of_the_lens_is_found_and_corrected(
     assert ate < 3.0 * right
 
 
-def test_a_lens_is_left_alone_where_that_is_asked_for(recording: Recording, mono: Run) -> None:
-    tracking = CONFIG.tracking.model_copy(update={"lens_correction": False})
-    config = CONFIG.model_copy(update={"tracking": tracking})
+def test_a_lens_is_not_corrected_if_switched_off(recording: Recording, mono: Run) -> None:
+    refinement = CONFIG.refinement.model_copy(update={"lens_correction": False})
+    config = CONFIG.model_copy(update={"refinement": refinement})
     run = _run(_with_k1(recording, 0.02), recording.mono(), config)
-    assert run.odometry.lens_error is None
+    assert run.odometry.calibration_errors.lens_error is None
     ate, _ = _fit(run, recording, with_scale=True)
     right, _ = _fit(mono, recording, with_scale=True)
     assert ate > 6.0 * right  # so the error is one that matters
@@ -395,9 +410,9 @@ def test_mono_is_bit_identical_when_run_again(mono: Run, recording: Recording) -
     np.testing.assert_array_equal(again.path, mono.path)
 
 
-def test_frames_before_the_mono_start_say_why(mono: Run) -> None:
+def test_frames_before_the_mono_start_have_a_failure(mono: Run) -> None:
     for estimate in mono.estimates:
-        assert (estimate.reason != "") == (estimate.state is State.STARTING)
+        assert (estimate.failure is not None) == (estimate.state is State.STARTING)
 
 
 def test_a_right_image_is_ignored_by_a_mono_rig(mono: Run, recording: Recording) -> None:
@@ -418,7 +433,7 @@ def test_standing_still_in_mono_never_makes_a_map(recording: Recording) -> None:
     run = _run(recording.mono_rig, frames)
     assert set(run.states) == {State.STARTING}
     assert run.numbers == []
-    assert all(e.reason for e in run.estimates)
+    assert all(e.failure for e in run.estimates)
 
 
 def test_turning_on_the_spot_in_mono_never_makes_a_map(recording: Recording) -> None:
@@ -438,7 +453,7 @@ def test_turning_on_the_spot_in_mono_never_makes_a_map(recording: Recording) -> 
 def test_a_short_blackout_is_lost_and_then_recovered(recording: Recording) -> None:
     run = _run(recording.rig, _change(recording.frames, range(20, 24), _black))
     assert set(run.states[20:24]) == {State.LOST}
-    assert all(e.world_from_cam0 is None and e.reason for e in run.estimates[20:24])
+    assert all(e.world_from_cam0 is None and e.failure for e in run.estimates[20:24])
     assert set(run.states[:20] + run.states[24:]) == {State.TRACKING}
     assert run.numbers == [*range(20), *range(24, COUNT)]
     assert {e.segment for e in run.estimates} == {0}
@@ -476,13 +491,13 @@ def test_only_black_frames_end_without_a_path(recording: Recording) -> None:
 def test_frames_without_a_right_image_are_tracked_all_the_same(recording: Recording) -> None:
     left_only = range(10, 22)
     frames = _change(recording.frames[:28], left_only, lambda f: replace(f, image1=None))
-    run = _run(recording.rig, frames)
+    run = _run(recording.rig, frames, takes_snapshots=True)
     assert set(run.states) == {State.TRACKING}
     assert run.numbers == list(range(28))
     ate, _ = _fit(run, recording, with_scale=False)
     assert ate < 0.02 * recording.path_m
     for number in left_only:
-        assert run.estimates[number].view.image1 is None
+        assert run.snapshots[number].view.image1 is None
 
 
 def test_stereo_waits_for_a_right_image_to_start(recording: Recording) -> None:
@@ -498,12 +513,12 @@ def test_a_jump_in_time_and_place_does_not_make_a_wild_path(recording: Recording
     steps = np.linalg.norm(np.diff(run.path[:, :3, 3], axis=0), axis=1)
     truth = recording.world_from_cam0[run.numbers][:, :3, 3]
     expected = np.linalg.norm(np.diff(truth, axis=0), axis=1)
-    together = np.diff(run.odometry.history.frames["segment"]) == 0
+    together = np.diff(run.odometry.trajectory.frames["segment"]) == 0
     np.testing.assert_allclose(steps[together], expected[together], atol=0.03)
 
 
 @pytest.mark.parametrize("kind", ["stereo", "mono"])
-def test_frames_that_were_lost_get_a_place_in_the_new_segment(
+def test_frames_that_were_lost_are_tracked_in_the_new_segment(
     recording: Recording, kind: str
 ) -> None:
     """From one frame to the next the camera is in another place: the room in a mirror."""
@@ -522,7 +537,7 @@ def test_frames_that_were_lost_get_a_place_in_the_new_segment(
     assert run.states[14:19] == [State.LOST] * 5
     assert run.segment(1) == list(range(14, COUNT))
     assert all(run.estimates[n].world_from_cam0 is None for n in range(14, 19))
-    stamps_ns = run.odometry.history.trajectory().stamps_ns
+    stamps_ns = run.odometry.trajectory.trajectory().stamps_ns
     assert np.all(np.diff(stamps_ns) > 0)
 
 

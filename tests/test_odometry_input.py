@@ -1,4 +1,4 @@
-"""What the odometry makes of input that is not as it should be, end to end on rendered images."""
+"""Odometry on input with defects, end to end on rendered images."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from vo.config import Config, load_config
+from vo.failures import FailureReason, describe
 from vo.formats.trajectory import read_tum
 from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
@@ -31,22 +32,22 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What the odometry said frame by frame, and the numbers of the frames that have a pose."""
+    """Results of the odometry, and the numbers of the frames that have a pose."""
 
     odometry: Odometry
     estimates: list[Estimate]
 
     @property
     def numbers(self) -> list[int]:
-        return [int(f) for f in self.odometry.history.frames["frame_index"]]
+        return [int(f) for f in self.odometry.trajectory.frames["frame_index"]]
 
     @property
     def segments(self) -> set[int]:
-        return {int(s) for s in self.odometry.history.frames["segment"]}
+        return {int(s) for s in self.odometry.trajectory.frames["segment"]}
 
     def errors_m(self, recording: Recording, *, with_scale: bool = False) -> Floats:
         """Distances of the smoothed positions from the truth after alignment."""
-        found = self.odometry.history.trajectory().positions
+        found = self.odometry.trajectory.trajectory().positions
         truth = recording.world_from_cam0[self.numbers][:, :3, 3]
         fit = umeyama(found, truth, with_scale=with_scale)
         return np.asarray(np.linalg.norm(fit.transform_points(found) - truth, axis=1))
@@ -61,7 +62,7 @@ def recording(synthetic_stereo: Path) -> Recording:
 
 def _run(rig: Rig, frames: Iterable[Frame], config: Config = FAST) -> Run:
     odometry = Odometry(rig, config)
-    return Run(odometry, [odometry.step(frame) for frame in frames])
+    return Run(odometry, [odometry.track(frame) for frame in frames])
 
 
 def _rms(errors: Floats) -> float:
@@ -75,7 +76,10 @@ def test_swapped_cameras_never_start_and_the_reason_says_so(recording: Recording
         swapped.append(replace(frame, image0=frame.image1, image1=frame.image0))
     run = _run(recording.rig, swapped)
     assert {e.state for e in run.estimates} == {State.STARTING}
-    assert all("swapped" in e.reason for e in run.estimates)
+    assert all("swapped" in describe(e.failure) for e in run.estimates)
+    assert {e.failure and e.failure.reason for e in run.estimates} == {
+        FailureReason.SWAPPED_CAMERAS
+    }
     assert run.numbers == []
 
 
@@ -85,7 +89,7 @@ def test_right_images_of_something_else_are_not_said_to_be_swapped(recording: Re
     ]
     run = _run(recording.rig, upside_down)
     assert {e.state for e in run.estimates} == {State.STARTING}
-    assert all("landmarks with a depth" in e.reason for e in run.estimates)
+    assert all("landmarks with a depth" in describe(e.failure) for e in run.estimates)
 
 
 def test_a_stretch_without_right_images_is_tracked_in_one_segment(recording: Recording) -> None:
@@ -123,13 +127,13 @@ def mono(recording: Recording) -> Run:
     return _run(Rig(recording.rig.cam0), frames)
 
 
-def test_frames_that_waited_for_the_first_mono_map_are_placed_in_it(mono: Run) -> None:
+def test_frames_that_waited_for_the_first_mono_map_are_tracked_in_it(mono: Run) -> None:
     second = [e.state for e in mono.estimates].index(State.TRACKING)
     assert second >= 2  # so there are some that waited
     assert mono.numbers == list(range(15))
-    keyframes = mono.odometry.history.keyframes()
+    keyframes = mono.odometry.trajectory.keyframes()
     assert [k.frame_index for k in keyframes[:2]] == [0, second]
-    assert np.all(np.diff(mono.odometry.history.trajectory().stamps_ns) > 0)
+    assert np.all(np.diff(mono.odometry.trajectory.trajectory().stamps_ns) > 0)
 
 
 def test_frames_that_waited_have_no_causal_pose(mono: Run) -> None:

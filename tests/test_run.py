@@ -21,6 +21,7 @@ from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
+from vo.recording.recorder import TakeSnapshot
 from vo.results.summary import Summary
 from vo.run import run
 from vo.types import Estimate, Rig, Trajectory
@@ -168,14 +169,14 @@ def test_ctrl_c_keeps_what_was_computed(synthetic_stereo: Path, tmp_path: Path) 
 def test_an_error_keeps_what_was_computed(
     synthetic_stereo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = Odometry._step
+    process = Odometry._process
 
-    def failing(self: Odometry, coming: LazyFuture[PreprocessedFrame]) -> Estimate:
-        if coming.result().index == 3:
+    def failing(self: Odometry, pending: LazyFuture[PreprocessedFrame]) -> Estimate:
+        if pending.result().index == 3:
             raise ZeroDivisionError("division\nby zero")
-        return step(self, coming)
+        return process(self, pending)
 
-    monkeypatch.setattr(Odometry, "_step", failing)
+    monkeypatch.setattr(Odometry, "_process", failing)
     with pytest.raises(ZeroDivisionError):
         run(synthetic_stereo, tmp_path, config=FAST)
     assert len(read_tum(tmp_path / "trajectory.tum")) == 3
@@ -242,8 +243,9 @@ def test_a_recorder_gets_the_whole_run(synthetic_stereo: Path, tmp_path: Path) -
         def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
             calls.append((name, rig.is_stereo, ground_truth is not None))
 
-        def record(self, estimate: Estimate) -> None:
+        def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
             calls.append(estimate.frame_index)
+            assert snapshot().view.image0.ndim == 2
 
         def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
             calls.append((len(causal), len(smoothed)))

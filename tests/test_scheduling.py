@@ -31,7 +31,7 @@ def test_frames_are_preprocessed_by_threads_that_give_way(monkeypatch: pytest.Mo
     image = np.random.default_rng(0).integers(0, 255, (120, 200), dtype=np.uint8)
     preparation = FramePreprocessor(Config(), threads=2)
     monkeypatch.setattr(
-        "vo.frontend.preprocessing.smaller_images",
+        "vo.frontend.preprocessing.half_size_pyramid",
         lambda image: policies.append(os.sched_getscheduler(0)) or (),
     )
     try:

@@ -94,7 +94,7 @@ def test_a_camera_that_looks_sideways_behind_a_centre_that_makes_up_for_it(
     (sentence,) = summary["warnings"]
     assert "towards left and right disparities were off" in sentence
     assert _scale(tmp_path / "out", source) == pytest.approx(1.0, abs=0.003)
-    _summary(source, tmp_path / "uncorrected", "stereo.offset_correction=false")
+    _summary(source, tmp_path / "uncorrected", "refinement.disparity_correction=false")
     assert _scale(tmp_path / "uncorrected", source) > 1.03
 
 

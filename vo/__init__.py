@@ -1,3 +1,3 @@
 """Visual odometry: a camera's path, with its uncertainty, from images."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

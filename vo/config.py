@@ -1,11 +1,13 @@
-"""Settings: one frozen section per room, merged from defaults, a YAML file and overrides.
+"""Settings of the odometry: a frozen section for each subject.
 
-Precedence, weakest first: the defaults below, the preset or file, the overrides
-(`section.key=value`). A key that does not exist is an error that names the nearest one.
+Precedence, lowest first: the defaults below, the preset or YAML file, the overrides
+(`section.key=value`). An unknown key is an error that names the nearest one. Expert settings
+rarely need a change; presets list them after the others of their section.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,102 +16,135 @@ from pydantic import Field
 
 from vo.settings import (
     Section,
+    expert,
     find_preset,
     names_in,
     preset_folder,
     read_settings,
+    replace_old_names,
     set_value,
     validate,
 )
+
+_log = logging.getLogger(__name__)
 
 
 class FeaturesConfig(Section):
     """ORB features, spread over the image by a grid."""
 
     count: int = Field(1500, ge=50, le=20000, description="features per image")
-    levels: int = Field(4, ge=1, le=16, description="pyramid levels")
-    scale_factor: float = Field(1.44, gt=1.0, le=2.0, description="size ratio between two levels")
-    threshold: int = Field(20, ge=1, le=200, description="least corner contrast in grey levels")
-    low_threshold: int = Field(7, ge=1, le=200, description="the same where a cell has no corner")
+    levels: int = expert(4, ge=1, le=16, description="pyramid levels")
+    scale_factor: float = expert(1.44, gt=1.0, le=2.0, description="size ratio of two levels")
+    threshold: int = expert(20, ge=1, le=200, description="minimum corner contrast, grey levels")
+    low_threshold: int = expert(
+        7, ge=1, le=200, description="minimum contrast in grid cells without a corner"
+    )
 
 
-class TrackingConfig(Section):
-    """From the map to the pose of a frame."""
+class MatchingConfig(Section):
+    """Descriptor matching."""
 
-    every: int = Field(
-        1, ge=1, description="track every so many frames, interpolate the poses between"
+    max_hamming: int = expert(64, ge=1, le=256, description="maximum Hamming distance, bits")
+    ratio: float = expert(
+        0.85, gt=0, le=1, description="maximum ratio of best to second-best distance (Lowe)"
     )
-    search_share: float = Field(
-        0.02, gt=0, le=0.5, description="radius of the search window, share of the image width"
+
+
+class PatchConfig(Section):
+    """Sub-pixel alignment of image patches."""
+
+    half_px: int = expert(6, ge=2, le=10, description="half side of a patch")
+    min_score: float = expert(
+        0.8, ge=-1, le=1, description="minimum normalised cross-correlation of an aligned patch"
     )
-    max_hamming: int = Field(64, ge=1, le=256, description="most bits that a match may differ in")
-    ratio: float = Field(0.85, gt=0, le=1, description="best over second best Hamming distance")
-    pnp_threshold_px: float = Field(4.0, gt=0, description="inlier threshold of PnP RANSAC")
-    patch_half_px: int = Field(6, ge=2, le=10, description="half side of the aligned patches")
-    min_patch_score: float = Field(
-        0.8, ge=-1, le=1, description="least correlation of an aligned patch"
+    max_shift_px: float = expert(
+        4.0, gt=0, description="maximum shift of an aligned patch from its predicted position"
     )
-    max_shift_px: float = Field(
-        4.0, gt=0, description="farthest that alignment may move from the projection"
+    sigma_px: float = expert(
+        0.5, gt=0, description="standard deviation of an aligned position, pixels"
     )
-    max_landmarks: int = Field(1000, ge=50, description="most landmarks aligned in one frame")
-    lens_correction: bool = Field(
-        True, description="mono: estimate and correct an error of the lens's distortion"
+
+
+class StereoConfig(Section):
+    """Stereo matching, and depth cameras."""
+
+    row_correction: bool = Field(
+        True,
+        description="estimate and correct vertical disparities (a wrong extrinsic calibration)",
     )
-    sigma_px: float = Field(0.5, gt=0, description="standard deviation of an aligned position")
-    sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
-    gate: float = Field(3.5, gt=0, description="standard deviations from which it is an outlier")
-    min_inliers: int = Field(
-        20,
-        ge=12,
-        description="fewer agreeing landmarks than this is lost; half as many will do if they are "
-        "half of those in view",
+    max_row_offset_px: float = expert(
+        2.5, gt=0, description="maximum vertical disparity of a match"
     )
-    min_share: float = Field(
-        0.15, ge=0, le=1, description="and a smaller share of the landmarks in view too"
+    min_disparity_px: float = expert(0.3, gt=0, description="minimum disparity of a new landmark")
+    max_disparity_ratio: float = expert(
+        0.3, gt=0, le=1, description="maximum disparity, ratio of the image width"
     )
-    recover_frames: int = Field(
-        10, ge=0, description="frames to look for the old map before a new segment is begun"
+    sigma_disparity_px: float = expert(
+        0.4, gt=0, description="standard deviation of a disparity, pixels"
     )
 
 
 class StartConfig(Section):
-    """The first map."""
+    """Initialisation of the map."""
 
-    min_matches: int = Field(80, ge=8, description="mono: least matches between the two views")
-    min_points: int = Field(50, ge=8, description="least landmarks of a first map")
-    min_motion_px: float = Field(4.0, ge=0, description="mono: least median image motion")
+    min_points: int = Field(50, ge=8, description="minimum landmarks of the first map")
     min_parallax_deg: float = Field(
-        1.0, gt=0, description="mono: least parallax of the best `min_points` points"
+        1.0, gt=0, description="mono: minimum parallax of the best `min_points` points"
     )
-    threshold_px: float = Field(1.0, gt=0, description="mono: inlier threshold of E and H")
-    homography_share: float = Field(
-        0.45, gt=0, lt=1, description="mono: share of the score from which the plane is chosen"
+    min_matches: int = expert(80, ge=8, description="mono: minimum matches of the two views")
+    min_motion_px: float = expert(4.0, ge=0, description="mono: minimum median image motion")
+    threshold_px: float = expert(1.0, gt=0, description="mono: inlier threshold of E and H")
+    homography_ratio: float = expert(
+        0.45, gt=0, lt=1, description="mono: minimum score ratio S_H / (S_H + S_E) to choose H"
     )
+
+
+class TrackingConfig(Section):
+    """Tracking of each frame against the local map."""
+
+    every: int = Field(1, ge=1, description="track every N-th frame, interpolate those between")
+    max_landmarks: int = Field(1000, ge=50, description="maximum landmarks aligned in a frame")
+    recover_frames: int = Field(
+        10, ge=0, description="frames of relocalisation attempts before a new segment begins"
+    )
+    min_inliers: int = Field(
+        20,
+        ge=12,
+        description="minimum inliers of a tracked frame; half as many are enough where they are "
+        "half of the landmarks in view",
+    )
+    min_inlier_ratio: float = expert(
+        0.15, ge=0, le=1, description="minimum ratio of inliers to landmarks in view"
+    )
+    search_ratio: float = expert(
+        0.02, gt=0, le=0.5, description="radius of the search window, ratio of the image width"
+    )
+    pnp_threshold_px: float = expert(4.0, gt=0, description="inlier threshold of PnP RANSAC")
+    gate: float = expert(3.5, gt=0, description="outlier threshold, standard deviations")
 
 
 class KeyframeConfig(Section):
-    """When a frame becomes a keyframe."""
+    """Keyframe decision."""
 
-    min_tracked_share: float = Field(
-        0.75, gt=0, le=1, description="share of the last keyframe's landmarks still tracked"
+    min_tracked_ratio: float = Field(
+        0.75, gt=0, le=1, description="minimum ratio of the last keyframe's landmarks still tracked"
     )
     min_tracked: int = Field(
-        200, ge=0, description="stereo: fewer tracked landmarks than this ask for one, if moving"
+        200, ge=0, description="stereo: minimum tracked landmarks while moving"
     )
     min_tracked_mono: int = Field(
-        100, ge=0, description="mono: the same; new landmarks need a baseline"
+        100, ge=0, description="mono: minimum tracked landmarks while moving"
     )
     min_parallax_deg: float = Field(
-        3.0, gt=0, description="stereo: median parallax with the last keyframe"
+        3.0, gt=0, description="stereo: median parallax from which a frame becomes a keyframe"
     )
     min_parallax_mono_deg: float = Field(
-        2.5, gt=0, description="mono: the same; new landmarks need a baseline"
+        2.5, gt=0, description="mono: median parallax from which a frame becomes a keyframe"
     )
-    max_gap_s: float = Field(1.0, gt=0, description="longest time between two, if moving")
+    max_gap_s: float = Field(1.0, gt=0, description="maximum time between keyframes while moving")
 
     def in_mono(self) -> KeyframeConfig:
-        """The same for a single camera."""
+        """The settings for a single camera, under the names of those for stereo."""
         update = {
             "min_tracked": self.min_tracked_mono,
             "min_parallax_deg": self.min_parallax_mono_deg,
@@ -117,52 +152,55 @@ class KeyframeConfig(Section):
         return self.model_copy(update=update)
 
 
-class StereoConfig(Section):
-    """Left and right."""
-
-    max_row_offset_px: float = Field(2.5, gt=0, description="most that matched rows may differ")
-    min_disparity_px: float = Field(0.3, gt=0, description="least disparity of a new landmark")
-    offset_correction: bool = Field(
-        True, description="estimate and correct an error of all disparities, constant or curved"
-    )
-    row_correction: bool = Field(
-        True, description="bring rows in line that a wrong calibration has moved apart"
-    )
-    max_disparity_share: float = Field(
-        0.3, gt=0, le=1, description="largest disparity, share of the image width"
-    )
-
-
 class MappingConfig(Section):
-    """Which landmarks the map holds."""
+    """Landmarks of the local map."""
 
-    new_per_keyframe: int = Field(600, ge=20, description="most new landmarks of a keyframe")
-    min_parallax_deg: float = Field(1.1, gt=0, description="mono: least parallax of a landmark")
-    look_back: int = Field(
-        4, ge=0, description="keyframes in which new landmarks are looked for afterwards"
-    )
+    new_per_keyframe: int = Field(600, ge=20, description="maximum new landmarks of a keyframe")
     neighbours: int = Field(4, ge=1, description="mono: keyframes to triangulate with")
-    min_found_share: float = Field(
+    fuse_keyframes: int = Field(
+        4, ge=0, description="earlier keyframes in which new landmarks are searched"
+    )
+    min_parallax_deg: float = expert(
+        1.1, gt=0, description="mono: minimum parallax of a new landmark"
+    )
+    gate: float = expert(
+        3.5, gt=0, description="mono: maximum reprojection error of a new landmark, in sigma_px"
+    )
+    min_found_ratio: float = expert(
         0.25,
         ge=0,
         le=1,
-        description="landmarks found in fewer of the frames that should are culled",
+        description="minimum ratio of frames that found a landmark to frames that should have",
     )
 
 
 class SmoothingConfig(Section):
-    """The GTSAM window."""
+    """Sliding-window bundle adjustment with GTSAM."""
 
-    window: int = Field(6, ge=2, le=100, description="keyframes whose poses are adjusted")
-    fixed: int = Field(4, ge=1, le=100, description="older keyframes that hold the window in place")
-    max_landmarks: int = Field(1000, ge=50, description="most landmarks adjusted")
-    iterations: int = Field(8, ge=1, description="most Levenberg-Marquardt iterations")
-    relative_error_tolerance: float = Field(1e-3, gt=0, description="when to stop earlier")
-    huber: float = Field(1.0, gt=0, description="standard deviations from which it counts less")
-    gate: float = Field(4.0, gt=0, description="residual from which an observation is dropped")
-    sigma_disparity_px: float = Field(0.4, gt=0, description="standard deviation of a disparity")
-    covariance_scale: float = Field(
+    window: int = Field(6, ge=2, le=100, description="keyframes whose poses are optimised")
+    fixed: int = Field(4, ge=1, le=100, description="older keyframes kept fixed in the window")
+    max_landmarks: int = Field(1000, ge=50, description="maximum landmarks in the window")
+    iterations: int = Field(8, ge=1, description="maximum Levenberg-Marquardt iterations")
+    relative_error_tolerance: float = expert(
+        1e-3, gt=0, description="relative decrease of the cost below which iterations stop"
+    )
+    huber: float = expert(1.0, gt=0, description="Huber threshold, standard deviations")
+    gate: float = expert(
+        4.0, gt=0, description="residual from which an observation is removed, standard deviations"
+    )
+    covariance_scale: float = expert(
         14.0, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
+    )
+
+
+class RefinementConfig(Section):
+    """Online calibration."""
+
+    disparity_correction: bool = Field(
+        True, description="stereo: estimate and correct a disparity bias, constant or curved"
+    )
+    lens_correction: bool = Field(
+        True, description="mono: estimate and correct an error of the radial distortion"
     )
 
 
@@ -171,15 +209,40 @@ class Config(Section):
 
     seed: int = Field(0, ge=0, le=10**9, description="seed of every random choice")
     threads: int = Field(
-        0, ge=0, description="cores to work on, 0 for all; the result is the same with any number"
+        0, ge=0, description="cores to use, 0 for all; the result does not depend on it"
     )
     features: FeaturesConfig = FeaturesConfig()
+    matching: MatchingConfig = MatchingConfig()
+    patches: PatchConfig = PatchConfig()
     stereo: StereoConfig = StereoConfig()
     start: StartConfig = StartConfig()
     tracking: TrackingConfig = TrackingConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     mapping: MappingConfig = MappingConfig()
     smoothing: SmoothingConfig = SmoothingConfig()
+    refinement: RefinementConfig = RefinementConfig()
+
+
+# New names of settings of version 0.1.
+_RENAMED = {
+    "tracking.search_share": "tracking.search_ratio",
+    "tracking.max_hamming": "matching.max_hamming",
+    "tracking.ratio": "matching.ratio",
+    "tracking.patch_half_px": "patches.half_px",
+    "tracking.min_patch_score": "patches.min_score",
+    "tracking.max_shift_px": "patches.max_shift_px",
+    "tracking.sigma_px": "patches.sigma_px",
+    "tracking.sigma_disparity_px": "stereo.sigma_disparity_px",
+    "tracking.min_share": "tracking.min_inlier_ratio",
+    "smoothing.sigma_disparity_px": "stereo.sigma_disparity_px",
+    "tracking.lens_correction": "refinement.lens_correction",
+    "stereo.offset_correction": "refinement.disparity_correction",
+    "stereo.max_disparity_share": "stereo.max_disparity_ratio",
+    "start.homography_share": "start.homography_ratio",
+    "keyframes.min_tracked_share": "keyframes.min_tracked_ratio",
+    "mapping.look_back": "mapping.fuse_keyframes",
+    "mapping.min_found_share": "mapping.min_found_ratio",
+}
 
 
 def preset_names() -> list[str]:
@@ -200,6 +263,10 @@ def load_config(config: str | Path = "default", overrides: Sequence[str] = ()) -
     merged = read_settings(find_preset(config, preset_folder()))
     for text in overrides:
         set_value(merged, text)
+    renamed = replace_old_names(merged, _RENAMED)
+    if renamed:
+        names = ", ".join(f"{old} is now {new}" for old, new in renamed.items())
+        _log.warning("settings in %s have been renamed: %s", config, names)
     return validate(Config, merged, str(config))
 
 

@@ -113,12 +113,14 @@ def run(
     called = source_name or str(source)
     facts = partial(_facts, opened, called, config, start, end, stride, calibration, topics)
     frames = opened.frames(start, end, stride * every)
-    with claimed(Path(output)), closing(Odometry(opened.rig, config, smoother_process)) as odometry:
+    with (
+        claimed(Path(output)),
+        closing(Odometry(opened.rig, config, optimizer_process=smoother_process)) as odometry,
+    ):
         if every > 1:
-            odometry.history.untracked = InterpolatedFrames(opened.stamps_ns, stride, every)
+            odometry.trajectory.interpolated = InterpolatedFrames(opened.stamps_ns, stride, every)
         recorder = recorder or _make_recorder(rrd, rrd_images, viewer)
         recorder = with_exports(recorder, exports)
-        odometry.details = not isinstance(recorder, NullRecorder)
         name = opened.name.encode("utf-8", "replace").decode()  # rerun and MCAP take no other bytes
         recorder.begin(name, opened.rig, opened.ground_truth)
         folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run
@@ -176,7 +178,7 @@ class _Run:
         if self.profile_since is not None:
             self._start_up_ms = (time.perf_counter() - self.profile_since) * 1e3
         with interrupts_between_frames() as check:
-            for estimate in self._odometry.steps(_timed(frames, clock)):
+            for estimate in self._odometry.track_all(_timed(frames, clock)):
                 self._take_in(estimate, clock)
                 self._folder.frames.append(frame_line(estimate, clock.stage_ms))
                 self._account.note_time(clock.stage_ms)
@@ -225,7 +227,7 @@ class _Run:
         self._folder.finish()
 
     def _finish_recording(self) -> None:
-        self._recorder.finish(self._causal.trajectory(), self._odometry.history.trajectory())
+        self._recorder.finish(self._causal.trajectory(), self._odometry.trajectory.trajectory())
 
     def _take_in(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._account.note(estimate)
@@ -233,27 +235,26 @@ class _Run:
         with clock.stage("write"):
             self._write(estimate)
         with clock.stage("record"):
-            self._recorder.record(estimate)
+            self._recorder.record(estimate, self._odometry.snapshot)
         done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1
         self._progress.step(done, estimate)
 
     def _write(self, estimate: Estimate) -> None:
         """Append this frame, and write anew what smoothing has moved."""
         if estimate.world_from_cam0 is not None:
-            if not isinstance(self._recorder, NullRecorder):  # else nobody asks for them again
-                self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
+            self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
             self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.world_from_cam0))
         self._write_changed()
 
     def _write_changed(self) -> None:
-        history = self._odometry.history
-        row, keyframe_row = history.take_changes()
-        path = history.path(row)
+        trajectory = self._odometry.trajectory
+        row, keyframe_row = trajectory.take_changes()
+        path = trajectory.path(row)
         fields = [pose_fields(pose) for pose in path.trajectory.world_from_cam]
         stamps_ns = path.trajectory.stamps_ns.tolist()
         self._folder.trajectory.replace_from(row, map(tum_line_of_fields, stamps_ns, fields))
         self._folder.poses.replace_from(row, pose_lines(path, fields))
-        keyframes = history.keyframes(keyframe_row)
+        keyframes = trajectory.keyframes(keyframe_row)
         self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
 
     def _refresh_if_due(self) -> None:
@@ -271,15 +272,12 @@ class _Run:
             self._facts,
             status,
             self._account,
-            self._odometry.history.path(),
-            keyframes=self._odometry.history.keyframe_count,
+            self._odometry.trajectory.path(),
+            keyframes=self._odometry.trajectory.keyframe_count,
             skipped=[replace(s, reason=self._named(s.reason)) for s in self._source.skipped],
             unpaired=self._source.unpaired,
             wall_s=time.perf_counter() - self._begun,
-            disparity_offset_px=self._odometry.disparity_offset_px,
-            disparity_curve_px=self._odometry.disparity_curve_px,
-            right_camera=self._odometry.right_camera,
-            lens_error=self._odometry.lens_error,
+            calibration=self._odometry.calibration_errors,
             error=None if error is None else self._named(error),
             profile=self._profile(),
         )

@@ -1,4 +1,4 @@
-"""Scheduling of helper threads on busy machines."""
+"""Cores, and scheduling of helper threads on busy machines."""
 
 from __future__ import annotations
 
@@ -10,8 +10,16 @@ def give_way() -> None:
     """Give this helper thread a batch policy, so that it does not preempt the tracking thread.
 
     Its share of CPU time is unchanged. On two cores, preemption by reading, feature extraction and
-    smoothing took 10 % of the run time (docs/accuracy.md). Linux only; results do not depend on it.
+    optimisation took 10 % of the run time (docs/experiments/thread-scheduling.md). Linux only;
+    results do not depend on it.
     """
     if hasattr(os, "SCHED_BATCH"):
         with suppress(OSError):  # forbidden in some containers
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def available_cores() -> int:
+    """Number of cores that this process may run on, at least 1."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from vo.errors import ConfigError
 
@@ -23,6 +24,17 @@ class Section(BaseModel):
 
 
 _S = TypeVar("_S", bound=Section)
+
+
+def expert(default: Any, **options: Any) -> Any:
+    """A pydantic `Field` marked as a setting for experts."""
+    return Field(default, json_schema_extra={"expert": True}, **options)
+
+
+def is_expert(info: FieldInfo) -> bool:
+    """Whether a setting is marked as one for experts."""
+    extra = info.json_schema_extra
+    return isinstance(extra, dict) and extra.get("expert") is True
 
 
 def preset_folder() -> Path:
@@ -99,8 +111,41 @@ def set_value(merged: dict[str, Any], text: str) -> None:
     node[name] = parsed
 
 
-def validate(model: type[_S], merged: Mapping[str, Any], origin: str) -> _S:
+def replace_old_names(merged: dict[str, Any], renamed: Mapping[str, str]) -> dict[str, str]:
+    """Move values of settings that have been renamed to their new names, in place.
+
+    Args:
+        merged: values by section and key.
+        renamed: new names by old names, both `section.key`.
+
+    Returns:
+        The old names that were used, with their new names.
+    """
+    used = {}
+    for old, new in renamed.items():
+        (old_section, old_key), (section, key) = old.split("."), new.split(".")
+        values = merged.get(old_section)
+        if not isinstance(values, dict) or old_key not in values:
+            continue
+        value = values.pop(old_key)
+        target = merged.setdefault(section, {})
+        if isinstance(target, dict):
+            target[key] = value
+        used[old] = new
+    return used
+
+
+def validate(
+    model: type[_S],
+    merged: Mapping[str, Any],
+    origin: str,
+) -> _S:
     """Validate merged settings.
+
+    Args:
+        model: the sections to fill.
+        merged: values by section and key.
+        origin: name of the file or preset, for messages.
 
     Raises:
         ConfigError: unknown key, or a value of the wrong type or out of range.

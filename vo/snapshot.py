@@ -1,54 +1,114 @@
-"""What can be shown of a frame and of the map."""
+"""The newest frame and the local map, for display."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.failures import Failure
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
-from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
-from vo.mapping.local_map import Keyframe, Map
+from vo.mapping.keyframe import Keyframe
+from vo.mapping.local_map import LocalMap
 from vo.mapping.lookup import rows_of
-from vo.tracking.tracker import TrackedFrame
-from vo.types import Bools, FeatureState, Floats, Floats32, Ints, Landmarks, Sightings, View
+from vo.mapping.tracked_frame import TrackedFrame
+from vo.tracking.last_frame import LastFrame
+from vo.types import (
+    FeatureState,
+    Floats,
+    Floats32,
+    Ints,
+    Landmarks,
+    Sightings,
+    Snapshot,
+    View,
+)
 
 
-class LastFrame(NamedTuple):
-    """A tracked frame, the landmarks (n,) in it, where they were (n, 2), which agree (n,).
+class FrameResult(NamedTuple):
+    """Result of a frame.
 
-    The ids of the landmarks grow.
+    Attributes:
+        frame: the frame.
+        tracked: its pose and observations, None where it has none.
+        keyframe: the keyframe that it became, or None.
+        before: the tracked frame before it, or None.
+        failure: why it has no pose.
     """
 
     frame: PreprocessedFrame
-    ids: Ints
-    image_xy: Floats
-    inlier: Bools
+    tracked: TrackedFrame | None = None
+    keyframe: Keyframe | None = None
+    before: LastFrame | None = None
+    failure: Failure | None = None
+
+    @property
+    def world_from_cam(self) -> Floats | None:
+        """(4, 4); of a keyframe as it was moved by the result of the window before."""
+        if self.keyframe is not None:
+            return self.keyframe.world_from_cam
+        return None if self.tracked is None else self.tracked.world_from_cam
 
 
-def make_view(frame: PreprocessedFrame, tracked: TrackedFrame | None, rig: RectifiedRig) -> View:
-    """Landmarks that were found in a frame; beside them its features, if they were used."""
+def make_snapshot(
+    result: FrameResult, local_map: LocalMap, sigma_disparity_px: float, *, has_moved: bool
+) -> Snapshot:
+    """The newest frame and the local map.
+
+    Args:
+        result: of the frame.
+        local_map: the map.
+        sigma_disparity_px: standard deviation of a disparity.
+        has_moved: whether keyframes were added or moved.
+    """
+    keyframe = result.keyframe
+    return Snapshot(
+        view=_view(result, local_map),
+        landmarks=_landmarks(local_map, sigma_disparity_px) if has_moved else None,
+        neighbours={} if keyframe is None else _neighbours(local_map, keyframe),
+    )
+
+
+def feature_count(frame: PreprocessedFrame, tracked: TrackedFrame | None) -> int:
+    """Number of landmarks found in a frame and of other features that were extracted."""
     features_xy = frame.used_keypoints_xy
     if tracked is None:
-        xy, codes = features_xy, np.empty(0, np.uint8)
-    else:
-        codes = np.where(tracked.inlier, FeatureState.TRACKED, FeatureState.REJECTED)
-        found_xy = tracked.observed.image_xy
-        free = np.flatnonzero(far_from(features_xy, found_xy))
-        xy = np.concatenate([found_xy.astype(np.float32), features_xy.take(free, axis=0)])
+        return len(features_xy)
+    found_xy = tracked.observed.image_xy
+    return len(found_xy) + int(np.count_nonzero(far_from(features_xy, found_xy)))
+
+
+def _view(result: FrameResult, local_map: LocalMap) -> View:
+    """Landmarks found in a frame, then the other features that were extracted."""
+    frame, tracked, rig = result.frame, result.tracked, local_map.rig
+    xy = frame.used_keypoints_xy
     feature_state = np.full(len(xy), FeatureState.NEW, dtype=np.uint8)
-    feature_state[: len(codes)] = codes
+    if tracked is not None:
+        found_xy = tracked.observed.image_xy
+        xy = np.concatenate([found_xy.astype(np.float32), xy[far_from(xy, found_xy)]])
+        found = np.where(tracked.inlier, FeatureState.TRACKED, FeatureState.REJECTED)
+        feature_state = np.full(len(xy), FeatureState.NEW, dtype=np.uint8)
+        feature_state[: len(found)] = found
+    previous_xy = np.full((len(xy), 2), np.nan, np.float32)
+    right_u, error_px = np.full((2, len(xy)), np.nan, np.float32)
+    if tracked is not None:
+        count = len(tracked.ids)
+        previous_xy[:count] = _pixels_in(result.before, tracked.ids)
+        right = tracked.observed.image_xy[:, 0] - tracked.observed.disparity
+        right_u[:count] = right - rig.disparity_error(right)
+        error_px[:count] = _reprojection_error(result, local_map)
     return View(
         image0=frame.image0,
-        image1=frame.image1,
+        image1=None if frame.right is None else frame.right[0],
         xy=xy,
         feature_state=feature_state,
-        previous_xy=np.full((len(xy), 2), np.nan, np.float32),
+        previous_xy=previous_xy,
         camera_matrix=rig.matrix,
+        right_u=right_u,
+        error_px=error_px,
         lens=rig.lens,
         baseline_m=rig.baseline_m,
         cam0_from_image0=rig.cam0_from_rectified,
@@ -56,40 +116,17 @@ def make_view(frame: PreprocessedFrame, tracked: TrackedFrame | None, rig: Recti
     )
 
 
-def with_matches(
-    view: View,
-    tracked: TrackedFrame | None,
-    last: LastFrame | None,
-    rig: RectifiedRig,
-    world: Map,
-    world_from_cam: Floats | None,
-) -> View:
-    """The same with where each landmark was before and on the right, and how far it is off."""
-    previous_xy = view.previous_xy.copy()
-    right_u, error_px = np.full((2, len(view.xy)), np.nan, np.float32)
-    if tracked is not None and world_from_cam is not None:
-        found, count = tracked.observed, len(tracked.ids)
-        previous_xy[:count] = _positions_in(last, tracked.ids)
-        right = found.image_xy[:, 0] - found.disparity
-        right_u[:count] = right - rig.disparity_error(right)
-        error_px[:count] = _reprojection_error(world, tracked, rig, world_from_cam)
-    return replace(view, previous_xy=previous_xy, right_u=right_u, error_px=error_px)
-
-
-def points_of(world: Map, rig: RectifiedRig) -> Landmarks:
-    """The map's points alone."""
-    return Landmarks(world.id.copy(), transform_points(rig.cam0_from_rectified, world.xyz))
-
-
-def landmarks_of(world: Map, rig: RectifiedRig, sigma_disparity_px: float) -> Landmarks:
-    """The map's points, with what their patches look like and how far they can be trusted."""
-    keyframes = world.keyframes
-    u, v = np.rint(world.reference_xy).astype(np.int64).T
-    height, width = world.images.shape[1:]
-    slots = world.reference_slots()
-    number, row = world.sightings()
+def _landmarks(local_map: LocalMap, sigma_disparity_px: float) -> Landmarks:
+    """The map's points, with the grey levels of their patches and their uncertainty."""
+    keyframes, rig = local_map.keyframes, local_map.rig
+    if not keyframes:
+        return Landmarks(local_map.id.copy(), local_map.xyz.copy())
+    u, v = np.rint(local_map.reference_xy).astype(np.int64).T
+    height, width = local_map.images.shape[1:]
+    slots = local_map.reference_slots()
+    number, row = local_map.observation_rows()
     sigma = position_sigma(
-        world.xyz,
+        local_map.xyz,
         np.stack([k.world_from_cam[:3, 3] for k in keyframes]),
         row,
         number,
@@ -99,39 +136,41 @@ def landmarks_of(world: Map, rig: RectifiedRig, sigma_disparity_px: float) -> La
         rig.fx,
         rig.fx * rig.baseline_m,
     )
-    return replace(
-        points_of(world, rig),
-        grey=world.images[slots, v.clip(0, height - 1), u.clip(0, width - 1)],
+    return Landmarks(
+        ids=local_map.id.copy(),
+        xyz=transform_points(rig.cam0_from_rectified, local_map.xyz),
+        grey=local_map.images[slots, v.clip(0, height - 1), u.clip(0, width - 1)],
         sigma=sigma,
-        # A keyframe's arrays are replaced, never changed, so that they need no copy.
-        sightings=tuple(Sightings(k.frame_index, k.landmark, k.image_xy) for k in keyframes),
+        # Arrays of a keyframe are replaced, never changed, so that they need no copy.
+        sightings=tuple(Sightings(k.frame.index, k.landmark, k.image_xy) for k in keyframes),
     )
 
 
-def neighbours_of(world: Map, keyframe: Keyframe) -> dict[int, int]:
-    """How many landmarks each of the map's older keyframes shares with one, by frame number."""
-    number, row = world.sightings()
-    seen = np.zeros(len(world), dtype=bool)
-    seen[world.rows(keyframe.landmark)] = True
-    counts = np.bincount(number[seen[row]], minlength=len(world.keyframes)).tolist()
-    shared = zip(world.keyframes, counts, strict=True)
-    return {other.frame_index: n for other, n in shared if n and other.id < keyframe.id}
+def _neighbours(local_map: LocalMap, keyframe: Keyframe) -> dict[int, int]:
+    """Number of landmarks that each older keyframe shares with one, by frame index."""
+    number, row = local_map.observation_rows()
+    observed = np.zeros(len(local_map), dtype=bool)
+    observed[local_map.rows(keyframe.landmark)] = True
+    counts = np.bincount(number[observed[row]], minlength=len(local_map.keyframes)).tolist()
+    shared = zip(local_map.keyframes, counts, strict=True)
+    return {other.frame.index: n for other, n in shared if n and other.id < keyframe.id}
 
 
-def _reprojection_error(
-    world: Map, tracked: TrackedFrame, rig: RectifiedRig, world_from_cam: Floats
-) -> Floats:
-    """In ideal pixels; NaN where the landmark has been dropped since."""
-    rows = world.rows(tracked.ids)
+def _reprojection_error(result: FrameResult, local_map: LocalMap) -> Floats:
+    """(n,) ideal pixels, NaN for landmarks that have been removed."""
+    tracked, pose = result.tracked, result.world_from_cam
+    assert tracked is not None and pose is not None
+    rows = local_map.rows(tracked.ids)
     there = rows >= 0
-    in_cam = transform_points(inverse(world_from_cam), world.xyz[rows[there]])
+    in_cam = transform_points(inverse(pose), local_map.xyz[rows[there]])
     error_px = np.full(len(rows), np.nan)
-    off = rig.project(in_cam) - tracked.observed.xy[there]
+    off = local_map.rig.project(in_cam) - tracked.observed.xy[there]
     error_px[there] = np.hypot(off[:, 0], off[:, 1])
     return error_px
 
 
-def _positions_in(last: LastFrame | None, ids: Ints) -> Floats32:
+def _pixels_in(last: LastFrame | None, ids: Ints) -> Floats32:
+    """(n, 2) pixels of landmarks in an earlier frame, NaN where they were not found."""
     result = np.full((len(ids), 2), np.nan, np.float32)
     if last is not None:
         there = rows_of(ids, last.ids)

@@ -1,24 +1,69 @@
-"""Wall time by stage of one step."""
+"""Wall time by stage, measured around methods by a decorator."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Stopwatch:
-    """Adds up milliseconds by stage; stages must not be nested."""
+    """Sums milliseconds by stage; a stage inside another one pauses the outer stage."""
 
     def __init__(self) -> None:
         self.stage_ms: dict[str, float] = {}
+        self._running: list[str] = []
+        self._since = 0.0
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count what happens inside towards a stage."""
-        begin = time.perf_counter()
+        """Count the time inside towards a stage."""
+        self._switch()
+        self._running.append(name)
         try:
             yield
         finally:
-            spent = (time.perf_counter() - begin) * 1e3
-            self.stage_ms[name] = self.stage_ms.get(name, 0.0) + spent
+            self._switch()
+            self._running.pop()
+
+    def take(self) -> dict[str, float]:
+        """The times since the last call, which are then forgotten."""
+        self._switch()
+        taken, self.stage_ms = self.stage_ms, {}
+        return taken
+
+    def _switch(self) -> None:
+        """Count the time until now towards the innermost running stage."""
+        now = time.perf_counter()
+        if self._running:
+            name = self._running[-1]
+            self.stage_ms[name] = self.stage_ms.get(name, 0.0) + (now - self._since) * 1e3
+        self._since = now
+
+
+class _Timed(Protocol):
+    stopwatch: Stopwatch
+
+
+S = TypeVar("S", bound=_Timed)
+
+
+def timed(
+    stage: str,
+) -> Callable[[Callable[Concatenate[S, P], R]], Callable[Concatenate[S, P], R]]:
+    """Decorate a method of an object with a `stopwatch`: its time counts towards a stage."""
+
+    def decorate(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
+        @wraps(method)
+        def timed_method(self: S, /, *args: Any, **kwargs: Any) -> R:
+            with self.stopwatch.stage(stage):
+                return method(self, *args, **kwargs)
+
+        return timed_method
+
+    return decorate

@@ -17,11 +17,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.failures import Failure
+
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
+Descriptors = NDArray[np.generic]  # (N, width), of the type that the feature extractor gives
 
 DistortionModel = Literal[
     "none", "radtan", "equidistant", "double_sphere", "extended_unified", "omni"
@@ -182,19 +185,29 @@ class Keypoints:
     Attributes:
         xy: (N, 2) float32 pixels at full resolution.
         octave: (N,) int32 pyramid level.
-        angle: (N,) float32 orientation in radians.
+        angle: (N,) float32 orientation in radians, NaN where the extractor gives none.
         response: (N,) float32 corner strength, comparable within one image.
-        descriptor: (N, 32) uint8, 256 bits.
+        descriptor: (N, width) of the extractor's layout; of ORB 32 uint8, 256 bits.
     """
 
     xy: Floats32
     octave: NDArray[np.int32]
     angle: Floats32
     response: Floats32
-    descriptor: Bytes
+    descriptor: Descriptors
 
     def __len__(self) -> int:
         return len(self.xy)
+
+    def select(self, rows: Bools | Ints) -> Keypoints:
+        """Some rows of the keypoints."""
+        return Keypoints(
+            self.xy[rows],
+            self.octave[rows],
+            self.angle[rows],
+            self.response[rows],
+            self.descriptor[rows],
+        )
 
 
 class RightCameraError(NamedTuple):
@@ -240,25 +253,44 @@ class LensError(NamedTuple):
     edge_px: float
 
 
+class CalibrationResidual(NamedTuple):
+    """Remaining error of a calibration, as a window of keyframes shows it.
+
+    Attributes:
+        value: in stereo (2,) pixels: the bias of all disparities, and that which grows with the
+            square of the distance from the image centre on the right, at one focal length. In mono
+            (1,) the error of the radial distortion: ideal points x, in focal lengths, should be at
+            x (1 - value r^2).
+        information: (2, 2) or (1, 1), the inverse of its covariance.
+    """
+
+    value: Floats
+    information: Floats
+
+
+class CalibrationErrors(NamedTuple):
+    """Errors of a calibration that were found and are corrected.
+
+    Attributes:
+        disparity_offset_px: constant bias of disparities.
+        disparity_curve_px: their bias at one focal length from the principal point, growing with
+            the square.
+        right_camera: None without an error.
+        lens_error: None without an error.
+    """
+
+    disparity_offset_px: float
+    disparity_curve_px: float
+    right_camera: RightCameraError | None
+    lens_error: LensError | None
+
+
 class State(StrEnum):
     """What the odometry is doing."""
 
     STARTING = "starting"
     TRACKING = "tracking"
     LOST = "lost"
-
-
-class ImageDefect(StrEnum):
-    """What is wrong with an image in which nothing is to be seen."""
-
-    BLACK = "almost black"
-    WHITE = "almost white"
-    ONE_GREY = "of one grey"
-
-    @staticmethod
-    def of(reason: str) -> ImageDefect | None:
-        """That which a frame's reason to have no pose speaks of, if it does."""
-        return next((light for light in ImageDefect if reason.endswith(light.value)), None)
 
 
 class FeatureState:
@@ -357,73 +389,55 @@ class Landmarks:
 
 
 @dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The newest frame and the local map, for display.
+
+    Attributes:
+        view: the frame.
+        landmarks: the map, None where no keyframe was added or moved.
+        neighbours: of a new keyframe, the number of landmarks that other keyframes of the map share
+            with it, by frame index.
+    """
+
+    view: View
+    landmarks: Landmarks | None
+    neighbours: Mapping[int, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
-    """What the odometry says after one frame.
+    """Result of one frame.
 
     Attributes:
         frame_index: number of the frame in its source.
         stamp_ns: its time.
-        state: what the odometry is doing.
-        reason: why it is lost or still starting; empty when tracking.
+        state: state of the odometry.
+        failure: why it has no pose, None where it has one.
         segment: number of the segment, from 0; a new one begins after each loss.
-        world_from_cam0: (4, 4) pose as known now (causal), or None where there is none.
-        is_keyframe: whether this frame became a keyframe.
-        matches: map landmarks matched in this frame.
+        world_from_cam0: (4, 4) pose as known now (causal), None where there is none.
+        is_keyframe: whether the frame became a keyframe.
+        features: landmarks found in the frame, and other features that were extracted.
+        matches: landmarks found in the frame.
         inliers: those that agree with the pose.
-        keyframes: keyframes whose pose was smoothed in this step.
-        view: what can be shown.
-        landmarks: the local map, given with keyframes, else None.
+        keyframes: keyframes that were added or moved in this step.
+        landmark_ids: (M,) of the local map, where keyframes were added or moved, else None.
         stage_ms: wall time by stage in milliseconds.
-        neighbours: of a new keyframe, frame numbers of the map's keyframes that share landmarks
-            with it, and how many.
-        disparity_offset_px: the constant error of disparities that is corrected now.
-        median_disparity_px: of the landmarks that agree, None where there is no disparity.
+        disparity_offset_px: bias of disparities that is corrected now.
+        median_disparity_px: median over the inliers, None without disparities.
     """
 
     frame_index: int
     stamp_ns: int
     state: State
-    reason: str
+    failure: Failure | None
     segment: int
     world_from_cam0: Floats | None
     is_keyframe: bool
+    features: int
     matches: int
     inliers: int
     keyframes: tuple[KeyframePose, ...]
-    view: View
-    landmarks: Landmarks | None
+    landmark_ids: Ints | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
-    neighbours: Mapping[int, int] = field(default_factory=dict)
     disparity_offset_px: float = 0.0
     median_disparity_px: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class WindowProblem:
-    """Keyframe poses and landmarks to be adjusted together; K keyframes, M points, N observations.
-
-    Attributes:
-        intrinsics: fx, fy, cx, cy of the working camera in pixels.
-        baseline_m: distance to the right camera, 0 in mono.
-        world_from_cam: (K, 4, 4) first guess.
-        fixed: (K,) poses that stay as they are and anchor the others.
-        points: (M, 3) in the world.
-        keyframe: (N,) row in world_from_cam of each observation.
-        point: (N,) row in points of each observation.
-        xy: (N, 2) ideal pixels.
-        disparity: (N,) pixels, NaN where the right camera has no match.
-        sigma_px: (N,) standard deviation of xy.
-        calibrates: whether the answer is to tell what the calibration leaves.
-    """
-
-    intrinsics: tuple[float, float, float, float]
-    baseline_m: float
-    world_from_cam: Floats
-    fixed: Bools
-    points: Floats
-    keyframe: Ints
-    point: Ints
-    xy: Floats
-    disparity: Floats
-    sigma_px: Floats
-    calibrates: bool = True

@@ -75,7 +75,7 @@ def _run(make_odometry: Callable[[Rig, Config], Any], rig: Rig) -> None:
     odometry = make_odometry(rig, load_config(overrides=["threads=1"]))
     try:
         for frame in _frames(rig.is_stereo):
-            odometry.step(frame)
+            odometry.track(frame)
         odometry.finish()
     finally:
         odometry.close()

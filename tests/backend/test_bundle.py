@@ -11,9 +11,10 @@ from windows import Window, drive
 
 from vo.backend.bundle import Bundle
 from vo.backend.bundle_adjustment import adjust_window
+from vo.backend.window_problem import WindowProblem
 from vo.config import SmoothingConfig
 from vo.geometry.transforms import se3_exp
-from vo.types import Floats, WindowProblem
+from vo.types import Floats
 
 PATIENT = SmoothingConfig(iterations=100, relative_error_tolerance=1e-12)
 KINDS = [pytest.param(False, 2, id="mono"), pytest.param(True, 1, id="stereo")]
@@ -51,7 +52,7 @@ def _by_gtsam_alone(problem: WindowProblem, config: SmoothingConfig) -> tuple[Fl
     ):
         if problem.baseline_m > 0.0:
             # u_right is measured from u_left: they err together.
-            a, d = sigma**2, config.sigma_disparity_px**2
+            a, d = sigma**2, problem.sigma_disparity_px**2
             covariance = np.array([[a, a, 0.0], [a, a + d, 0.0], [0.0, 0.0, a]])
             noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
             robust = gtsam.noiseModel.Robust.Create(kernel, noise)
@@ -116,7 +117,9 @@ def test_what_the_calibration_leaves_is_a_row_at_the_end(stereo: bool, fixed: in
         return Bundle(replace(problem, xy=bent * (fx, fy) + (cx, cy)), ok, PATIENT)
 
     poses = problem.world_from_cam
-    alone, whole = (changed(0.01).normal_equations(poses, calibrates=c) for c in (False, True))
+    alone, whole = (
+        changed(0.01).normal_equations(poses, with_calibration=c) for c in (False, True)
+    )
     size = len(alone.gradient)
     assert len(whole.gradient) == size + (2 if stereo else 1)
     np.testing.assert_allclose(whole.hessian[:size, :size], alone.hessian, rtol=1e-12)

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vo.backend.landmark_selection import choose_landmarks
-from vo.types import Bools, WindowProblem
+from vo.backend.window_problem import WindowProblem
+from vo.types import Bools
 
 
 def _problem(seen: Bools, fixed: list[bool]) -> WindowProblem:
@@ -15,6 +16,7 @@ def _problem(seen: Bools, fixed: list[bool]) -> WindowProblem:
     keyframe, point = np.nonzero(seen)
     nothing = np.zeros(len(point))
     return WindowProblem(
+        sigma_disparity_px=0.4,
         intrinsics=(1.0, 1.0, 0.0, 0.0),
         baseline_m=0.0,
         world_from_cam=np.tile(np.eye(4), (len(seen), 1, 1)),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from windows import Window, drive
 
-from vo.backend.solution import smooth
+from vo.backend.solution import solve
 from vo.config import SmoothingConfig
 
 CONFIG = SmoothingConfig()
@@ -33,7 +33,7 @@ class Found(NamedTuple):
 
 
 def _estimate(window: Window, which: int = 0) -> Found:
-    found = smooth(window.problem, CONFIG).left
+    found = solve(window.problem, CONFIG).calibration_residual
     assert found is not None
     covariance = np.linalg.inv(found.information)
     return Found(float(found.value[which]), float(np.sqrt(covariance[which, which])))
@@ -73,7 +73,7 @@ def test_outliers_do_not_pass_for_an_offset() -> None:
 
 def test_a_camera_that_stands_still_does_not_determine_it() -> None:
     window = drive(4, 100, stereo=True, fixed=1, step_m=1e-6)
-    found = smooth(window.problem, CONFIG).left
+    found = solve(window.problem, CONFIG).calibration_residual
     assert found is None or found.information[0, 0] < 0.2**-2
 
 
@@ -133,10 +133,10 @@ def test_the_first_pose_s_missing_disparities_are_no_problem() -> None:
 
 def test_a_window_that_is_not_asked_says_nothing_and_is_adjusted_the_same() -> None:
     problem = _shifted(0.5, 0).problem
-    asked = smooth(problem, CONFIG)
-    found = smooth(replace(problem, calibrates=False), CONFIG)
-    assert asked.left is not None
-    assert found.left is None
+    asked = solve(problem, CONFIG)
+    found = solve(replace(problem, estimates_calibration=False), CONFIG)
+    assert asked.calibration_residual is not None
+    assert found.calibration_residual is None
     np.testing.assert_array_equal(found.world_from_cam, asked.world_from_cam)
     np.testing.assert_array_equal(found.points, asked.points)
     np.testing.assert_array_equal(found.information, asked.information)

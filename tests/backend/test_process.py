@@ -1,4 +1,4 @@
-"""The smoother in a process of its own."""
+"""The optimizer in a process of its own."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ import pytest
 from windows import drive
 
 from vo.backend import launch as child_module
-from vo.backend.optimizer import InProcessOptimizer, make_optimizer, smooth
+from vo.backend.optimizer import InProcessOptimizer, make_optimizer
 from vo.backend.process import OptimizerProcess
-from vo.backend.solution import WindowSolution
+from vo.backend.solution import WindowSolution, solve
+from vo.backend.window_problem import WindowProblem
 from vo.config import SmoothingConfig
-from vo.types import WindowProblem
 
 CONFIG = SmoothingConfig()
 
 
 @pytest.fixture
-def smoother() -> Iterator[OptimizerProcess]:
-    smoother = OptimizerProcess(CONFIG)
-    yield smoother
-    smoother.close()
+def optimizer() -> Iterator[OptimizerProcess]:
+    optimizer = OptimizerProcess(CONFIG)
+    yield optimizer
+    optimizer.close()
 
 
 def _problem(seed: int = 1) -> WindowProblem:
@@ -38,14 +38,16 @@ def _problem(seed: int = 1) -> WindowProblem:
 
 def _assert_same(found: WindowSolution, expected: WindowSolution) -> None:
     assert found.converged and expected.converged
-    assert found.left is not None and expected.left is not None
-    np.testing.assert_array_equal(found.left.value, expected.left.value)
+    assert found.calibration_residual is not None and expected.calibration_residual is not None
+    np.testing.assert_array_equal(
+        found.calibration_residual.value, expected.calibration_residual.value
+    )
     for name in ("world_from_cam", "information", "points", "point_ok"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def _pid(smoother: OptimizerProcess) -> int:
-    return smoother._child.pid
+def _pid(optimizer: OptimizerProcess) -> int:
+    return optimizer._child.pid
 
 
 def _has_ended(pid: int) -> bool:
@@ -58,61 +60,61 @@ def _has_ended(pid: int) -> bool:
     return False
 
 
-def test_the_answer_is_the_same_as_in_this_process(smoother: OptimizerProcess) -> None:
+def test_the_answer_is_the_same_as_in_this_process(optimizer: OptimizerProcess) -> None:
     for seed in (1, 2):
-        smoother.ask(_problem(seed))
-        _assert_same(smoother.answer(), smooth(_problem(seed), CONFIG))
+        optimizer.submit(_problem(seed))
+        _assert_same(optimizer.result(), solve(_problem(seed), CONFIG))
 
 
 def test_a_killed_process_costs_a_warning_and_nothing_else(
-    smoother: OptimizerProcess, caplog: pytest.LogCaptureFixture
+    optimizer: OptimizerProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
-    expected = smooth(_problem(), CONFIG)
-    smoother.ask(_problem())
-    _assert_same(smoother.answer(), expected)
-    killed = _pid(smoother)
+    expected = solve(_problem(), CONFIG)
+    optimizer.submit(_problem())
+    _assert_same(optimizer.result(), expected)
+    killed = _pid(optimizer)
     os.kill(killed, signal.SIGKILL)
     with caplog.at_level(logging.WARNING):
-        smoother.ask(_problem())
-        _assert_same(smoother.answer(), expected)
+        optimizer.submit(_problem())
+        _assert_same(optimizer.result(), expected)
     (record,) = caplog.records
     assert "died (status -9)" in record.getMessage()
-    assert _pid(smoother) != killed
+    assert _pid(optimizer) != killed
     caplog.clear()
-    smoother.ask(_problem(2))
-    _assert_same(smoother.answer(), smooth(_problem(2), CONFIG))
+    optimizer.submit(_problem(2))
+    _assert_same(optimizer.result(), solve(_problem(2), CONFIG))
     assert not caplog.records
 
 
-def test_a_process_killed_at_work_is_replaced_too(smoother: OptimizerProcess) -> None:
-    smoother.ask(_problem())
-    smoother.answer()
-    os.kill(_pid(smoother), signal.SIGSTOP)  # it cannot have answered when it is killed
-    smoother.ask(_problem(2))
-    os.kill(_pid(smoother), signal.SIGKILL)
-    _assert_same(smoother.answer(), smooth(_problem(2), CONFIG))
+def test_a_process_killed_at_work_is_replaced_too(optimizer: OptimizerProcess) -> None:
+    optimizer.submit(_problem())
+    optimizer.result()
+    os.kill(_pid(optimizer), signal.SIGSTOP)  # it cannot have answered when it is killed
+    optimizer.submit(_problem(2))
+    os.kill(_pid(optimizer), signal.SIGKILL)
+    _assert_same(optimizer.result(), solve(_problem(2), CONFIG))
 
 
 def test_a_window_that_kills_its_process_again_is_left_as_it_is(
-    smoother: OptimizerProcess, monkeypatch: pytest.MonkeyPatch
+    optimizer: OptimizerProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    smoother.ask(_problem())
-    smoother.answer()
+    optimizer.submit(_problem())
+    optimizer.result()
     monkeypatch.setattr(child_module, "_PROGRAM", "import os; os.abort() # {path!r}")
-    os.kill(_pid(smoother), signal.SIGKILL)
-    smoother.ask(_problem(2))
-    solution = smoother.answer()
+    os.kill(_pid(optimizer), signal.SIGKILL)
+    optimizer.submit(_problem(2))
+    solution = optimizer.result()
     assert not solution.converged
     np.testing.assert_array_equal(solution.world_from_cam, _problem(2).world_from_cam)
 
 
 def test_a_process_that_never_starts_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child_module, "_PROGRAM", "raise SystemExit(3) # {path!r}")
-    smoother = OptimizerProcess(CONFIG)
-    smoother.ask(_problem())
+    optimizer = OptimizerProcess(CONFIG)
+    optimizer.submit(_problem())
     with pytest.raises(RuntimeError, match="does not start"):
-        smoother.answer()
-    smoother.close()
+        optimizer.result()
+    optimizer.close()
 
 
 def test_where_no_process_can_be_started_the_work_is_done_here(
@@ -124,28 +126,28 @@ def test_where_no_process_can_be_started_the_work_is_done_here(
     assert "no other can be started" in caplog.text
 
 
-def test_an_error_in_the_process_is_told(smoother: OptimizerProcess) -> None:
-    smoother.ask("no window")  # type: ignore[arg-type]
-    with pytest.raises(RuntimeError, match="the smoother failed"):
-        smoother.answer()
-    smoother.ask(_problem())
-    assert smoother.answer().converged
+def test_an_error_in_the_process_is_told(optimizer: OptimizerProcess) -> None:
+    optimizer.submit("no window")  # type: ignore[arg-type]
+    with pytest.raises(RuntimeError, match="the optimizer failed"):
+        optimizer.result()
+    optimizer.submit(_problem())
+    assert optimizer.result().converged
 
 
 def test_closing_ends_the_process_whatever_it_is_doing() -> None:
-    smoother = OptimizerProcess(CONFIG)
-    pid = _pid(smoother)
-    smoother.ask(_problem())
-    smoother.close()
+    optimizer = OptimizerProcess(CONFIG)
+    pid = _pid(optimizer)
+    optimizer.submit(_problem())
+    optimizer.close()
     assert _has_ended(pid)
-    with pytest.raises(RuntimeError, match="the smoother was closed"):
-        smoother.answer()
+    with pytest.raises(RuntimeError, match="the optimizer was closed"):
+        optimizer.result()
 
 
-def test_a_forgotten_smoother_takes_its_process_along() -> None:
-    smoother = OptimizerProcess(CONFIG)
-    pid = _pid(smoother)
-    del smoother
+def test_a_forgotten_optimizer_takes_its_process_along() -> None:
+    optimizer = OptimizerProcess(CONFIG)
+    pid = _pid(optimizer)
+    del optimizer
     assert _has_ended(pid)
 
 
@@ -153,8 +155,8 @@ _SCRIPT = """
 import os, signal, sys
 from vo.backend.process import OptimizerProcess
 from vo.config import SmoothingConfig
-smoother = OptimizerProcess(SmoothingConfig())
-print(smoother._child.pid, flush=True)
+optimizer = OptimizerProcess(SmoothingConfig())
+print(optimizer._child.pid, flush=True)
 {end}
 """
 

@@ -7,24 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from vo.backend.sliding_window import make_window, take_in
-from vo.backend.solution import smooth
+from vo.backend.optimizer import InProcessOptimizer
+from vo.backend.sliding_window import SlidingWindow
+from vo.backend.solution import WindowSolution
 from vo.config import Config
+from vo.frontend.contracts import DescriptorFormat
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse, se3_exp, se3_log, transform_points
-from vo.mapping.local_map import Keyframe, Map
+from vo.mapping.keyframe import FrameId, Keyframe, NewObservations
+from vo.mapping.local_map import LocalMap
+from vo.stopwatch import Stopwatch
 from vo.types import Floats, Ints, Keypoints
 
 WIDTH, HEIGHT = 64, 40  # of images that nothing looks at
 RIG = RectifiedRig(WIDTH, HEIGHT, 500.0, 500.0, 320.0, 200.0, 0.25, np.eye(4))
 KEYFRAMES, SHARED, NEWEST = 6, 200, 60
+SIGMA_DISPARITY_PX = 0.4
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """All keyframes but the last see the first landmarks; only the last two see the others."""
 
-    map: Map
+    map: LocalMap
     world_from_cam: Floats
     xyz: Floats
 
@@ -41,7 +46,7 @@ def _scene(noise_px: float = 0.0) -> Scene:
     rng = np.random.default_rng(0)
     xyz = rng.uniform((-3, -1.5, 5), (3, 1.5, 12), (SHARED + NEWEST, 3))
     poses = [se3_exp(np.array([0.0, 0.01, 0.0, 0.1, 0.02, 0.15]) * k) for k in range(KEYFRAMES)]
-    world = Map(KEYFRAMES, HEIGHT, WIDTH)
+    world = LocalMap(RIG, KEYFRAMES, DescriptorFormat(32, np.dtype(np.uint8)))
     keyframes = [_add_keyframe(world, k, pose) for k, pose in enumerate(poses)]
     ids = _add_landmarks(world, xyz, keyframes[0])
     for k, keyframe in enumerate(keyframes):
@@ -52,38 +57,23 @@ def _scene(noise_px: float = 0.0) -> Scene:
     return Scene(world, np.stack(poses), xyz)
 
 
-def _add_keyframe(world: Map, number: int, pose: Floats) -> Keyframe:
-    none = np.empty(0, np.float32)
-    nothing = Keypoints(
-        np.empty((0, 2), np.float32),
-        np.empty(0, np.int32),
-        none,
-        none,
-        np.empty((0, 32), np.uint8),
+def _add_keyframe(world: LocalMap, number: int, pose: Floats) -> Keyframe:
+    count = SHARED + NEWEST
+    zeros = np.zeros(count, np.float32)
+    keypoints = Keypoints(
+        np.zeros((count, 2), np.float32),
+        np.zeros(count, np.int32),
+        zeros,
+        zeros,
+        np.zeros((count, 32), np.uint8),
     )
-    return world.add_keyframe(
-        frame_index=number,
-        stamp_ns=number,
-        segment=0,
-        image=np.zeros((HEIGHT, WIDTH), np.uint8),
-        world_from_cam=pose,
-        keypoints=nothing,
-        undistorted_xy=np.empty((0, 2)),
-        free=np.empty(0, dtype=bool),
-    )
+    image = np.zeros((HEIGHT, WIDTH), np.uint8)
+    free = np.ones(count, dtype=bool)
+    return world.add_keyframe(FrameId(number, number, 0), image, pose, keypoints, free)
 
 
-def _add_landmarks(world: Map, xyz: Floats, reference: Keyframe) -> Ints:
-    n = len(xyz)
-    return world.add_landmarks(
-        xyz.copy(),
-        np.zeros((n, 32), np.uint8),
-        np.zeros(n, np.int32),
-        np.zeros(n, np.float32),
-        reference,
-        np.zeros((n, 2)),
-        reference,
-    )
+def _add_landmarks(world: LocalMap, xyz: Floats, reference: Keyframe) -> Ints:
+    return world.add_landmarks(xyz.copy(), reference, np.arange(len(xyz)), reference)
 
 
 def _observe(
@@ -92,7 +82,8 @@ def _observe(
     in_cam = transform_points(inverse(keyframe.world_from_cam), xyz)
     xy = RIG.project(in_cam) + noise_px * rng.standard_normal((len(ids), 2))
     disparity = RIG.fx * RIG.baseline_m / in_cam[:, 2] + noise_px * rng.standard_normal(len(ids))
-    keyframe.add_observations(ids, xy, xy.copy(), disparity, np.full(len(ids), 0.5))
+    sigma_px = np.full(len(ids), 0.5)
+    keyframe.add_observations(NewObservations(ids, xy, xy.copy(), disparity, sigma_px))
 
 
 def _move(scene: Scene, keyframe: int, size: float = 1.0) -> None:
@@ -108,10 +99,30 @@ def _config(max_landmarks: int) -> Config:
     return config.model_copy(update={"smoothing": smoothing})
 
 
+class Unsolvable(InProcessOptimizer):
+    """Gives results that have not converged."""
+
+    def result(self) -> WindowSolution:
+        return super().result()._replace(converged=False)
+
+
+def _submitted(
+    scene: Scene, config: Config, optimizer: InProcessOptimizer | None = None
+) -> SlidingWindow:
+    optimizer = optimizer or InProcessOptimizer(config.smoothing)
+    window = SlidingWindow(scene.map, optimizer, SIGMA_DISPARITY_PX, config.smoothing, Stopwatch())
+    window.submit(calibration_weight=1)
+    return window
+
+
+def _apply(window: SlidingWindow) -> list[Keyframe]:
+    update = window.apply()
+    assert update is not None
+    return update.moved
+
+
 def _adjust(scene: Scene, config: Config) -> list[Keyframe]:
-    window = make_window(scene.map, RIG, config)
-    assert window is not None
-    return take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    return _apply(_submitted(scene, config))
 
 
 @pytest.mark.parametrize("max_landmarks", [1000, 60])
@@ -149,7 +160,7 @@ def test_landmarks_that_take_no_part_follow_the_poses() -> None:
 def test_the_first_keyframe_alone_is_no_window() -> None:
     scene = _scene()
     scene.map.keyframes = scene.map.keyframes[:1]
-    assert make_window(scene.map, RIG, _config(1000)) is None
+    assert _submitted(scene, _config(1000)).apply() is None
 
 
 def test_an_observation_that_disagrees_is_dropped_and_no_other() -> None:
@@ -171,12 +182,10 @@ def test_an_observation_that_disagrees_is_dropped_and_no_other() -> None:
 def test_a_keyframe_made_since_is_carried_along_with_the_newest_of_the_window() -> None:
     scene, later = _scene(), se3_exp(np.array([0.0, 0.02, 0.0, 0.1, 0.0, 0.2]))
     _move(scene, KEYFRAMES - 1)
-    config = _config(1000)
-    window = make_window(scene.map, RIG, config)
-    assert window is not None
+    window = _submitted(scene, _config(1000))
     newest = scene.map.keyframes[-1]
     since = _add_keyframe(scene.map, KEYFRAMES, newest.world_from_cam @ later)
-    moved = take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    moved = _apply(window)
     assert moved[-1] is since
     away = inverse(scene.world_from_cam[-1] @ later) @ since.world_from_cam
     assert np.linalg.norm(se3_log(away)) < 1e-4
@@ -186,12 +195,11 @@ def test_a_keyframe_made_since_is_carried_along_with_the_newest_of_the_window() 
 def test_landmarks_made_since_are_carried_along_with_the_keyframe_of_their_patch() -> None:
     scene, config = _scene(), _config(1000)
     _move(scene, KEYFRAMES - 1)
-    window = make_window(scene.map, RIG, config)
-    assert window is not None
+    window = _submitted(scene, config)
     newest = scene.map.keyframes[-1]
     in_cam = np.array([[0.5, 0.2, 6.0], [-1.0, 0.4, 9.0]])
     ids = _add_landmarks(scene.map, transform_points(newest.world_from_cam, in_cam), newest)
-    take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    _apply(window)
     found = scene.map.xyz[scene.map.rows(ids)]
     np.testing.assert_allclose(found, transform_points(scene.world_from_cam[-1], in_cam), atol=1e-3)
 
@@ -200,14 +208,13 @@ def test_landmarks_and_keyframes_dropped_since_do_not_matter() -> None:
     scene, config = _scene(), _config(1000)
     for k in range(1, KEYFRAMES):
         _move(scene, k, 0.3)
-    window = make_window(scene.map, RIG, config)
-    assert window is not None
+    window = _submitted(scene, config)
     scene.map.keep_landmarks(np.arange(len(scene.map)) % 3 > 0)
     newest = scene.map.keyframes[-1]
-    scene.map.take_reference(scene.map.keyframes[1], np.ones(len(scene.map), dtype=bool))
-    scene.map.take_reference(newest, np.ones(len(scene.map), dtype=bool))
+    scene.map.set_reference(scene.map.keyframes[1], np.ones(len(scene.map), dtype=bool))
+    scene.map.set_reference(newest, np.ones(len(scene.map), dtype=bool))
     _add_keyframe(scene.map, KEYFRAMES, newest.world_from_cam)  # in place of the oldest
-    take_in(scene.map, window, smooth(window.problem, config.smoothing), RIG, config)
+    _apply(window)
     assert [k.id for k in scene.map.keyframes] == list(range(1, KEYFRAMES + 1))
     for k, keyframe in enumerate(scene.map.keyframes[:-1], start=1):
         error = se3_log(inverse(scene.world_from_cam[k]) @ keyframe.world_from_cam)
@@ -218,11 +225,9 @@ def test_landmarks_and_keyframes_dropped_since_do_not_matter() -> None:
 def test_a_window_without_an_answer_changes_nothing() -> None:
     scene, config = _scene(), _config(1000)
     _move(scene, 2)
-    window = make_window(scene.map, RIG, config)
-    assert window is not None
+    window = _submitted(scene, config, Unsolvable(config.smoothing))
     before, xyz = scene.error(2), scene.map.xyz.copy()
-    nothing = smooth(window.problem, config.smoothing)._replace(converged=False)
-    assert take_in(scene.map, window, nothing, RIG, config) == []
+    assert _apply(window) == []
     assert scene.error(2) == before
     np.testing.assert_array_equal(scene.map.xyz, xyz)
 
@@ -242,7 +247,7 @@ def test_keyframes_err_with_those_that_were_held() -> None:
     carry = [adjoint(inverse(pose) @ poses[0]) for pose in poses]
     for k, keyframe in enumerate(keyframes[:4]):
         keyframe.covariance = carry[k] @ common @ carry[k].T
-        keyframe.shared = {j: carry[k] @ common @ carry[j].T for j in range(k)}
+        keyframe.cross_covariance = {j: carry[k] @ common @ carry[j].T for j in range(k)}
     _adjust(scene, config)
     for k in (4, 5):
         expected, found = carry[k] @ common @ carry[k].T, keyframes[k].covariance
@@ -251,7 +256,7 @@ def test_keyframes_err_with_those_that_were_held() -> None:
         own = found - expected
         assert np.linalg.eigvalsh(0.5 * (own + own.T)).min() > -1e-6 * np.abs(expected).max()
         np.testing.assert_allclose(
-            keyframes[k].shared[0], carry[k] @ common, atol=1e-3 * np.abs(common).max()
+            keyframes[k].cross_covariance[0], carry[k] @ common, atol=1e-3 * np.abs(common).max()
         )
 
 

@@ -19,7 +19,7 @@ from windows import (
 from vo.backend.covariance import propagated
 from vo.backend.information import OF_PATCHES, ErrorModel, pose_information
 from vo.backend.linearisation import linearise
-from vo.backend.solution import WindowSolution, smooth
+from vo.backend.solution import WindowSolution, solve
 from vo.config import SmoothingConfig
 from vo.types import Floats
 
@@ -56,7 +56,7 @@ def _mean_nees(window: Window, true: ErrorModel, told: ErrorModel) -> Floats:
     nees = []
     for _ in range(TRIALS):
         trial = _disturbed(window, true, rng)
-        solution = smooth(trial.problem, CONFIG)
+        solution = solve(trial.problem, CONFIG)
         pairs = zip(
             window.errors(solution.world_from_cam),
             _covariance(trial, solution, told),
@@ -86,7 +86,7 @@ def test_errors_that_last_are_told_too(stereo: bool, fixed: int) -> None:
 @pytest.mark.parametrize(("stereo", "fixed"), KINDS)
 def test_uncertainty_grows_away_from_the_fixed_poses(stereo: bool, fixed: int) -> None:
     window = drive(stereo=stereo, fixed=fixed).with_noise(seed=8)
-    covariance = covariance_given_held(smooth(window.problem, SmoothingConfig()))
+    covariance = covariance_given_held(solve(window.problem, SmoothingConfig()))
     np.testing.assert_allclose(covariance, np.swapaxes(covariance, 1, 2), atol=1e-12)
     np.testing.assert_array_equal(covariance[:fixed], 0.0)
     size = np.einsum("kii->k", covariance[:, 3:, 3:])
@@ -96,7 +96,7 @@ def test_uncertainty_grows_away_from_the_fixed_poses(stereo: bool, fixed: int) -
 def test_the_scale_is_a_factor_on_all_covariances() -> None:
     problem = drive(stereo=True, fixed=1).problem
     one, four = (
-        covariance_given_held(smooth(problem, SmoothingConfig(covariance_scale=scale)))
+        covariance_given_held(solve(problem, SmoothingConfig(covariance_scale=scale)))
         for scale in (1.0, 4.0)
     )
     np.testing.assert_allclose(four, 4.0 * one, rtol=1e-6)

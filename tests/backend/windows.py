@@ -8,8 +8,9 @@ import numpy as np
 
 from vo.backend.covariance import propagated
 from vo.backend.solution import WindowSolution
+from vo.backend.window_problem import WindowProblem
 from vo.geometry.transforms import inverse, se3_exp, se3_log, transform_points
-from vo.types import Floats, WindowProblem
+from vo.types import Floats
 
 INTRINSICS = (500.0, 500.0, 320.0, 200.0)
 BASELINE_M = 0.25
@@ -81,6 +82,7 @@ def drive(
     problem = WindowProblem(
         intrinsics=INTRINSICS,
         baseline_m=BASELINE_M if stereo else 0.0,
+        sigma_disparity_px=SIGMA_DISPARITY_PX,
         world_from_cam=poses.copy(),
         fixed=np.arange(keyframes) < fixed,
         points=cloud[often].copy(),

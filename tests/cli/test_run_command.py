@@ -239,7 +239,7 @@ def test_a_bug_keeps_its_traceback(
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("vo.odometry.Odometry._step", broken)
+    monkeypatch.setattr("vo.odometry.Odometry._process", broken)
     assert isinstance(vo_run(images, out).exception, ZeroDivisionError)
 
 

@@ -110,6 +110,6 @@ def test_a_failed_start_is_only_a_warning(synthetic_stereo: Path, tmp_path: Path
         tmp_path, synthetic_stereo, "--threads", "2", "--end", "4", "-q", more=more
     )
     assert status == 0
-    assert errors.startswith("warning: smoothing in the same process, no other can be started")
+    assert errors.startswith("warning: optimising in this process, no other can be started")
     assert len(modules_at_starts(tmp_path)) == 2
     assert_all_ended(tmp_path, 1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from feature_scenes import Waves, as_image, pixels
 
-from vo.frontend.alignment import Alignment, align_between, align_patches
+from vo.frontend.patch_alignment import Alignment, Patches, align_between, patches_of
 from vo.types import Bytes, Floats, Ints
 
 HEIGHT, WIDTH = 160, 210
@@ -36,8 +36,12 @@ def _plainly(
     images: Bytes, reference: Ints, xy: Floats, warp: Floats, target: int, half_px: int
 ) -> Alignment:
     warps = np.tile(warp, (len(xy), 1, 1))
-    return align_patches(
-        images, reference, xy, warps, images[target], xy + (0.7, -0.4), half_px=half_px
+    return align_between(
+        Patches(images, reference, xy, np.linalg.inv(warps)),
+        images[target][None],
+        np.zeros(len(xy), np.int64),
+        xy + (0.7, -0.4),
+        half_px=half_px,
     )
 
 
@@ -48,7 +52,9 @@ def test_it_finds_what_the_plain_alignment_finds(warp: Floats | None, half_px: i
     reference, target = np.arange(600) % 2, np.arange(600) // 2 % 2
     every = None if warp is None else np.tile(np.linalg.inv(warp), (600, 1, 1))
     start = xy + (0.7, -0.4)
-    found = align_between(images, reference, xy, every, images, target, start, half_px=half_px)
+    found = align_between(
+        Patches(images, reference, xy, every), images, target, start, half_px=half_px
+    )
     for t in (0, 1):
         mine = target == t
         used = np.eye(2) if warp is None else warp
@@ -70,7 +76,7 @@ def test_small_images_are_never_left(shape: tuple[int, int], half_px: int) -> No
     for after in (image, beyond):  # what lies behind the image in memory makes no difference
         both = np.stack([image, after])
         slot = np.zeros(300, np.int64)
-        found = align_between(both, slot, xy, None, both, slot, xy, half_px=half_px)
+        found = align_between(Patches(both, slot, xy), both, slot, xy, half_px=half_px)
         assert not found.converged[(xy < half_px).any(axis=1)].any()
         if after is image:
             first = found
@@ -84,23 +90,23 @@ def test_a_position_that_is_no_number_is_refused() -> None:
     slot, none = np.zeros(1, np.int64), np.full((1, 2, 2), np.nan)
     for xy, start, stretch in ((inside, nowhere, None), (nowhere, inside, None)):
         assert not align_between(
-            images, slot, xy, stretch, images, slot, start, half_px=6
+            Patches(images, slot, xy, stretch), images, slot, start, half_px=6
         ).converged.any()
     assert not align_between(
-        images, slot, inside, none, images, slot, inside, half_px=6
+        Patches(images, slot, inside, none), images, slot, inside, half_px=6
     ).converged.any()
 
 
 def test_no_patches_are_found_where_none_are_given() -> None:
     images, nothing, none = _scenes(1), np.empty((0, 2)), np.empty(0, np.int64)
-    found = align_between(images, none, nothing, None, images, none, nothing, half_px=6)
+    found = align_between(Patches(images, none, nothing), images, none, nothing, half_px=6)
     assert found.xy.shape == (0, 2) and found.score.shape == (0,) and found.converged.shape == (0,)
 
 
 def test_patches_larger_than_supported_are_an_error() -> None:
     images, xy, slot = _scenes(1), np.array([[60.0, 60.0]]), np.zeros(1, np.int64)
     with pytest.raises(ValueError, match="half_px is 11"):
-        align_between(images, slot, xy, None, images, slot, xy, half_px=11)
+        align_between(Patches(images, slot, xy), images, slot, xy, half_px=11)
 
 
 @pytest.mark.parametrize("noise", [2.0, 8.0])
@@ -110,9 +116,7 @@ def test_errors_go_with_sigma(noise: float) -> None:
     images = [as_image(scene.at(at) + noise * rng.standard_normal(at.shape[:2])) for _ in (0, 1)]
     xy = rng.uniform((20, 20), (WIDTH - 20, HEIGHT - 20), (400, 2))
     only = np.zeros(len(xy), dtype=np.int64)
-    found = align_between(
-        *(images[0][None], only, xy, None, images[1][None], only, xy + 0.3), half_px=6
-    )
+    found = align_between(patches_of(images[0], xy), images[1][None], only, xy + 0.3, half_px=6)
     error = (found.xy - xy)[found.converged]
     assert len(error) > 350
     sigma = found.sigma_px[found.converged]
@@ -127,7 +131,10 @@ def test_too_few_steps_are_near_enough_only_where_the_last_was_short() -> None:
     only = np.zeros(len(xy), dtype=np.int64)
     few, many = (
         align_between(
-            *(images, only, xy, None, images, only, xy + (0.7, -0.4)),
+            Patches(images, only, xy),
+            images,
+            only,
+            xy + (0.7, -0.4),
             half_px=6,
             iterations=iterations,
         )

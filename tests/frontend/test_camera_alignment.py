@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from feature_scenes import Waves, as_image, pixels
 
-from vo.frontend.camera_alignment import align_sparse, smaller_images
+from vo.frontend.camera_alignment import align_sparse, half_size_pyramid
 from vo.geometry.transforms import se3_exp, transform_points
 from vo.types import Bytes, Floats
 
@@ -37,7 +37,12 @@ def aligned(target: Bytes, start: Floats, xy: Floats) -> tuple[float, Floats]:
     """Mean error of where points are seen, in pixels, and the scores."""
     points = points_at(xy)
     found = align_sparse(
-        *(smaller_images(as_image(seen_after(np.eye(4)))), xy, smaller_images(target), points),
+        *(
+            half_size_pyramid(as_image(seen_after(np.eye(4)))),
+            xy,
+            half_size_pyramid(target),
+            points,
+        ),
         *(start, np.tile(np.eye(2, 3), (len(xy), 1, 1)), (F, F, CX, CY)),
     )
     return error_px(found.target_from_reference, points), found.score
@@ -81,16 +86,16 @@ def test_lens_is_undone_on_the_way_to_the_image(xy: Floats) -> None:
     turned = np.tile(np.array([[-1.0, 0.0, WIDTH - 1], [0.0, -1.0, HEIGHT - 1]]), (len(xy), 1, 1))
     reference = as_image(seen_after(np.eye(4)))[::-1, ::-1]
     found = align_sparse(
-        smaller_images(np.ascontiguousarray(reference)),
+        half_size_pyramid(np.ascontiguousarray(reference)),
         (WIDTH - 1, HEIGHT - 1) - xy,
-        smaller_images(np.ascontiguousarray(as_image(seen_after(MOTION))[::-1, ::-1])),
+        half_size_pyramid(np.ascontiguousarray(as_image(seen_after(MOTION))[::-1, ::-1])),
         *(points, np.eye(4), turned, (F, F, CX, CY)),
     )
     assert error_px(found.target_from_reference, points) < 0.1
 
 
 def test_images_without_texture_move_nothing(xy: Floats) -> None:
-    grey = smaller_images(np.full((HEIGHT, WIDTH), 90, np.uint8))
+    grey = half_size_pyramid(np.full((HEIGHT, WIDTH), 90, np.uint8))
     maps = np.tile(np.eye(2, 3), (len(xy), 1, 1))
     found = align_sparse(grey, xy, grey, points_at(xy), MOTION, maps, (F, F, CX, CY))
     assert (found.score == -1.0).all()
@@ -101,19 +106,19 @@ def test_points_behind_the_camera_and_outside_are_left_out(xy: Floats) -> None:
     points, far = points_at(xy), xy.copy()
     points[:40, 2] *= -1.0
     far[40:60] += 1000.0
-    images = smaller_images(as_image(seen_after(MOTION)))
+    images = half_size_pyramid(as_image(seen_after(MOTION)))
     found = align_sparse(
-        *(smaller_images(as_image(seen_after(np.eye(4)))), far, images, points, np.eye(4)),
+        *(half_size_pyramid(as_image(seen_after(np.eye(4)))), far, images, points, np.eye(4)),
         *(np.tile(np.eye(2, 3), (len(xy), 1, 1)), (F, F, CX, CY)),
     )
     assert (found.score[:60] == -1.0).all()
     assert error_px(found.target_from_reference, points[60:]) < 0.1
 
 
-def test_smaller_images_keep_where_things_are() -> None:
+def test_half_size_pyramid_keep_where_things_are() -> None:
     """Pixel p of the full size lies at (p + 1/2) / 2 - 1/2 of the half."""
     ramp = np.tile(np.arange(200, dtype=np.uint8), (151, 1))
-    half, quarter = smaller_images(ramp)
+    half, quarter = half_size_pyramid(ramp)
     assert half.shape == (75, 100) and quarter.shape == (37, 50)
     x = np.arange(100)
     np.testing.assert_allclose(half[0], (x + 0.5) * 2 - 0.5, atol=0.5)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matched_rows import match_segments
 from numpy.typing import NDArray
 
-from vo.frontend.matching import NO_MATCH, match_segments
+from vo.frontend.matching import NO_MATCH
 from vo.types import Bytes, Floats, Ints
 
 Ints32 = NDArray[np.int32]

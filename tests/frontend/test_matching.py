@@ -2,14 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matched_rows import match_everywhere, match_segments, match_windows
 
-from vo.frontend.matching import (
-    NO_MATCH,
-    agree_in_rotation,
-    match_everywhere,
-    match_segments,
-    match_windows,
-)
+from vo.frontend.matching import NO_MATCH, agree_in_rotation
 from vo.types import Bytes, Floats, Ints
 
 

@@ -6,17 +6,17 @@ import cv2
 import numpy as np
 import pytest
 from feature_scenes import shapes
+from matched_rows import match_everywhere
 
 from vo.config import FeaturesConfig
-from vo.frontend.matching import match_everywhere
-from vo.frontend.orb import OrbDetector
+from vo.frontend.orb import OrbExtractor
 from vo.types import Bytes, Floats, Keypoints
 
 CONFIG = FeaturesConfig(count=800)
 
 
 def _detect(image: Bytes) -> Keypoints:
-    return OrbDetector(CONFIG).detect(image)
+    return OrbExtractor(CONFIG).extract(image)
 
 
 def _nearest(points: Floats, others: Floats) -> tuple[Floats, Floats]:
@@ -53,7 +53,7 @@ def test_a_helper_for_the_smaller_levels_changes_no_feature() -> None:
     image = shapes(300, 480)
     alone = _detect(image)
     with ThreadPoolExecutor(1) as helper:
-        shared = OrbDetector(CONFIG).detect(image, helper)
+        shared = OrbExtractor(CONFIG).extract(image, helper=helper)
     for name in ("xy", "octave", "angle", "response", "descriptor"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(shared, name))
 
@@ -94,9 +94,9 @@ def test_a_scene_turned_by_30_degrees_is_recognised() -> None:
 def test_pixel_centres_lie_at_whole_numbers_on_every_octave(size: tuple[int, int]) -> None:
     height, width = size
     image = shapes(height, width)
-    detector = OrbDetector(FeaturesConfig(count=5000))  # all corners, so that none lacks its twin
-    found = detector.detect(image)
-    mirrored = detector.detect(np.ascontiguousarray(image[::-1, ::-1]))
+    detector = OrbExtractor(FeaturesConfig(count=5000))  # all corners, so that none lacks its twin
+    found = detector.extract(image)
+    mirrored = detector.extract(np.ascontiguousarray(image[::-1, ::-1]))
     for octave in range(CONFIG.levels):
         here = found.xy[found.octave == octave].astype(np.float64)
         there = mirrored.xy[mirrored.octave == octave].astype(np.float64)

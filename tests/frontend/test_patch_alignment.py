@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from feature_scenes import Waves, as_image, pixels
 
-from vo.frontend.alignment import Alignment, align_patches
+from vo.frontend.patch_alignment import Alignment, Patches, align_between, patches_of
 from vo.types import Bytes, Floats
 
 HEIGHT, WIDTH = 220, 260
@@ -44,12 +44,10 @@ def _align(
     reference: Bytes, target: Bytes, xy: Floats, start: Floats, warp: Floats | None = None
 ) -> Alignment:
     stretch = np.eye(2) if warp is None else warp
-    return align_patches(
-        reference[None],
+    return align_between(
+        patches_of(reference, xy, np.tile(np.linalg.inv(stretch), (len(xy), 1, 1))),
+        target[None],
         np.zeros(len(xy), np.int64),
-        xy,
-        np.tile(stretch, (len(xy), 1, 1)),
-        target,
         start,
         half_px=6,
     )
@@ -116,12 +114,10 @@ def test_every_patch_is_cut_from_its_own_reference() -> None:
     xy = pixels(HEIGHT, WIDTH)
     scenes = [as_image(Waves(seed=s).at(xy)) for s in (1, 2, 3)]
     number = np.arange(len(_grid())) % 3
-    found = align_patches(
-        np.stack(scenes),
-        number,
-        _grid(),
-        np.tile(np.eye(2), (len(number), 1, 1)),
-        scenes[1],
+    found = align_between(
+        Patches(np.stack(scenes), number, _grid()),
+        scenes[1][None],
+        np.zeros(len(number), np.int64),
         _grid(),
         half_px=6,
     )
@@ -179,8 +175,8 @@ def test_patches_larger_than_supported_are_an_error() -> None:
     reference, target, _ = _views((0.0, 0.0))
     at = np.array([[60.0, 60.0]])
     with pytest.raises(ValueError, match="half_px is 11"):
-        align_patches(
-            reference[None], np.zeros(1, np.int64), at, np.eye(2)[None], target, at, half_px=11
+        align_between(
+            patches_of(reference, at), target[None], np.zeros(1, np.int64), at, half_px=11
         )
 
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from vo.config import Config, FeaturesConfig
+from vo.frontend.frontend import make_frontend
 from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import FramePreprocessor
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import rectified_rig
 from vo.types import Camera, Frame, Rig
 
@@ -28,8 +30,13 @@ def _frames(count: int, error: Exception | None = None) -> Iterator[Frame]:
 
 @pytest.fixture(params=[1, 2])
 def preparation(request: pytest.FixtureRequest) -> Iterator[FramePreprocessor]:
+    config = Config(features=FeaturesConfig(count=100))
+    frontend = make_frontend(config)
+    vertical_disparity = VerticalDisparityCorrection(
+        RIG, frontend.matcher, frontend.patches, config.stereo
+    )
     preparation = FramePreprocessor(
-        Config(features=FeaturesConfig(count=100)), threads=request.param
+        RIG, frontend.extractor, vertical_disparity, threads=request.param
     )
     yield preparation
     preparation.close()
@@ -38,8 +45,8 @@ def preparation(request: pytest.FixtureRequest) -> Iterator[FramePreprocessor]:
 def test_every_frame_comes_in_order_and_is_the_same_as_alone(
     preparation: FramePreprocessor,
 ) -> None:
-    ahead = [coming.result() for coming in preparation.ahead(_frames(4), RIG)]
-    alone = [preparation.later(frame, RIG).result() for frame in _frames(4)]
+    ahead = [coming.result() for coming in preparation.ahead(_frames(4))]
+    alone = [preparation.submit(frame).result() for frame in _frames(4)]
     assert [frame.index for frame in ahead] == [0, 1, 2, 3]
     for one, other in zip(ahead, alone, strict=True):
         np.testing.assert_array_equal(one.keypoints.descriptor, other.keypoints.descriptor)
@@ -54,21 +61,21 @@ def test_one_frame_is_read_ahead_and_no_more(preparation: FramePreprocessor) -> 
             read.append(frame.index)
             yield frame
 
-    ahead = preparation.ahead(frames(), RIG)
+    ahead = preparation.ahead(frames())
     for last in (1, 2, 3):
         next(ahead)
         assert read == list(range(last + 1))
 
 
 def test_frames_before_an_error_are_handed_out(preparation: FramePreprocessor) -> None:
-    ahead = preparation.ahead(_frames(2, OSError("unplugged")), RIG)
+    ahead = preparation.ahead(_frames(2, OSError("unplugged")))
     assert [next(ahead).result().index for _ in range(2)] == [0, 1]
     with pytest.raises(OSError, match="unplugged"):
         next(ahead)
 
 
 def test_no_frames_are_no_trouble(preparation: FramePreprocessor) -> None:
-    assert list(preparation.ahead(_frames(0), RIG)) == []
+    assert list(preparation.ahead(_frames(0))) == []
 
 
 def test_what_comes_later_is_worked_out_once_wherever_it_was_begun() -> None:
@@ -80,15 +87,15 @@ def test_what_comes_later_is_worked_out_once_wherever_it_was_begun() -> None:
 
     with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
         begun = LazyFuture(work, pool)
-        begun.begin()
-        begun.begin()
+        begun.start()
+        begun.start()
         assert (begun.result(), begun.result()) == (7, 7)
         assert len(threads) == 1 and threads[0].startswith("beside")
         asked = LazyFuture(work, pool)
         assert (asked.result(), asked.result()) == (7, 7)
         assert len(threads) == 2 and threads[1] == threads[0]  # one detector, one thread
     nowhere = LazyFuture(work, None)
-    nowhere.begin()
+    nowhere.start()
     assert len(threads) == 2
     assert nowhere.result() == 7
     assert threads[2:] == [threading.current_thread().name]

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from vo.config import Config
-from vo.frontend.orb import OrbDetector
+from vo.config import Config, StereoConfig
+from vo.frontend.frontend import make_frontend
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera_error import right_camera_error
@@ -35,7 +35,7 @@ def pair(synthetic_stereo: Path) -> tuple[Bytes, Bytes]:
 
 
 def _view(image: Bytes) -> View:
-    return View(image, OrbDetector(CONFIG.features).detect(image))
+    return View(image, make_frontend(CONFIG).extractor.extract(image))
 
 
 def _seen_by_turned(image: Bytes, rig: RectifiedRig, pitch_deg: float, roll_deg: float) -> Bytes:
@@ -47,10 +47,17 @@ def _seen_by_turned(image: Bytes, rig: RectifiedRig, pitch_deg: float, roll_deg:
     return np.asarray(seen, dtype=np.uint8)
 
 
+def _correction(
+    rig: RectifiedRig, config: StereoConfig = CONFIG.stereo
+) -> VerticalDisparityCorrection:
+    frontend = make_frontend(CONFIG)
+    return VerticalDisparityCorrection(rig, frontend.matcher, frontend.patches, config)
+
+
 def _learned(left: Bytes, right: Bytes, rig: RectifiedRig) -> VerticalDisparityCorrection:
-    alignment = VerticalDisparityCorrection(CONFIG)
-    assert alignment.asks()
-    assert alignment.learn(_view(left), _view(right), rig) == (
+    alignment = _correction(rig)
+    assert alignment.needs_next_pair()
+    assert alignment.update(_view(left), _view(right)) == (
         alignment.corrected != VerticalDisparity()
     )
     return alignment
@@ -59,10 +66,10 @@ def _learned(left: Bytes, right: Bytes, rig: RectifiedRig) -> VerticalDisparityC
 def test_a_pair_that_is_right_is_left_alone(pair: tuple[Bytes, Bytes], rig: RectifiedRig) -> None:
     alignment = _learned(*pair, rig)
     assert alignment.corrected == VerticalDisparity()
-    assert alignment.aligned(rig) is rig
+    assert alignment.aligned_rig() is rig
     assert right_camera_error(alignment.corrected, rig) is None
-    assert alignment.found is not None
-    assert alignment.found[:2] == pytest.approx((0.0, 0.0), abs=0.05)
+    assert alignment.estimated is not None
+    assert alignment.estimated[:2] == pytest.approx((0.0, 0.0), abs=0.05)
 
 
 @pytest.mark.parametrize("angles", [(0.5, 0.0), (-2.0, 0.0), (0.0, 0.5), (0.0, -1.0), (-0.6, 0.8)])
@@ -76,11 +83,11 @@ def test_a_turned_camera_is_found_and_turned_back(
     assert found is not None
     assert (found.pitch_deg, found.roll_deg) == pytest.approx(angles, abs=0.04)
     assert found.yaw_deg == 0.0
-    back = alignment.aligned(rig).rectify(seen, 1)
+    back = alignment.aligned_rig().rectify(seen, 1)
     before = np.abs(seen[INSIDE].astype(float) - right[INSIDE]).mean()
     after = np.abs(back[INSIDE].astype(float) - right[INSIDE]).mean()
     assert after < 2.5 < before  # it is sampled twice
-    np.testing.assert_array_equal(alignment.aligned(rig).rectify(left, 0), left)
+    np.testing.assert_array_equal(alignment.aligned_rig().rectify(left, 0), left)
 
 
 def test_a_pair_without_features_says_nothing_and_others_are_asked(
@@ -88,22 +95,22 @@ def test_a_pair_without_features_says_nothing_and_others_are_asked(
 ) -> None:
     grey = np.full_like(pair[0], 100)
     alignment = _learned(grey, grey, rig)
-    assert alignment.found is None
-    assert alignment.asks()
-    alignment.learn(_view(pair[0]), _view(_seen_by_turned(pair[1], rig, 0.5, 0.0)), rig)
+    assert alignment.estimated is None
+    assert alignment.needs_next_pair()
+    alignment.update(_view(pair[0]), _view(_seen_by_turned(pair[1], rig, 0.5, 0.0)))
     assert alignment.corrected.pitch_px > 1.0
 
 
 def test_one_does_not_ask_for_ever(rig: RectifiedRig, pair: tuple[Bytes, Bytes]) -> None:
     grey = _view(np.full_like(pair[0], 100))
-    alignment = VerticalDisparityCorrection(CONFIG)
+    alignment = _correction(rig)
     asked = 0
     for _ in range(100):
-        if alignment.asks():
-            alignment.learn(grey, grey, rig)
+        if alignment.needs_next_pair():
+            alignment.update(grey, grey)
             asked += 1
     assert asked == 30
-    assert alignment.aligned(rig) is rig
+    assert alignment.aligned_rig() is rig
 
 
 def test_in_the_dark_pairs_are_not_asked_more_often(
@@ -112,9 +119,9 @@ def test_in_the_dark_pairs_are_not_asked_more_often(
     alignment, grey = _learned(*pair, rig), _view(np.full_like(pair[0], 100))
     asked = []
     for number in range(2, 32):
-        if alignment.asks():
+        if alignment.needs_next_pair():
             asked.append(number)
-            alignment.learn(grey, grey, rig)
+            alignment.update(grey, grey)
     assert asked == [3, 7, 15, 31]
 
 
@@ -123,12 +130,12 @@ def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
 ) -> None:
     """As where the cameras were not triggered together while they turned."""
     left, right = pair
-    alignment, found = VerticalDisparityCorrection(CONFIG), {}
+    alignment, found = _correction(rig), {}
     for number in range(1, 32):
-        if alignment.asks():
+        if alignment.needs_next_pair():
             seen = _seen_by_turned(right, rig, 0.4 if number == 1 else 0.2, 0.0)
-            aligned = alignment.aligned(rig).rectify(seen, 1)
-            alignment.learn(_view(left), _view(aligned), rig)
+            aligned = alignment.aligned_rig().rectify(seen, 1)
+            alignment.update(_view(left), _view(aligned))
             camera = right_camera_error(alignment.corrected, rig)
             found[number] = None if camera is None else camera.pitch_deg
     assert list(found) == [1, 3, 7, 15, 31]
@@ -141,9 +148,9 @@ def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: Rectif
     assert _learned(right, left, rig).corrected == VerticalDisparity()
 
 
-def test_it_can_be_switched_off() -> None:
+def test_it_can_be_switched_off(rig: RectifiedRig) -> None:
     stereo = CONFIG.stereo.model_copy(update={"row_correction": False})
-    assert not VerticalDisparityCorrection(CONFIG.model_copy(update={"stereo": stereo})).asks()
+    assert not _correction(rig, stereo).needs_next_pair()
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,5 @@
+"""What the local map holds while keyframes and landmarks come and go."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -5,115 +7,112 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vo.mapping.local_map import Keyframe, Map
-from vo.types import Floats, Ints, Keypoints
+from vo.frontend.contracts import DescriptorFormat
+from vo.geometry.rectification import rectified_rig
+from vo.mapping.keyframe import FrameId, Keyframe, without_disparity
+from vo.mapping.local_map import LocalMap
+from vo.types import Camera, Floats, Ints, Keypoints, Rig
 
 CAPACITY, HEIGHT, WIDTH = 3, 4, 6
+RIG = rectified_rig(Rig(Camera(WIDTH, HEIGHT, 5.0, 5.0, 2.5, 1.5)))
+ORB = DescriptorFormat(32, np.dtype(np.uint8))
+FEATURES = 256  # of each keyframe; their values tell their row
 
 
-def _keypoints(count: int = 2) -> Keypoints:
+def _keypoints(number: int) -> Keypoints:
+    rows = np.arange(FEATURES)
     return Keypoints(
-        np.zeros((count, 2), np.float32),
-        np.zeros(count, np.int32),
-        np.zeros(count, np.float32),
-        np.zeros(count, np.float32),
-        np.zeros((count, 32), np.uint8),
+        np.column_stack([rows, np.full(FEATURES, 100.0 * number)]).astype(np.float32),
+        rows.astype(np.int32),
+        rows.astype(np.float32),
+        np.zeros(FEATURES, np.float32),
+        np.tile(rows[:, None].astype(np.uint8), (1, 32)),
     )
 
 
-def _keyframe(world: Map, number: int = 0) -> Keyframe:
+def _keyframe(local_map: LocalMap, number: int = 0) -> Keyframe:
     pose = np.eye(4)
     pose[0, 3] = number
-    return world.add_keyframe(
-        frame_index=10 * number,
-        stamp_ns=1000 * number,
-        segment=0,
+    return local_map.add_keyframe(
+        FrameId(index=10 * number, stamp_ns=1000 * number, segment=0),
         image=np.full((HEIGHT, WIDTH), number % 256, np.uint8),
         world_from_cam=pose,
-        keypoints=_keypoints(),
-        undistorted_xy=np.zeros((2, 2)),
-        free=np.ones(2, dtype=bool),
+        keypoints=_keypoints(number),
+        free=np.ones(FEATURES, dtype=bool),
     )
 
 
-def _landmarks(world: Map, keyframe: Keyframe, count: int = 4) -> Ints:
-    """New landmarks that the keyframe sees; their values tell their id."""
-    first = int(world.id[-1]) + 1 if len(world) else 0
-    values = np.arange(first, first + count, dtype=np.float64)
-    ids = world.add_landmarks(
-        np.column_stack([values, values, values]),
-        np.tile(values[:, None].astype(np.uint8), (1, 32)),
-        values.astype(np.int32),
-        values.astype(np.float32),
-        keyframe,
-        np.column_stack([values, 100.0 * np.full(count, keyframe.id)]),
-        keyframe,
-    )
+def _landmarks(local_map: LocalMap, keyframe: Keyframe, count: int = 4) -> Ints:
+    """New landmarks that the keyframe observes; their values tell their id."""
+    first = int(local_map.id[-1]) + 1 if len(local_map) else 0
+    rows = np.arange(first, first + count)
+    xyz: Floats = np.column_stack([rows, rows, rows]).astype(np.float64)
+    ids = local_map.add_landmarks(xyz, keyframe, rows, keyframe)
     _observe(keyframe, ids)
     return ids
 
 
 def _observe(keyframe: Keyframe, ids: Ints) -> None:
     xy = np.column_stack([ids, 100.0 * np.full(len(ids), keyframe.id)]).astype(np.float64)
-    keyframe.add_observations(ids, xy, xy, np.full(len(ids), np.nan), np.full(len(ids), 0.5))
+    keyframe.add_observations(without_disparity(ids, xy, xy, 0.5))
 
 
-def _map() -> Map:
-    return Map(CAPACITY, HEIGHT, WIDTH)
+def _map(capacity: int = CAPACITY) -> LocalMap:
+    return LocalMap(RIG, capacity, ORB)
 
 
 def test_only_the_newest_keyframes_are_kept() -> None:
-    world = _map()
+    local_map = _map()
     for number in range(7):
-        _keyframe(world, number)
-    assert [k.id for k in world.keyframes] == [4, 5, 6]
-    assert [k.frame_index for k in world.keyframes] == [40, 50, 60]
+        _keyframe(local_map, number)
+    assert [k.id for k in local_map.keyframes] == [4, 5, 6]
+    assert [k.frame.index for k in local_map.keyframes] == [40, 50, 60]
 
 
 def test_each_keyframe_keeps_its_own_image() -> None:
-    world = _map()
+    local_map = _map()
     for number in range(8):
-        _keyframe(world, number)
-        for keyframe in world.keyframes:
-            assert np.all(world.images[keyframe.slot] == keyframe.id)
+        _keyframe(local_map, number)
+        for keyframe in local_map.keyframes:
+            assert np.all(local_map.images[keyframe.slot] == keyframe.id)
 
 
 def test_a_keyframe_does_not_share_its_pose_with_the_caller() -> None:
-    world, pose = _map(), np.eye(4)
-    keyframe = _keyframe(world)
+    local_map, pose = _map(), np.eye(4)
+    keyframe = _keyframe(local_map)
     pose[0, 3] = 9.0
     assert keyframe.world_from_cam[0, 3] == 0.0
 
 
 def test_ids_and_values_of_landmarks_survive_when_rows_move() -> None:
-    world = _map()
-    keyframe = _keyframe(world)
-    ids = _landmarks(world, keyframe, 6)
-    world.keep_landmarks(np.array([True, False, True, False, False, True]))
-    more = _landmarks(world, keyframe, 2)
+    local_map = _map()
+    keyframe = _keyframe(local_map)
+    ids = _landmarks(local_map, keyframe, 6)
+    local_map.keep_landmarks(np.array([True, False, True, False, False, True]))
+    more = _landmarks(local_map, keyframe, 2)
     assert ids.tolist() == [0, 1, 2, 3, 4, 5] and more.tolist() == [6, 7]
-    assert world.id.tolist() == [0, 2, 5, 6, 7]
-    np.testing.assert_array_equal(world.xyz[:, 0], world.id)
-    np.testing.assert_array_equal(world.octave, world.id)
-    np.testing.assert_array_equal(world.descriptor[:, 0], world.id)
+    assert local_map.id.tolist() == [0, 2, 5, 6, 7]
+    np.testing.assert_array_equal(local_map.xyz[:, 0], local_map.id)
+    np.testing.assert_array_equal(local_map.octave, local_map.id)
+    np.testing.assert_array_equal(local_map.descriptor[:, 0], local_map.id)
 
 
 def test_rows_of_ids_that_are_not_there_are_minus_one() -> None:
-    world = _map()
-    assert world.rows(np.array([0, 5])).tolist() == [-1, -1]
-    _landmarks(world, _keyframe(world), 4)
-    world.keep_landmarks(np.array([False, True, False, True]))
-    assert world.rows(np.array([3, 0, 1, 2, 99])).tolist() == [1, -1, 0, -1, -1]
-    assert world.rows(np.empty(0, np.int64)).tolist() == []
+    local_map = _map()
+    assert local_map.rows(np.array([0, 5])).tolist() == [-1, -1]
+    _landmarks(local_map, _keyframe(local_map), 4)
+    local_map.keep_landmarks(np.array([False, True, False, True]))
+    assert local_map.rows(np.array([3, 0, 1, 2, 99])).tolist() == [1, -1, 0, -1, -1]
+    assert local_map.rows(np.empty(0, np.int64)).tolist() == []
 
 
-def test_observations_of_dropped_landmarks_are_forgotten() -> None:
-    world = _map()
-    first = _keyframe(world, 0)
-    ids = _landmarks(world, first, 3)
-    second = _keyframe(world, 1)
+def test_observations_of_removed_landmarks_are_removed() -> None:
+    local_map = _map()
+    first = _keyframe(local_map, 0)
+    ids = _landmarks(local_map, first, 3)
+    second = _keyframe(local_map, 1)
     _observe(second, ids[1:])
-    world.keep_landmarks(np.array([True, False, True]))
+    local_map.keep_landmarks(np.array([True, False, True]))
     assert first.landmark.tolist() == [0, 2]
     assert second.landmark.tolist() == [2]
     np.testing.assert_array_equal(second.xy, [[2.0, 100.0]])
@@ -122,76 +121,68 @@ def test_observations_of_dropped_landmarks_are_forgotten() -> None:
         assert {len(f) for f in fields} == {len(keyframe.landmark)}
 
 
-def test_landmarks_that_others_see_get_their_patch_from_the_oldest_of_them() -> None:
-    world = _map()
-    ids = _landmarks(world, _keyframe(world, 0), 4)
-    _observe(_keyframe(world, 1), ids[:2])
-    _observe(_keyframe(world, 2), ids[1:3])
-    _keyframe(world, 3)  # drops keyframe 0, and with it the landmark that only it saw
-    assert world.id.tolist() == [0, 1, 2]
-    assert world.reference.tolist() == [1, 1, 2]
-    for row, reference in enumerate(world.reference):
-        seen = world.keyframes[reference - 1]
-        at = np.flatnonzero(seen.landmark == world.id[row])
-        np.testing.assert_array_equal(world.reference_xy[row], seen.image_xy[at[0]])
+def test_landmarks_that_others_observe_get_their_patch_from_the_oldest_of_them() -> None:
+    local_map = _map()
+    ids = _landmarks(local_map, _keyframe(local_map, 0), 4)
+    _observe(_keyframe(local_map, 1), ids[:2])
+    _observe(_keyframe(local_map, 2), ids[1:3])
+    _keyframe(local_map, 3)  # keyframe 0 leaves, and with it the landmark that only it observes
+    assert local_map.id.tolist() == [0, 1, 2]
+    assert local_map.reference.tolist() == [1, 1, 2]
+    for row, reference in enumerate(local_map.reference):
+        seen = local_map.keyframes[reference - 1]
+        at = np.flatnonzero(seen.landmark == local_map.id[row])
+        np.testing.assert_array_equal(local_map.reference_xy[row], seen.image_xy[at[0]])
 
 
 def test_references_lead_to_the_right_image() -> None:
-    world = _map()
+    local_map = _map()
     for number in range(5):
-        _landmarks(world, _keyframe(world, number), 2)
-    slots = world.reference_slots()
-    for row, reference in enumerate(world.reference):
-        assert np.all(world.images[slots[row]] == reference)
+        _landmarks(local_map, _keyframe(local_map, number), 2)
+    slots = local_map.reference_slots()
+    for row, reference in enumerate(local_map.reference):
+        assert np.all(local_map.images[slots[row]] == reference)
 
 
-def test_taking_a_reference_changes_only_chosen_landmarks_that_are_seen() -> None:
-    world = _map()
-    ids = _landmarks(world, _keyframe(world, 0), 4)
-    second = _keyframe(world, 1)
+def test_setting_a_reference_changes_only_chosen_landmarks_that_are_observed() -> None:
+    local_map = _map()
+    ids = _landmarks(local_map, _keyframe(local_map, 0), 4)
+    second = _keyframe(local_map, 1)
     _observe(second, ids[1:])
-    world.take_reference(second, np.array([True, True, False, True]))
-    assert world.reference.tolist() == [0, 1, 0, 1]
-    np.testing.assert_array_equal(world.reference_xy[[1, 3]], [[1.0, 100.0], [3.0, 100.0]])
+    local_map.set_reference(second, np.array([True, True, False, True]))
+    assert local_map.reference.tolist() == [0, 1, 0, 1]
+    np.testing.assert_array_equal(local_map.reference_xy[[1, 3]], [[1.0, 100.0], [3.0, 100.0]])
 
 
-def test_an_empty_map_goes_on_counting() -> None:
-    world = _map()
-    _landmarks(world, _keyframe(world, 0), 3)
-    world.clear()
-    assert len(world) == 0 and world.keyframes == []
-    keyframe = _keyframe(world, 1)
+def test_ids_go_on_after_the_map_was_cleared() -> None:
+    local_map = _map()
+    _landmarks(local_map, _keyframe(local_map, 0), 3)
+    local_map.clear()
+    assert len(local_map) == 0 and local_map.keyframes == []
+    keyframe = _keyframe(local_map, 1)
     assert keyframe.id == 1
-    ids = world.add_landmarks(
-        np.zeros((1, 3)),
-        np.zeros((1, 32), np.uint8),
-        np.zeros(1, np.int32),
-        np.zeros(1, np.float32),
-        keyframe,
-        np.zeros((1, 2)),
-        keyframe,
-    )
+    ids = local_map.add_landmarks(np.zeros((1, 3)), keyframe, np.zeros(1, np.int64), keyframe)
     assert ids.tolist() == [3]
-    assert world.reference_slots().tolist() == [keyframe.slot]
+    assert local_map.reference_slots().tolist() == [keyframe.slot]
 
 
-def _check(world: Map) -> None:
-    kept = [k.id for k in world.keyframes]
+def _check(local_map: LocalMap) -> None:
+    kept = [k.id for k in local_map.keyframes]
     assert len(kept) <= CAPACITY
     assert kept == sorted(kept)
-    slots = [k.slot for k in world.keyframes]
+    slots = [k.slot for k in local_map.keyframes]
     assert len(set(slots)) == len(slots) and set(slots) <= set(range(CAPACITY))
-    assert np.all(np.diff(world.id) > 0)
-    assert set(world.reference) <= set(kept)
-    np.testing.assert_array_equal(world.xyz[:, 0], world.id)
-    np.testing.assert_array_equal(world.reference_xy[:, 1], 100.0 * world.reference)
-    for keyframe in world.keyframes:
-        assert np.all(world.rows(keyframe.landmark) >= 0)
+    assert np.all(np.diff(local_map.id) > 0)
+    assert set(local_map.reference) <= set(kept)
+    np.testing.assert_array_equal(local_map.xyz[:, 0], local_map.id)
+    np.testing.assert_array_equal(local_map.reference_xy[:, 1], 100.0 * local_map.reference)
+    for keyframe in local_map.keyframes:
+        assert np.all(local_map.rows(keyframe.landmark) >= 0)
         assert len(np.unique(keyframe.landmark)) == len(keyframe.landmark)
         np.testing.assert_array_equal(keyframe.xy[:, 0], keyframe.landmark)
-        assert np.all(world.images[keyframe.slot] == keyframe.frame_index // 10 % 256)
-    if world.keyframes:
-        assert len(world.reference_slots()) == len(world)
+        assert np.all(local_map.images[keyframe.slot] == keyframe.frame.index // 10 % 256)
+    if local_map.keyframes:
+        assert len(local_map.reference_slots()) == len(local_map)
 
 
 _operation = st.tuples(
@@ -201,49 +192,42 @@ _operation = st.tuples(
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(_operation, max_size=40))
-def test_the_books_stay_right_whatever_happens(operations: list[tuple[str, int]]) -> None:
-    world, frames, landmarks = _map(), 0, 0
+def test_map_stays_consistent_whatever_happens(operations: list[tuple[str, int]]) -> None:
+    local_map, frames, landmarks = _map(), 0, 0
     for name, seed in operations:
         rng = np.random.default_rng(abs(seed))
         if name == "keyframe":
-            _keyframe(world, frames)
+            _keyframe(local_map, frames)
             frames += 1
         elif name == "clear" and seed % 3 == 0:
-            world.clear()
-        elif world.keyframes:
-            keyframe = world.keyframes[int(rng.integers(len(world.keyframes)))]
-            chosen = rng.random(len(world)) < 0.5
+            local_map.clear()
+        elif local_map.keyframes:
+            keyframe = local_map.keyframes[int(rng.integers(len(local_map.keyframes)))]
+            chosen = rng.random(len(local_map)) < 0.5
             if name == "grow":
-                landmarks += _grow(world, keyframe, landmarks, int(rng.integers(5)))
+                landmarks += _grow(local_map, keyframe, landmarks, int(rng.integers(5)))
             elif name == "see":
-                _observe(keyframe, world.id[chosen & ~np.isin(world.id, keyframe.landmark)])
+                _observe(keyframe, local_map.id[chosen & ~np.isin(local_map.id, keyframe.landmark)])
             elif name == "drop":
-                world.keep_landmarks(chosen)
+                local_map.keep_landmarks(chosen)
             elif name == "take":
-                world.take_reference(keyframe, chosen)
-        _check(world)
+                local_map.set_reference(keyframe, chosen)
+        _check(local_map)
 
 
-def _grow(world: Map, keyframe: Keyframe, first: int, count: int) -> int:
-    values: Floats = np.arange(first, first + count, dtype=np.float64)
-    ids = world.add_landmarks(
-        np.column_stack([values] * 3),
-        np.zeros((count, 32), np.uint8),
-        np.zeros(count, np.int32),
-        np.zeros(count, np.float32),
-        keyframe,
-        np.column_stack([values, np.full(count, 100.0 * keyframe.id)]),
-        keyframe,
-    )
-    assert ids.tolist() == values.astype(int).tolist()
+def _grow(local_map: LocalMap, keyframe: Keyframe, first: int, count: int) -> int:
+    rows = np.arange(first, first + count)
+    xyz: Floats = np.column_stack([rows] * 3).astype(np.float64)
+    ids = local_map.add_landmarks(xyz, keyframe, rows, keyframe)
+    assert ids.tolist() == rows.tolist()
     _observe(keyframe, ids)
     return count
 
 
 @pytest.mark.parametrize("capacity", [1, 2, 16])
 def test_any_capacity_works(capacity: int) -> None:
-    world = Map(capacity, HEIGHT, WIDTH)
+    local_map = _map(capacity)
     for number in range(20):
-        _landmarks(world, _keyframe(world, number), 2)
-    assert [k.id for k in world.keyframes] == list(range(20 - capacity, 20))
-    assert len(world) == 2 * capacity
+        _landmarks(local_map, _keyframe(local_map, number), 2)
+    assert [k.id for k in local_map.keyframes] == list(range(20 - capacity, 20))
+    assert len(local_map) == 2 * capacity

@@ -1,8 +1,12 @@
 """A short made-up run: keyframes, landmarks, one lost frame and a second segment."""
 
+from functools import partial
+
 import numpy as np
 
+from vo.failures import Failure, FailureReason
 from vo.geometry.transforms import make_transform, so3_exp
+from vo.recording.recorder import Recorder
 from vo.types import (
     Camera,
     Estimate,
@@ -10,6 +14,7 @@ from vo.types import (
     KeyframePose,
     Landmarks,
     Rig,
+    Snapshot,
     State,
     Trajectory,
     View,
@@ -78,20 +83,34 @@ def landmarks(frame: int) -> Landmarks:
 
 
 def estimate(frame: int, first_ns: int = 0) -> Estimate:
-    is_lost, is_keyframe = frame == LOST_FRAME, frame % 2 == 0 and frame != LOST_FRAME
+    is_lost = frame == LOST_FRAME
     return Estimate(
         frame_index=frame,
         stamp_ns=stamp_ns(frame, first_ns),
         state=State.LOST if is_lost else State.TRACKING,
-        reason="too few matches: 3" if is_lost else "",
+        failure=Failure(FailureReason.FEW_MATCHES, 3, 80) if is_lost else None,
         segment=int(frame >= LOST_FRAME),
         world_from_cam0=None if is_lost else pose(frame),
-        is_keyframe=is_keyframe,
+        is_keyframe=is_keyframe(frame),
+        features=FEATURES,
         matches=22,
         inliers=20,
-        keyframes=keyframes(frame, first_ns) if is_keyframe else (),
-        view=view(frame),
-        landmarks=landmarks(frame) if is_keyframe else None,
+        keyframes=keyframes(frame, first_ns) if is_keyframe(frame) else (),
+        landmark_ids=landmarks(frame).ids if is_keyframe(frame) else None,
         stage_ms={"features": 5.0, "tracking": 3.0},
-        neighbours={k: 5 + k for k in range(max(0, frame - 4), frame, 2)} if is_keyframe else {},
     )
+
+
+def is_keyframe(frame: int) -> bool:
+    return frame % 2 == 0 and frame != LOST_FRAME
+
+
+def snapshot(frame: int) -> Snapshot:
+    if not is_keyframe(frame):
+        return Snapshot(view(frame), None)
+    neighbours = {k: 5 + k for k in range(max(0, frame - 4), frame, 2)}
+    return Snapshot(view(frame), landmarks(frame), neighbours)
+
+
+def record(recorder: Recorder, frame: int, first_ns: int = 0) -> None:
+    recorder.record(estimate(frame, first_ns), partial(snapshot, frame))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from vo.geometry import cameras
 from vo.geometry.transforms import inverse, make_transform, so3_exp, transform_points
+from vo.recording.recorder import Recorder
 from vo.types import (
     Camera,
     Estimate,
@@ -14,6 +17,7 @@ from vo.types import (
     KeyframePose,
     Landmarks,
     Sightings,
+    Snapshot,
     State,
     Trajectory,
     View,
@@ -77,21 +81,38 @@ def view(frame: int, camera: Camera) -> View:
 
 def estimate(frame: int, camera: Camera = PINHOLE, segment: int = 0) -> Estimate:
     """Every frame is a keyframe."""
-    window = range(max(frame - WINDOW + 1, 0), frame + 1)
-    seen = tuple(sightings(k, camera) for k in window)
-    ids = np.unique(np.concatenate([each.ids for each in seen]))
-    grey = (ids % 256).astype(np.uint8)
+    count = len(sightings(frame, camera).ids)
     return Estimate(
         frame_index=frame,
         stamp_ns=frame * 100_000_000,
         state=State.TRACKING,
-        reason="",
+        failure=None,
         segment=segment,
         world_from_cam0=pose(frame),
         is_keyframe=True,
-        matches=len(seen[-1].ids),
-        inliers=len(seen[-1].ids),
-        keyframes=tuple(KeyframePose(k, k * 100_000_000, segment, pose(k), None) for k in window),
-        view=view(frame, camera),
-        landmarks=Landmarks(ids, points()[ids], grey, None, seen),
+        features=count,
+        matches=count,
+        inliers=count,
+        keyframes=tuple(
+            KeyframePose(k, k * 100_000_000, segment, pose(k), None) for k in window(frame)
+        ),
+        landmark_ids=landmarks(frame, camera).ids,
     )
+
+
+def window(frame: int) -> range:
+    return range(max(frame - WINDOW + 1, 0), frame + 1)
+
+
+def landmarks(frame: int, camera: Camera) -> Landmarks:
+    seen = tuple(sightings(k, camera) for k in window(frame))
+    ids = np.unique(np.concatenate([each.ids for each in seen]))
+    return Landmarks(ids, points()[ids], (ids % 256).astype(np.uint8), None, seen)
+
+
+def snapshot(frame: int, camera: Camera = PINHOLE) -> Snapshot:
+    return Snapshot(view(frame, camera), landmarks(frame, camera))
+
+
+def record(recorder: Recorder, frame: int, camera: Camera = PINHOLE) -> None:
+    recorder.record(estimate(frame, camera), partial(snapshot, frame, camera))

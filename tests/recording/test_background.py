@@ -1,6 +1,7 @@
 import logging
 import threading
 import time
+from functools import partial
 
 import fake_run
 import pytest
@@ -21,7 +22,7 @@ class Slow:
     def begin(self, name, rig, ground_truth):
         pass
 
-    def record(self, estimate):
+    def record(self, estimate, snapshot):
         self.go.wait(20.0)
         if self._error is not None:
             raise self._error
@@ -46,7 +47,7 @@ def test_everything_arrives_in_order():
     inner.go.set()
     recorder = begun(inner, room=100)
     for frame in range(50):
-        recorder.record(fake_run.estimate(frame))
+        fake_run.record(recorder, frame)
     finish(recorder)
     assert inner.frames == list(range(50))
     assert inner.finished
@@ -55,10 +56,15 @@ def test_everything_arrives_in_order():
 def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
     inner = Slow()
     recorder = begun(inner, room=4)
-    estimates = [fake_run.estimate(frame) for frame in range(20)]
+    taken = []
+
+    def take(frame):
+        taken.append(frame)
+        return fake_run.snapshot(frame)
+
     began = time.monotonic()
-    for estimate in estimates:
-        recorder.record(estimate)
+    for frame in range(20):
+        recorder.record(fake_run.estimate(frame), partial(take, frame))
     assert time.monotonic() - began < 1.0
     inner.go.set()
     with caplog.at_level(logging.WARNING):
@@ -66,13 +72,14 @@ def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
     assert inner.finished
     left_out = 20 - len(inner.frames)
     assert 15 <= left_out <= 16
+    assert len(taken) == len(inner.frames)  # of a frame that is left out no snapshot is taken
     assert f"{left_out} frames are not in the recording" in caplog.text
 
 
 def test_a_hanging_recorder_is_given_up(caplog):
     inner = Slow()
     recorder = begun(inner, patience_s=0.3)
-    recorder.record(fake_run.estimate(0))
+    fake_run.record(recorder, 0)
     with caplog.at_level(logging.WARNING):
         finish(recorder)
     assert "hangs" in caplog.text
@@ -85,7 +92,7 @@ def test_whatever_goes_wrong_is_one_warning(caplog):
     recorder = begun(inner)
     with caplog.at_level(logging.WARNING):
         for frame in range(5):
-            recorder.record(fake_run.estimate(frame))
+            fake_run.record(recorder, frame)
         finish(recorder)
     assert [record.getMessage() for record in caplog.records] == [
         "recording stopped: ValueError: of some kind"

@@ -39,7 +39,7 @@ RUN_FRAMES = 12
 def record(recorder: Recorder, camera: Camera = orbit.PINHOLE) -> None:
     recorder.begin("a name", RIG, None)
     for frame in range(orbit.FRAMES):
-        recorder.record(orbit.estimate(frame, camera))
+        orbit.record(recorder, frame, camera)
     recorder.finish(orbit.smoothed(), orbit.smoothed())
 
 
@@ -78,7 +78,7 @@ def test_colmap_gets_the_lens_as_it_was_found_to_be_on_the_way(tmp_path: Path) -
     recorder = ColmapRecorder(tmp_path)
     recorder.begin("a name", RIG, None)
     for frame in range(orbit.FRAMES):
-        recorder.record(orbit.estimate(frame, orbit.PINHOLE if frame < 2 else found))
+        orbit.record(recorder, frame, orbit.PINHOLE if frame < 2 else found)
     recorder.finish(orbit.smoothed(), orbit.smoothed())
     (camera,) = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0")).cameras.values()
     assert camera.model.name == "OPENCV"
@@ -119,11 +119,12 @@ def test_colmap_reads_an_exact_model(lens: str, tmp_path: Path) -> None:
 def test_what_left_the_map_is_kept_and_what_was_wrong_is_not() -> None:
     reconstruction = Reconstruction()
     for frame in range(orbit.FRAMES):
-        estimate = orbit.estimate(frame)
-        assert estimate.landmarks is not None
-        xyz = estimate.landmarks.xyz.copy()
-        xyz[estimate.landmarks.ids == 200] += 1.0  # a landmark that no observation agrees with
-        reconstruction.add(replace(estimate, landmarks=replace(estimate.landmarks, xyz=xyz)))
+        snapshot = orbit.snapshot(frame)
+        assert snapshot.landmarks is not None
+        xyz = snapshot.landmarks.xyz.copy()
+        xyz[snapshot.landmarks.ids == 200] += 1.0  # a landmark that no observation agrees with
+        landmarks = replace(snapshot.landmarks, xyz=xyz)
+        reconstruction.add(orbit.estimate(frame), replace(snapshot, landmarks=landmarks))
     (model,) = reconstruction.models(orbit.smoothed())
     seen = np.bincount(
         np.concatenate([orbit.sightings(k, orbit.PINHOLE).ids for k in range(orbit.FRAMES)]),
@@ -138,7 +139,7 @@ def test_what_left_the_map_is_kept_and_what_was_wrong_is_not() -> None:
 def test_points_move_with_the_final_path() -> None:
     reconstruction = Reconstruction()
     for frame in range(orbit.FRAMES):
-        reconstruction.add(orbit.estimate(frame))
+        reconstruction.add(orbit.estimate(frame), orbit.snapshot(frame))
     move = make_transform(so3_exp(np.array([0.1, 0.4, -0.2])), np.array([3.0, -1.0, 2.0]))
     path = orbit.smoothed()
     (before,) = reconstruction.models(path)
@@ -156,15 +157,14 @@ def test_each_segment_is_a_model_of_its_own(tmp_path: Path) -> None:
     recorder = ColmapRecorder(tmp_path)
     recorder.begin("a", RIG, None)
     for frame in range(3):
-        estimate = orbit.estimate(frame)
-        recorder.record(estimate)
+        orbit.record(recorder, frame)
     for frame in range(8, orbit.FRAMES):  # the map is a new one
-        estimate = orbit.estimate(frame, segment=1)
-        assert estimate.landmarks is not None
-        kept = tuple(s for s in estimate.landmarks.sightings if s.frame_index >= 8)
+        estimate, snapshot = orbit.estimate(frame, segment=1), orbit.snapshot(frame)
+        assert snapshot.landmarks is not None
+        kept = tuple(s for s in snapshot.landmarks.sightings if s.frame_index >= 8)
         keyframes = tuple(k for k in estimate.keyframes if k.frame_index >= 8)
-        landmarks = replace(estimate.landmarks, sightings=kept)
-        recorder.record(replace(estimate, keyframes=keyframes, landmarks=landmarks))
+        snapshot = replace(snapshot, landmarks=replace(snapshot.landmarks, sightings=kept))
+        recorder.record(replace(estimate, keyframes=keyframes), lambda snapshot=snapshot: snapshot)
     recorder.finish(orbit.smoothed(), orbit.smoothed())
     names = [path.name for path in sorted((tmp_path / "sparse").iterdir())]
     assert names == ["0", "1", "8"]
@@ -184,9 +184,7 @@ def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
     images, grey = ImageFolder(written), orbit.view(0, orbit.PINHOLE).image0
     found = []
     for frame, name in enumerate(["a 1.png", "other/a 1.png", "missing.png", "a 1.png"]):
-        estimate = orbit.estimate(frame)
-        estimate = replace(estimate, view=replace(estimate.view, path=recorded / name))
-        found.append(images.add(estimate, grey, is_recorded=frame < 3))
+        found.append(images.add(frame, recorded / name, grey, is_recorded=frame < 3))
     assert found == ["a_1.png", "a_1_000001.png", "missing.png", "a_1_000003.png"]
     assert (written / "a_1.png").read_bytes() == (recorded / "a 1.png").read_bytes()
     for name in found[2:]:
@@ -195,12 +193,11 @@ def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
 
 
 def test_the_recording_is_never_written_over(tmp_path: Path) -> None:
-    estimate = orbit.estimate(0)
-    estimate = replace(estimate, view=replace(estimate.view, path=tmp_path / "a.png"))
+    image = orbit.view(0, orbit.PINHOLE).image0
     (tmp_path / "a.png").write_bytes(b"mine")
     with pytest.raises(OSError, match="the recording's own"):
         ImageFolder(tmp_path / ".." / tmp_path.name).add(
-            estimate, estimate.view.image0, is_recorded=False
+            0, tmp_path / "a.png", image, is_recorded=False
         )
     assert (tmp_path / "a.png").read_bytes() == b"mine"
 
@@ -232,8 +229,7 @@ def test_mcap_opens_with_the_official_decoders(tmp_path: Path) -> None:
     cloud = messages["/map"][4][1]
     points = np.frombuffer(cloud.data, dtype=np.uint8).reshape(-1, cloud.point_stride)
     xyz = np.ascontiguousarray(points[:, :12]).view("<f4")
-    expected = orbit.estimate(4, orbit.LENSES["radtan4"]).landmarks
-    assert expected is not None
+    expected = orbit.landmarks(4, orbit.LENSES["radtan4"])
     np.testing.assert_allclose(xyz, expected.xyz, atol=1e-5)
     tracked = messages["/features"][5][1].points[1]
     marks = np.array([(point.x, point.y) for point in tracked.points])

@@ -33,7 +33,7 @@ for frame in range(60):
         time.sleep(0.5)
         os.kill(pid, getattr(signal, sys.argv[4]))
         time.sleep(0.5)
-    recorder.record(fake_run.estimate(frame))
+    fake_run.record(recorder, frame)
 recorder.finish(fake_run.trajectory(), fake_run.trajectory())
 print('the run goes on')
 """
@@ -70,7 +70,7 @@ def test_what_is_streamed_arrives(viewer):
     recorder = RerunRecorder(None, viewer=url)
     recorder.begin("fake", fake_run.RIG, fake_run.trajectory())
     for frame in range(fake_run.FRAMES):
-        recorder.record(fake_run.estimate(frame))
+        fake_run.record(recorder, frame)
     recorder.finish(fake_run.trajectory(), fake_run.trajectory())
     give_up = time.monotonic() + 20
     rows = {}

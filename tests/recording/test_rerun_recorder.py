@@ -25,7 +25,7 @@ def record(path: Path, *, images="half", first_ns=0, rig=fake_run.RIG, truth=Non
     recorder = RerunRecorder(path, images=images)
     recorder.begin("fake", rig, truth)
     for frame in range(fake_run.FRAMES):
-        recorder.record(fake_run.estimate(frame, first_ns))
+        fake_run.record(recorder, frame, first_ns)
     path_found = fake_run.trajectory(first_ns)
     recorder.finish(path_found, path_found)
     return path
@@ -193,7 +193,7 @@ def test_loss_is_in_the_events(recording):
     assert [text for text in texts if text not in keyframes] == [
         (0, "tracking"),
         (6, "new segment 1"),
-        (6, "lost: too few matches: 3"),
+        (6, "lost: 3 matches with the reference frame, 80 needed"),
         (7, "recovered"),
     ]
 
@@ -223,7 +223,7 @@ def test_a_full_disk_ends_the_recording_not_the_run(tmp_path):
         "recorder = BackgroundRecorder(RerunRecorder(Path(sys.argv[1])), room=1000)\n"
         "recorder.begin('x', fake_run.RIG, None)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))\n"
-        "for frame in range(200): recorder.record(fake_run.estimate(frame))\n"
+        "for frame in range(200): fake_run.record(recorder, frame)\n"
         "recorder.finish(fake_run.trajectory(), fake_run.trajectory())\n"
         "print('the run goes on')\n"
     )
@@ -242,7 +242,7 @@ def test_run_killed_in_the_middle_leaves_a_file_that_opens(tmp_path):
         "import fake_run\n"
         "from vo.recording.rerun_recorder import RerunRecorder\n"
         "recorder = RerunRecorder(Path(sys.argv[1])); recorder.begin('x', fake_run.RIG, None)\n"
-        "for frame in range(45): recorder.record(fake_run.estimate(frame))\n"
+        "for frame in range(45): fake_run.record(recorder, frame)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     assert run_script(script, path).returncode == -signal.SIGKILL
@@ -261,5 +261,5 @@ def test_recorder_without_frames_closes(tmp_path):
 def test_null_recorder_takes_everything():
     recorder: Recorder = NullRecorder()
     recorder.begin("fake", fake_run.RIG, fake_run.trajectory())
-    recorder.record(fake_run.estimate(0))
+    fake_run.record(recorder, 0)
     recorder.finish(fake_run.trajectory(), fake_run.trajectory())

@@ -3,10 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vo.backend.calibration_residual import CalibrationResidual
 from vo.geometry.rectification import rectified_rig
 from vo.refinement.disparity_bias import DisparityBiasEstimator
-from vo.types import Camera, Rig
+from vo.types import CalibrationResidual, Camera, Rig
 
 RIG = rectified_rig(Rig(Camera(1240, 376, 720.0, 720.0, 620.0, 188.0)))
 

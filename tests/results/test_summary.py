@@ -8,43 +8,52 @@ from pathlib import Path
 
 import numpy as np
 
+from vo.failures import Failure, FailureReason, ImageDefect
 from vo.results.account import Account
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
 from vo.results.summary import RunFacts, Summary, summarise
 from vo.types import (
+    CalibrationErrors,
     Estimate,
     KeyframePose,
-    Landmarks,
     LensError,
     PlacedFrames,
     Skipped,
     State,
     Trajectory,
-    View,
 )
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
-EMPTY = np.empty((0, 0), np.uint8)
-VIEW = View(EMPTY, None, np.empty((0, 2), np.float32), EMPTY, EMPTY, np.eye(3))
+CALIBRATED = CalibrationErrors(0.0, 0.0, None, None)
+
+
+def few_matches(count: int) -> Failure:
+    return Failure(FailureReason.FEW_MATCHES, count, 80)
+
+
+def dark(camera: int = 0) -> Failure:
+    return Failure(FailureReason.IMAGE_DEFECT, defect=ImageDefect.BLACK, camera=camera)
 
 
 def estimate(
-    frame: int, state: State = State.TRACKING, reason: str = "", ids: Sequence[int] | None = None
+    frame: int,
+    state: State = State.TRACKING,
+    failure: Failure | None = None,
+    ids: Sequence[int] | None = None,
 ) -> Estimate:
-    landmarks = None if ids is None else Landmarks(np.array(ids), np.zeros((len(ids), 3)))
     return Estimate(
         frame_index=frame,
         stamp_ns=frame * 10**8,
         state=state,
-        reason=reason,
+        failure=failure,
         segment=0,
         world_from_cam0=np.eye(4) if state is State.TRACKING else None,
         is_keyframe=False,
+        features=1500,
         matches=100,
         inliers=90,
         keyframes=(),
-        view=VIEW,
-        landmarks=landmarks,
+        landmark_ids=None if ids is None else np.array(ids, np.int64),
     )
 
 
@@ -86,16 +95,14 @@ def summary_of(
         skipped=skipped,
         unpaired=0,
         wall_s=2.0,
-        disparity_offset_px=offset_px,
-        disparity_curve_px=curve_px,
-        lens_error=lens,
+        calibration=CalibrationErrors(offset_px, curve_px, None, lens),
     )
 
 
 def test_every_frame_is_placed_or_listed_once() -> None:
     states = [State.STARTING] * 3 + [State.TRACKING] * 3 + [State.LOST] * 2 + [State.TRACKING] * 2
     frames = [f for f in range(11) if f != 4]
-    estimates = [estimate(f, s, f"why {f}") for f, s in zip(frames, states, strict=True)]
+    estimates = [estimate(f, s, few_matches(f)) for f, s in zip(frames, states, strict=True)]
     # Frame 2, the first of the mono pair, has got its pose afterwards.
     poses = placed([2, 3, 5, 6, 9, 10])
     summary = summary_of(estimates, poses, [Skipped(4, 4 * 10**8, "cut off")])
@@ -103,14 +110,14 @@ def test_every_frame_is_placed_or_listed_once() -> None:
     assert (summary.tracked, summary.starting, summary.lost) == (6, 2, 2)
     ranges = [(r.first, r.last, r.frames, r.state, r.reason) for r in summary.without_pose]
     assert ranges == [
-        (0, 1, 2, "starting", "why 1"),
+        (0, 1, 2, "starting", "1 matches with the reference frame, 80 needed"),
         (4, 4, 1, "skipped", "cut off"),
-        (7, 8, 2, "lost", "why 8"),
+        (7, 8, 2, "lost", "8 matches with the reference frame, 80 needed"),
     ]
 
 
 def test_frames_with_a_stride_make_one_range() -> None:
-    estimates = [estimate(f, State.LOST, "dark") for f in (10, 15, 20)]
+    estimates = [estimate(f, State.LOST, dark()) for f in (10, 15, 20)]
     (only,) = summary_of(estimates, placed([])).without_pose
     assert (only.first, only.last, only.frames) == (10, 20, 3)
 
@@ -133,7 +140,7 @@ def test_gaps_between_segments_are_no_path() -> None:
 
 def test_warns_of_what_a_reader_must_know() -> None:
     lost = summary_of(
-        [estimate(0), estimate(1, State.LOST, "dark")], placed([0]), [Skipped(2, 0, "cut off")]
+        [estimate(0), estimate(1, State.LOST, dark())], placed([0]), [Skipped(2, 0, "cut off")]
     )
     assert "lost in 1 of 3 frames (33%)" in lost.warnings
     assert any("1 frames skipped" in w for w in lost.warnings)
@@ -142,8 +149,10 @@ def test_warns_of_what_a_reader_must_know() -> None:
     assert any("the scale is unknown" in w for w in mono.warnings)
     long = summary_of([estimate(0, State.STARTING), estimate(1)], placed([1]))
     assert long.warnings == ("1 of 2 frames while there was no map",)
-    none = summary_of([estimate(0, State.STARTING, "3 matches")], placed([]))
-    assert none.warnings == ("no frame was tracked (3 matches)",)
+    none = summary_of([estimate(0, State.STARTING, few_matches(3))], placed([]))
+    assert none.warnings == (
+        "no frame was tracked (3 matches with the reference frame, 80 needed)",
+    )
     assert summary_of([estimate(0)], placed([0])).warnings == ()
 
 
@@ -200,7 +209,7 @@ def test_stages_have_median_and_95th_percentile() -> None:
 
 
 def test_every_key_is_documented_and_plain() -> None:
-    summary = summary_of([estimate(0), estimate(1, State.LOST, "x")], placed([0]))
+    summary = summary_of([estimate(0), estimate(1, State.LOST, few_matches(3))], placed([0]))
     keys = summary.to_dict()
     assert json.loads(json.dumps(keys, allow_nan=False)) == keys
     documented = set(re.findall(r"`(\w+)`", DOCS.read_text(encoding="utf-8")))
@@ -228,14 +237,22 @@ def test_unknown_covariance_leaves_fields_empty() -> None:
     assert line == "123,7,1" + "," * 21
 
 
-def test_images_without_light_are_told_of_by_their_numbers() -> None:
+def test_images_without_light_are_listed_by_their_numbers() -> None:
     account = Account()
     for frame in range(12):
-        dark = frame in (0, 1, 2, 7)
-        reason = "the right image is almost black" if dark else "3 matches, too few"
-        account.note(estimate(frame, State.STARTING, reason))
-    counts = {"keyframes": 0, "skipped": (), "unpaired": 0, "wall_s": 1.0}
-    summary = summarise(facts(), "finished", account, placed([]), **counts)  # type: ignore[arg-type]
+        failure = dark(camera=1) if frame in (0, 1, 2, 7) else few_matches(3)
+        account.note(estimate(frame, State.STARTING, failure))
+    summary = summarise(
+        facts(),
+        "finished",
+        account,
+        placed([]),
+        keyframes=0,
+        skipped=(),
+        unpaired=0,
+        wall_s=1.0,
+        calibration=CALIBRATED,
+    )
     spans = [(r.first, r.last) for r in summary.without_pose]
     assert spans == [(0, 2), (3, 6), (7, 7), (8, 11)]
     assert "images 0 to 2, 7 are almost black" in summary.warnings

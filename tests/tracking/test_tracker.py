@@ -11,14 +11,20 @@ import pytest
 
 from vo.config import Config, load_config
 from vo.formats.trajectory import read_tum
+from vo.frontend.frontend import make_frontend
 from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
-from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp
-from vo.mapping.keyframes import add_keyframe
-from vo.mapping.local_map import Map
-from vo.mapping.triangulate_stereo import triangulate_stereo
+from vo.mapping.keyframe import Keyframe
+from vo.mapping.local_map import LocalMap
+from vo.mapping.local_mapper import LocalMapper
+from vo.mapping.tracked_frame import TrackedFrame
 from vo.sources.registry import open_source
-from vo.tracking.tracker import TrackedFrame, refine
+from vo.stopwatch import Stopwatch
+from vo.tracking.motion_model import ConstantVelocity
+from vo.tracking.stereo_initializer import StereoInitializer
+from vo.tracking.tracker import Tracker
 from vo.types import Floats
 
 CONFIG = load_config("fast")
@@ -28,39 +34,51 @@ CONFIG = load_config("fast")
 class Scene:
     """A map from one stereo frame, a later frame, and its true pose in the map."""
 
-    map: Map
-    rig: RectifiedRig
+    map: LocalMap
     frame: PreprocessedFrame
     pose: Floats
 
     def refine(self, pose: Floats, config: Config = CONFIG) -> TrackedFrame | None:
-        return refine(self.map, self.frame, pose, self.rig, config)
+        tracker = Tracker(
+            self.map,
+            make_frontend(config),
+            ConstantVelocity(),
+            config.tracking,
+            config.start,
+            Stopwatch(),
+        )
+        return tracker.refine(self.frame, pose)
 
     def with_landmarks(self, count: int) -> Scene:
-        world = deepcopy(self.map)
+        local_map = deepcopy(self.map)
         tracked = self.refine(self.pose)
         assert tracked is not None
         chosen = tracked.ids[tracked.inlier]
-        world.keep_landmarks(np.isin(world.id, chosen[:: len(chosen) // count][:count]))
-        return replace(self, map=world)
+        local_map.keep_landmarks(np.isin(local_map.id, chosen[:: len(chosen) // count][:count]))
+        return replace(self, map=local_map)
 
     def with_dark_rows(self, count: int) -> Scene:
         image = self.frame.image0.copy()
         image[:count] = 0
-        return replace(self, frame=replace(self.frame, image0=image))
+        images = (image, *self.frame.images[1:])
+        return replace(self, frame=replace(self.frame, images=images))
 
 
 @pytest.fixture(scope="module")
 def scene(synthetic_stereo: Path) -> Scene:
     source = open_source(synthetic_stereo)
-    rig, preparation = rectified_rig(source.rig), FramePreprocessor(CONFIG, threads=1)
-    first, later = (preparation.later(f, rig).result() for f in source.frames(0, 4, 2))
-    world = Map(4, rig.height, rig.width)
-    free = np.ones(len(first.keypoints), dtype=bool)
-    keyframe = add_keyframe(world, first, np.eye(4), 0, free, rig)
-    assert triangulate_stereo(world, keyframe, first, rig, CONFIG) > 200
+    rig, frontend = rectified_rig(source.rig), make_frontend(CONFIG)
+    extractor, matcher, patches, stereo = frontend
+    correction = VerticalDisparityCorrection(rig, matcher, patches, CONFIG.stereo)
+    preprocessor = FramePreprocessor(rig, extractor, correction, threads=1)
+    first, later = (preprocessor.submit(f).result() for f in source.frames(0, 4, 2))
+    local_map = LocalMap(rig, 4, extractor.descriptor_format)
+    mapper = LocalMapper(local_map, frontend, CONFIG.mapping, Stopwatch())
+    initializer = StereoInitializer(local_map, mapper, stereo, CONFIG.start.min_points)
+    assert isinstance(initializer.create_map(first, np.eye(4), 0), Keyframe)
+    assert len(local_map) > 200
     true = read_tum(synthetic_stereo / "groundtruth.tum").world_from_cam
-    return Scene(world, rig, later, inverse(true[0]) @ true[2])
+    return Scene(local_map, later, inverse(true[0]) @ true[2])
 
 
 def _turn(axis: int, degrees: float) -> Floats:
@@ -70,9 +88,7 @@ def _turn(axis: int, degrees: float) -> Floats:
 
 
 @pytest.mark.parametrize("degrees", [0.0, 0.2])
-def test_a_pose_that_is_about_right_is_confirmed_and_made_exact(
-    scene: Scene, degrees: float
-) -> None:
+def test_an_approximate_pose_is_confirmed_and_made_exact(scene: Scene, degrees: float) -> None:
     tracked = scene.refine(scene.pose @ _turn(1, degrees))
     assert tracked is not None
     assert tracked.inliers > 200
@@ -94,16 +110,16 @@ def test_a_pose_from_which_no_landmark_is_in_view_is_refused(scene: Scene) -> No
 def test_a_pose_that_few_of_the_landmarks_in_view_confirm_is_refused(scene: Scene) -> None:
     dark = scene.with_dark_rows(190)
     assert dark.refine(dark.pose) is None
-    tracking = CONFIG.tracking.model_copy(update={"min_share": 0.0})
+    tracking = CONFIG.tracking.model_copy(update={"min_inlier_ratio": 0.0})
     tracked = dark.refine(dark.pose, CONFIG.model_copy(update={"tracking": tracking}))
-    assert tracked is not None  # so there were enough of them, only their share was small
+    assert tracked is not None  # so there were enough of them, but their ratio was small
     assert tracked.inliers >= CONFIG.tracking.min_inliers
 
 
-@pytest.mark.parametrize(("count", "placed"), [(9, False), (15, True)])
-def test_few_landmarks_are_enough_if_they_agree(scene: Scene, count: int, placed: bool) -> None:
+@pytest.mark.parametrize(("count", "is_tracked"), [(9, False), (15, True)])
+def test_few_landmarks_are_enough_if_they_agree(scene: Scene, count: int, is_tracked: bool) -> None:
     tracked = scene.with_landmarks(count).refine(scene.pose)
-    assert (tracked is not None) == placed
+    assert (tracked is not None) == is_tracked
     if tracked is not None:
         assert tracked.inliers < CONFIG.tracking.min_inliers
         away = inverse(scene.pose) @ tracked.world_from_cam
@@ -120,7 +136,7 @@ def test_few_that_agree_are_not_enough_among_many(scene: Scene) -> None:
 
 
 def test_half_an_image_confirms_a_pose(scene: Scene) -> None:
-    half = scene.with_dark_rows(scene.rig.height // 2)
+    half = scene.with_dark_rows(scene.map.rig.height // 2)
     tracked = half.refine(half.pose)
     assert tracked is not None
     assert tracked.inliers > 80

@@ -1,1 +1,1 @@
-"""The GTSAM window over keyframe poses and landmarks; the only room that imports gtsam."""
+"""Sliding-window optimisation; the only room that imports gtsam."""

@@ -1,8 +1,8 @@
-"""Bundle adjustment seen by its poses alone: every point lies where its observations want it.
+"""Bundle adjustment as a function of the poses alone, with every point at its optimum.
 
-For given poses each point is put where its robust cost is least, so that the cost is a function of
-the poses, and its normal equations are those of the window with the points eliminated. Points do
-not depend on one another once the poses are given, which makes this a sum over points.
+For given poses each point is placed at the minimum of its robust cost, so that the cost is a
+function of the poses, and its normal equations are those of the window with the points eliminated.
+Given the poses, points are independent, which makes this a sum over points.
 
 Source: Carlone et al., "Eliminating Conditionally Independent Sets in Factor Graphs", 2014 (smart
 factors); Golub and Pereyra, "The Differentiation of Pseudo-Inverses", 1973 (variable projection).
@@ -15,16 +15,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vo.backend import block_kernels
+from vo.backend.window_problem import WindowProblem
 from vo.geometry.points import PointViews, best_points, point_views
 from vo.geometry.transforms import inverse
-from vo.types import Bools, Floats, WindowProblem
+from vo.types import Bools, Floats
 
-if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.backend.process`
+if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.config import SmoothingConfig
 
 
 class NormalEquations(NamedTuple):
-    """hessian @ step = -gradient for F poses that may move, 6 rows each, and what they cost.
+    """hessian @ step = -gradient for F free poses, 6 rows each, and the cost.
 
     Attributes:
         hessian: (6 F, 6 F).
@@ -38,49 +39,48 @@ class NormalEquations(NamedTuple):
 
 
 class Bundle:
-    """Observations of a window's points, and where the points lay when it was last linearised.
+    """Observations of a window's points, and the points at the last linearisation.
 
     The tangent of a pose is (rx ry rz tx ty tz) in the camera's own frame.
 
     Attributes:
-        unknowns: how many numbers describe what the calibration leaves.
+        calibration_size: number of parameters of the calibration residual.
     """
 
     def __init__(self, problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> None:
         self._points = np.ascontiguousarray(problem.points)
-        self._latest: _Best | None = None
+        self._latest: _Optimum | None = None
         self._views = views_of(problem, point_ok, config)
         self._slot = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
         self._config = config
-        self.unknowns = 2 if problem.baseline_m > 0.0 else 1
+        self.calibration_size = 2 if problem.baseline_m > 0.0 else 1
 
     def cost(self, world_from_cam: Floats) -> float:
-        """Half the robust sum of squares for poses (K, 4, 4), every point at its best."""
+        """Half the robust sum of squares for poses (K, 4, 4), every point at its optimum."""
         return self._at(world_from_cam).cost
 
     def points_for(self, world_from_cam: Floats) -> Floats:
-        """(M, 3) points at their best for poses (K, 4, 4)."""
+        """(M, 3) optimal points for poses (K, 4, 4)."""
         return self._at(world_from_cam).points
 
     def normal_equations(
-        self, world_from_cam: Floats, *, calibrates: bool = False
+        self, world_from_cam: Floats, *, with_calibration: bool = False
     ) -> NormalEquations:
-        """Linearise at poses (K, 4, 4) and their points; later searches for points start there.
+        """Linearise at poses (K, 4, 4) and their points, where later searches for points start.
 
-        With `calibrates` more rows at the end are those of what the calibration leaves
-        (`CalibrationResidual`), which is 0 so far.
+        `with_calibration` appends the rows of the `CalibrationResidual`, linearised at 0.
         """
         at = self._at(world_from_cam)
         self._points = at.points
         poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
         hessian, gradient = block_kernels.reduced(
-            at.points, poses, self._slot, calibrates, *self._views
+            at.points, poses, self._slot, with_calibration, *self._views
         )
-        size = 6 * (self._slot.max() + 1) + (self.unknowns if calibrates else 0)
+        size = 6 * (self._slot.max() + 1) + (self.calibration_size if with_calibration else 0)
         return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)
 
-    def _at(self, world_from_cam: Floats) -> _Best:
-        """Optimisers ask for the same poses' cost first and their derivatives later."""
+    def _at(self, world_from_cam: Floats) -> _Optimum:
+        """Optimal points; cached, since optimisers evaluate cost and derivatives separately."""
         if self._latest is None or not np.array_equal(world_from_cam, self._latest.world_from_cam):
             # Points must not be coarser than the poses, whose steps are judged by the cost.
             tolerance = 0.1 * self._config.relative_error_tolerance
@@ -91,12 +91,12 @@ class Bundle:
                 steps=self._config.iterations,
                 tolerance=tolerance,
             )
-            self._latest = _Best(world_from_cam, points, cost)
+            self._latest = _Optimum(world_from_cam, points, cost)
         return self._latest
 
 
-class _Best(NamedTuple):
-    """Points (M, 3) at their best for poses (K, 4, 4), and what they cost."""
+class _Optimum(NamedTuple):
+    """Optimal points (M, 3) for poses (K, 4, 4), and their cost."""
 
     world_from_cam: Floats
     points: Floats
@@ -104,7 +104,7 @@ class _Best(NamedTuple):
 
 
 def views_of(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> PointViews:
-    """The observations of a window's points (M,) that are ok, by points."""
+    """The observations of a window's usable points (M,), by point."""
     return point_views(
         point_ok,
         problem.point,
@@ -112,7 +112,7 @@ def views_of(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -
         problem.xy,
         problem.disparity,
         problem.sigma_px,
-        config.sigma_disparity_px,
+        problem.sigma_disparity_px,
         problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
         config.huber,

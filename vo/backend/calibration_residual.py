@@ -1,64 +1,46 @@
-"""What a calibration leaves, seen in how the scene moves.
+"""Estimation of the remaining calibration error from the motion of the scene.
 
-A stereo calibration that is off by a fraction of a pixel shifts every disparity by the same
-amount, or by more towards the sides: near points are placed almost right, far ones too far or too
-near. The way points move while the camera moves shows their depths up to one common scale, so
-these can be told apart.
+A stereo calibration that is wrong by a fraction of a pixel adds a constant to all disparities, or
+more towards the sides: near points are placed almost correctly, far points too far or too near.
+The motion of points in the image shows their depths up to one common scale, so that the two can be
+separated.
 
-A lens that bends the image otherwise than its calibration says moves points towards the edges or
-away from them. Seen from several sides no scene fits that: motion and points that agree in the
-middle of the image do not at its edges. What of it looks like another motion stays unknown.
+A wrong radial distortion moves points towards the image edges or away from them. Seen from several
+viewpoints, no rigid scene explains that: motion and points that agree in the image centre disagree
+at the edges. The component that is equivalent to another motion remains unknown.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from vo.backend.bundle import NormalEquations
-from vo.types import Floats
+from vo.types import CalibrationResidual
 
-_UNDETERMINED = 1e-10  # eigenvalue, against the greatest, below which poses are left alone
-
-
-class CalibrationResidual(NamedTuple):
-    """What is left of an error of the calibration.
-
-    Attributes:
-        value: in stereo (2,) pixels that all disparities are too large by, and what they are too
-            large by in addition at one focal length to the side of the image's middle, growing
-            with the square of x on the right. In mono (1,) how much ideal points x, in focal
-            lengths, are bent: they should lie at x (1 - value r^2).
-        information: (2, 2) or (1, 1), the inverse of its covariance.
-    """
-
-    value: Floats
-    information: Floats
+_UNDETERMINED = 1e-10  # eigenvalue, relative to the greatest, below which a direction is fixed
 
 
-def estimate_calibration_residual(
-    normal: NormalEquations, unknowns: int
-) -> CalibrationResidual | None:
-    """Estimate it together with all poses but one and all points of a smoothed window.
-
-    One Gauss-Newton step. None if the window does not determine it.
+def estimate_calibration_residual(normal: NormalEquations, size: int) -> CalibrationResidual | None:
+    """One Gauss-Newton step, with all poses but one and all points of an optimised window free.
 
     Args:
-        normal: the window's, with what the calibration leaves as the last rows.
-        unknowns: how many these are.
+        normal: normal equations of the window, with those of the residual as the last rows.
+        size: number of these rows.
+
+    Returns:
+        None if the window does not determine it.
     """
     if not np.isfinite(normal.hessian).all():
         return None
-    poses, border = normal.hessian[:-unknowns, :-unknowns], normal.hessian[:-unknowns, -unknowns:]
+    poses, border = normal.hessian[:-size, :-size], normal.hessian[:-size, -size:]
     values, vectors = np.linalg.eigh(poses)
     determined = values > _UNDETERMINED * values[-1]  # all but the scale in mono
     with np.errstate(divide="ignore"):
         inverse = np.where(determined, 1.0 / values, 0.0)
     coupling = vectors.T @ border
-    along = inverse[:, None] * coupling  # what poses would do about it
-    information = normal.hessian[-unknowns:, -unknowns:] - along.T @ coupling
-    gradient = normal.gradient[-unknowns:] - along.T @ (vectors.T @ normal.gradient[:-unknowns])
+    along = inverse[:, None] * coupling  # compensation by the poses
+    information = normal.hessian[-size:, -size:] - along.T @ coupling
+    gradient = normal.gradient[-size:] - along.T @ (vectors.T @ normal.gradient[:-size])
     if not (np.linalg.eigvalsh(information) > 0.0).all():
         return None
     return CalibrationResidual(np.asarray(-np.linalg.solve(information, gradient)), information)

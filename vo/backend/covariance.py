@@ -1,4 +1,4 @@
-"""How well poses are known, given how well those are known that a window held."""
+"""Covariance of a window's poses, given that of the poses held fixed."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from vo.types import Bools, Floats
 def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
     """Joint covariance of a window's K poses.
 
-    The poses that were held err too, and the others err with them:
+    The held poses have errors too, which the others share:
     error_free = -I_ff^-1 I_fh error_held + noise, noise ~ N(0, I_ff^-1).
 
     Args:
-        information: (6 K, 6 K) that the window has on its poses; 0 for poses it does not determine.
+        information: (6 K, 6 K) of the window on its poses; 0 for poses it does not determine.
         held: (K,) poses that stayed where they were.
-        known: (6 K, 6 K) joint covariance of the held ones, NaN where it is not known; what it
-            says of the others is ignored.
+        known: (6 K, 6 K) joint covariance of the held ones, NaN where unknown; entries of the
+            others are ignored.
 
     Returns:
-        (6 K, 6 K), the covariances of the held ones as they were; NaN for poses that nothing
-        determines.
+        (6 K, 6 K), with the covariances of the held ones unchanged; NaN for undetermined poses.
 
     Source: Barfoot, "State Estimation for Robotics", 2017, sec. 2.2.3 (a joint density is that of
     one part times that of the other given the first).
@@ -43,6 +42,6 @@ def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
     shared = gain @ of_held
     own = shared @ gain.T + noise
     result[np.ix_(f, h)], result[np.ix_(h, f)] = shared, shared.T
-    # Rounding must not add up: what is not symmetric would grow with every window.
+    # Rounding must not add up: an asymmetry would grow with every window.
     result[np.ix_(f, f)] = 0.5 * (own + own.T)
     return result

@@ -1,4 +1,4 @@
-"""What holds a window in place: its fixed poses, or else its first, and in mono its scale."""
+"""Gauge of a window: its fixed poses, or else its first one, and in mono its scale."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.types import Bools, Floats, WindowProblem
+from vo.backend.window_problem import WindowProblem
+from vo.types import Bools, Floats
 
 
 class Gauge(NamedTuple):
-    """What of a window of K poses is held.
+    """The gauge freedom that is fixed in a window of K poses.
 
     Attributes:
-        held: (K,) poses that stay where they are.
-        scaled: pose that is held loosely where it is, to keep a mono window's scale, or None.
-        sigmas: (6,) how loosely, in its tangent.
+        held: (K,) poses that are not optimised.
+        scaled: pose with a loose prior that keeps the scale of a mono window, or None.
+        sigmas: (6,) standard deviations of that prior, in the tangent of the pose.
     """
 
     held: Bools
@@ -24,7 +25,7 @@ class Gauge(NamedTuple):
 
 
 def gauge_of(problem: WindowProblem) -> Gauge:
-    """Hold the fixed poses; a window without any is held by its first pose, and mono's scale."""
+    """The fixed poses, in a window without any the first one; in mono also the scale."""
     held, poses = problem.fixed.copy(), problem.world_from_cam
     if not held.any():
         held[0] = True

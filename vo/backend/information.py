@@ -1,10 +1,10 @@
-"""What a window says of its poses, all else eliminated, with errors that last.
+"""Information of a window on its poses, points eliminated, with correlated errors.
 
-The errors of aligned patches are small but not independent. A patch looks a little different from
-every new side, so that the place found for it creeps from keyframe to keyframe; its disparity is
-off by about the same everywhere. Taken for independent they would average out over a long track,
-and did not: see docs/accuracy.md for the autocorrelation of residuals that this model is drawn
-from.
+The errors of aligned patches are small but not independent. A patch looks slightly different from
+every new viewpoint, so that its aligned position drifts from keyframe to keyframe; its disparity
+has nearly the same error everywhere. Independent errors would average out over a long track, which
+these do not: docs/experiments/patch-error-correlation.md has the autocorrelation of residuals from
+which this model is derived.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from vo.backend import block_kernels
 from vo.backend.linearisation import Linearised
 from vo.types import Floats
 
-_LEAST_OBSERVATIONS = 3  # below that a pose cannot be determined
+_MIN_OBSERVATIONS = 3  # of a pose
 
 
 class ErrorModel(NamedTuple):
-    """Standard deviations of measurements, against those that the window weighs with.
+    """Standard deviations of measurements, relative to those that the window uses as weights.
 
     Attributes:
-        white: of a position, by itself in each keyframe.
-        creep: of a position, added from one keyframe to the next.
-        disparity: of a disparity, by itself in each keyframe.
-        disparity_bias: of a disparity, the same in all keyframes.
+        white: of a position, independent in each keyframe.
+        creep: of the random walk of a position, per keyframe.
+        disparity: of a disparity, independent in each keyframe.
+        disparity_bias: of an error of a disparity that is the same in all keyframes.
     """
 
     white: float
@@ -55,7 +55,7 @@ def pose_information(linear: Linearised, scale: float, model: ErrorModel = OF_PA
         linear.by_point,
         *(sigma**2 for sigma in model),
     )
-    unknown = np.repeat(linear.seen < _LEAST_OBSERVATIONS, 6)
+    unknown = np.repeat(linear.seen < _MIN_OBSERVATIONS, 6)
     information[unknown] = 0.0
     information[:, unknown] = 0.0
     return np.asarray(information / scale)

@@ -1,19 +1,20 @@
-"""Which landmarks take part in a window."""
+"""Choice of the landmarks of a window."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from vo.backend.window_problem import WindowProblem
 from vo.compiling.function import compiled
-from vo.types import Bools, Ints, WindowProblem
+from vo.types import Bools, Ints
 
 
-def choose_landmarks(problem: WindowProblem, most: int) -> Bools:
-    """Mask (M,) of at most so many points that are seen twice, also by a pose that may move.
+def choose_landmarks(problem: WindowProblem, max_count: int) -> Bools:
+    """Mask (M,) of at most `max_count` points with two observations, one of a free pose.
 
-    They are ranked within each keyframe, most seen first, and taken by their best rank. That gives
-    every keyframe its share, also one that has just turned to a part of the scene that no other
-    keyframe has seen for long.
+    They are ranked within each keyframe by their number of observations and chosen by their best
+    rank. So every keyframe keeps enough of them, even one that has just turned to a new part of the
+    scene.
     """
     count = len(problem.points)
     seen = np.bincount(problem.point, minlength=count)
@@ -21,14 +22,14 @@ def choose_landmarks(problem: WindowProblem, most: int) -> Bools:
     seen_by_free = np.bincount(problem.point[moves], minlength=count)
     best = _best_ranks(problem.keyframe, problem.point, seen, len(problem.world_from_cam))
     candidates = np.flatnonzero((seen >= 2) & (seen_by_free >= 1))
-    order = np.lexsort((-seen[candidates], best[candidates]))[:most]
+    order = np.lexsort((-seen[candidates], best[candidates]))[:max_count]
     chosen = np.zeros(count, dtype=bool)
     chosen[candidates[order]] = True
     return chosen
 
 
 def _best_ranks(keyframe: Ints, point: Ints, seen: Ints, keyframes: int) -> Ints:
-    """(M,) least number of points that a keyframe has before this one; of equal ones in order."""
+    """(M,) best rank of each point within the keyframes that observe it; ties in order."""
     return np.asarray(_ranked(keyframe, point, seen, keyframes))
 
 

@@ -1,7 +1,7 @@
-"""The smoother's process from outside: how it is started and ended.
+"""Start and end of the optimizer's process.
 
-Nothing heavy is imported here, so that a program can start it before all else: it takes as long
-to load as that program itself, on another core.
+Nothing heavy is imported here, so that a program can start the process first: it takes as long to
+load as the program itself, on another core.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import IO
 
 _log = logging.getLogger(__name__)
 
-# A window takes a third of that: nobody waits for the other end to make room.
+# A window takes a third of that, so that writing never blocks.
 _PIPE_BYTES = 1 << 20
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
 # where this process finds them, not in the folder that it happens to be started in.
 # numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
-# Ctrl-C is for the process that asks. What is loaded is no garbage, see `vo.cli.garbage`.
+# Ctrl-C is handled by the parent. Loaded modules are no garbage, see `vo.cli.garbage`.
 _PROGRAM = """
 import gc, signal, sys
 gc.disable()
@@ -34,16 +34,16 @@ main()
 
 @contextmanager
 def child_started_early(threads: int) -> Iterator[subprocess.Popen[bytes] | None]:
-    """A process for the `OptimizerProcess` to come, ended afterwards whatever happened.
+    """A process for a later `OptimizerProcess`, ended at the end.
 
-    None where one thread is to do all the work, and where no process can be started.
+    None with one thread, and where no process can be started.
     """
     child = None
     if threads > 1:
         try:
             child = start_child()
         except OSError as error:
-            _log.info("no process for the smoother yet: %s", error)  # it is tried again
+            _log.info("no process for the optimizer yet: %s", error)  # tried again later
     try:
         yield child
     finally:
@@ -61,9 +61,9 @@ def start_child() -> subprocess.Popen[bytes]:
         [sys.executable, "-c", _PROGRAM.format(path=sys.path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        # A second thread of BLAS only waits on such small matrices, at the cost of another's core.
+        # On such small matrices a second BLAS thread only occupies a core.
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        process_group=0,  # Ctrl-C in a terminal goes to a whole group
+        process_group=0,  # Ctrl-C in a terminal is sent to a whole group
     )
     for pipe in (child.stdin, child.stdout):
         assert pipe is not None
@@ -72,7 +72,7 @@ def start_child() -> subprocess.Popen[bytes]:
 
 
 def _widen(pipe: IO[bytes]) -> None:
-    """Make room for a whole window, where the system knows how to and the user may."""
+    """Enlarge the buffer of a pipe to a whole window, where the system allows it."""
     with suppress(ImportError, AttributeError, OSError):
         import fcntl
 
@@ -80,7 +80,7 @@ def _widen(pipe: IO[bytes]) -> None:
 
 
 def end_child(child: subprocess.Popen[bytes]) -> int:
-    """End the process, whatever it is doing, if it has not ended; its exit status."""
+    """Kill the process if it has not ended; its exit status."""
     child.kill()
     status = child.wait()
     for pipe in (child.stdin, child.stdout):
@@ -88,5 +88,5 @@ def end_child(child: subprocess.Popen[bytes]) -> int:
         try:
             pipe.close()
         except OSError:
-            _log.debug("half a window was left in the pipe")
+            _log.debug("an incomplete window was left in the pipe")
     return status

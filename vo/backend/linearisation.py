@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vo.backend.residuals import residuals
+from vo.backend.window_problem import WindowProblem
 from vo.compiling.function import compiled
-from vo.types import Bools, Floats, Ints, WindowProblem
+from vo.types import Bools, Floats, Ints
 
 if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.backend.process`
     from vo.config import SmoothingConfig
@@ -50,7 +51,7 @@ def linearise(
     config: SmoothingConfig,
 ) -> Linearised:
     """Linearise a window with Huber weights; points that are not ok have no observations."""
-    residual, depth = residuals(problem, world_from_cam, points, config.sigma_disparity_px)
+    residual, depth = residuals(problem, world_from_cam, points)
     used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
     order = used[np.lexsort((problem.keyframe[used], problem.point[used]))]
     by_pose, by_point, error = _linearised(
@@ -62,7 +63,7 @@ def linearise(
         problem.xy,
         problem.disparity,
         problem.sigma_px,
-        config.sigma_disparity_px,
+        problem.sigma_disparity_px,
         np.sqrt(config.huber / np.maximum(residual, config.huber)),
         np.array(problem.intrinsics),
         problem.intrinsics[0] * problem.baseline_m,

@@ -1,4 +1,4 @@
-"""Messages between this process and the smoother's: a length and a pickle, over pipes."""
+"""Messages between this process and the optimizer's: a length and a pickle, over pipes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def send(pipe: IO[bytes], message: object) -> None:
     """Write a message.
 
     Raises:
-        OSError: nobody reads any more.
+        OSError: the other end is closed.
     """
     data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     pipe.write(_LENGTH.pack(len(data)))
@@ -22,10 +22,10 @@ def send(pipe: IO[bytes], message: object) -> None:
 
 
 def receive(pipe: IO[bytes]) -> Any:
-    """Wait for a message; both ends are this program, so that it can be trusted.
+    """Wait for a message; both ends belong to this program, so that a pickle is safe.
 
     Raises:
-        EOFError: nobody writes any more.
+        EOFError: the other end is closed.
     """
     (length,) = _LENGTH.unpack(_exactly(pipe, _LENGTH.size))
     return pickle.loads(_exactly(pipe, length))
@@ -34,5 +34,5 @@ def receive(pipe: IO[bytes]) -> Any:
 def _exactly(pipe: IO[bytes], count: int) -> bytes:
     data = pipe.read(count)
     if len(data) < count:
-        raise EOFError(f"{len(data)} of {count} bytes came")
+        raise EOFError(f"received {len(data)} of {count} bytes")
     return data

@@ -1,4 +1,4 @@
-"""Windows are handed in and come back adjusted: at once here, or from a process of its own."""
+"""Optimizers of windows: in this process, or in one of their own."""
 
 from __future__ import annotations
 
@@ -7,58 +7,64 @@ from subprocess import Popen
 from typing import Protocol
 
 from vo.backend.process import OptimizerProcess
-from vo.backend.solution import WindowSolution, smooth
+from vo.backend.solution import WindowSolution, solve
+from vo.backend.window_problem import WindowProblem
 from vo.config import SmoothingConfig
-from vo.types import WindowProblem
 
 _log = logging.getLogger(__name__)
 
 
 class WindowOptimizer(Protocol):
-    """Adjusts one window at a time; whichever it is, the same window gives the same bits."""
+    """Optimises one window at a time. All implementations give the same bits."""
 
-    def ask(self, problem: WindowProblem) -> None:
-        """Hand in a window; the one before must have been answered."""
+    def submit(self, problem: WindowProblem) -> None:
+        """Submit a window, after the result of the one before."""
         ...
 
-    def answer(self) -> WindowSolution:
-        """Wait for the window that was handed in."""
+    def result(self) -> WindowSolution:
+        """Wait for the solution of the submitted window."""
         ...
 
     def close(self) -> None:
-        """Let go of everything; nothing can be asked afterwards."""
+        """Release all resources; nothing can be submitted afterwards."""
         ...
 
 
 class InProcessOptimizer:
-    """Does the work in this process, when the answer is asked for."""
+    """Optimises in this process, when the result is requested."""
 
     def __init__(self, config: SmoothingConfig) -> None:
         self._config = config
         self._problem: WindowProblem | None = None
 
-    def ask(self, problem: WindowProblem) -> None:
-        """Keep a window for later."""
+    def submit(self, problem: WindowProblem) -> None:
+        """Keep a window until its result is requested."""
         self._problem = problem
 
-    def answer(self) -> WindowSolution:
-        """Adjust the window that was handed in."""
+    def result(self) -> WindowSolution:
+        """Optimise the submitted window."""
         if self._problem is None:
-            raise RuntimeError("no window was handed in")
+            raise RuntimeError("no window was submitted")
         problem, self._problem = self._problem, None
-        return smooth(problem, self._config)
+        return solve(problem, self._config)
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Nothing to release."""
 
 
 def make_optimizer(
     config: SmoothingConfig, threads: int, child: Popen[bytes] | None = None
 ) -> WindowOptimizer:
-    """A process of its own if there are cores for it: `child`, where that was started early."""
+    """An optimizer in its own process, where there is more than one core.
+
+    Args:
+        config: settings of the window.
+        threads: cores to use.
+        child: the process, if it was started already.
+    """
     if threads > 1:
         try:
             return OptimizerProcess(config, child)
         except OSError as error:
-            _log.warning("smoothing in the same process, no other can be started: %s", error)
+            _log.warning("optimising in this process, no other can be started: %s", error)
     return InProcessOptimizer(config)

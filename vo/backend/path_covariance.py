@@ -1,4 +1,4 @@
-"""How certain the map's keyframes are, against the first of their segment."""
+"""Covariance of the map's keyframes, relative to the first of their segment."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from vo.backend.covariance import propagated
 from vo.backend.solution import WindowSolution
-from vo.mapping.local_map import Keyframe
+from vo.mapping.keyframe import Keyframe
 from vo.types import Floats
 
 
 def update_covariances(keyframes: tuple[Keyframe, ...], solution: WindowSolution) -> None:
-    """Give the keyframes that a window moved their covariances, also those with one another."""
+    """Update covariances and cross-covariances of the keyframes that a window moved."""
     count = len(keyframes)
     joint = propagated(solution.information, solution.held, _joint(keyframes))
     blocks = np.ascontiguousarray(joint.reshape(count, 6, count, 6).swapaxes(1, 2))
@@ -20,17 +20,17 @@ def update_covariances(keyframes: tuple[Keyframe, ...], solution: WindowSolution
         if solution.held[k] and keyframe.covariance is not None:
             continue
         keyframe.covariance = blocks[k, k] if known[k, k] else None
-        keyframe.shared = {keyframes[j].id: blocks[k, j] for j in range(k) if known[k, j]}
+        keyframe.cross_covariance = {keyframes[j].id: blocks[k, j] for j in range(k) if known[k, j]}
 
 
 def _joint(keyframes: tuple[Keyframe, ...]) -> Floats:
-    """(6 K, 6 K) covariances as they are known; NaN on the diagonal where they are not."""
+    """(6 K, 6 K) joint covariance; NaN on the diagonal where it is unknown."""
     count = len(keyframes)
     blocks = np.zeros((count, count, 6, 6))
     for k, keyframe in enumerate(keyframes):
         blocks[k, k] = np.nan if keyframe.covariance is None else keyframe.covariance
         for j, other in enumerate(keyframes[:k]):
-            shared = keyframe.shared.get(other.id)
-            if shared is not None:
-                blocks[k, j], blocks[j, k] = shared, shared.T
+            cross = keyframe.cross_covariance.get(other.id)
+            if cross is not None:
+                blocks[k, j], blocks[j, k] = cross, cross.T
     return blocks.swapaxes(1, 2).reshape(6 * count, 6 * count)

@@ -1,7 +1,7 @@
-"""The smoother in a process of its own: GTSAM holds Python's lock all the while it works.
+"""Optimizer in its own process, since GTSAM holds Python's global lock while it works.
 
-The process holds nothing but the window in hand. When it dies, another is started and given the
-same window again, so that nothing is lost but time.
+The process keeps no state but the current window. When it dies, it is replaced and the window is
+submitted again.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from types import SimpleNamespace
 from vo.backend.launch import end_child, start_child
 from vo.backend.messages import receive, send
 from vo.backend.solution import WindowSolution, unsolved
+from vo.backend.window_problem import WindowProblem
 from vo.config import SmoothingConfig
-from vo.types import WindowProblem
 
 _log = logging.getLogger(__name__)
 
@@ -24,10 +24,10 @@ _ATTEMPTS = 2
 
 
 class OptimizerProcess:
-    """Hands windows to another process, which works on them until their answers are asked for.
+    """Sends windows to another process, which works on them until their results are requested.
 
     Args:
-        config: its settings.
+        config: settings of the window.
         child: the process, if it was started already.
 
     Raises:
@@ -35,27 +35,27 @@ class OptimizerProcess:
     """
 
     def __init__(self, config: SmoothingConfig, child: Popen[bytes] | None = None) -> None:
-        # Bare numbers: the settings' classes would make its start a quarter longer.
+        # Plain numbers: importing the settings' classes would take a quarter of its start-up.
         self._config = SimpleNamespace(**config.model_dump())
         self._children = [child or start_child()]  # one, until it is ended
         self._end = weakref.finalize(self, _end_all, self._children)
         self._problem: WindowProblem | None = None
-        self._has_answered = False
+        self._has_result = False
 
-    def ask(self, problem: WindowProblem) -> None:
-        """Hand in a window; the one before must have been answered."""
+    def submit(self, problem: WindowProblem) -> None:
+        """Submit a window, after the result of the one before."""
         self._problem = problem
-        with suppress(OSError):  # the process is dead: `answer` sees to that
+        with suppress(OSError):  # the process is dead: `result` replaces it
             self._send(problem)
 
-    def answer(self) -> WindowSolution:
-        """Wait for the window that was handed in; left as it is if the process dies over it twice.
+    def result(self) -> WindowSolution:
+        """Wait for the solution; the window is left unsolved if the process dies over it twice.
 
         Raises:
-            RuntimeError: none was handed in, the process does not start, or what it does fails.
+            RuntimeError: no window was submitted, the process does not start, or it fails.
         """
         if self._problem is None:
-            raise RuntimeError("no window was handed in")
+            raise RuntimeError("no window was submitted")
         problem, self._problem = self._problem, None
         for attempt in range(_ATTEMPTS):
             if attempt > 0:
@@ -65,18 +65,18 @@ class OptimizerProcess:
                 return self._receive()
             except (OSError, EOFError):
                 self._replace()
-        if not self._has_answered:
-            raise RuntimeError("the smoother's process does not start; try with one thread")
+        if not self._has_result:
+            raise RuntimeError("the optimizer's process does not start; try `--set threads=1`")
         return unsolved(problem)
 
     def close(self) -> None:
-        """End the process, whatever it is doing."""
+        """Kill the process."""
         self._end()
 
     @property
     def _child(self) -> Popen[bytes]:
         if not self._children:
-            raise RuntimeError("the smoother was closed")
+            raise RuntimeError("the optimizer was closed")
         return self._children[0]
 
     def _send(self, problem: WindowProblem) -> None:
@@ -87,15 +87,15 @@ class OptimizerProcess:
     def _receive(self) -> WindowSolution:
         pipe = self._child.stdout
         assert pipe is not None
-        answer: WindowSolution | str = receive(pipe)
-        self._has_answered = True
-        if isinstance(answer, str):
-            raise RuntimeError(f"the smoother failed:\n{answer}")
-        return answer
+        received: WindowSolution | str = receive(pipe)
+        self._has_result = True
+        if isinstance(received, str):
+            raise RuntimeError(f"the optimizer failed:\n{received}")
+        return received
 
     def _replace(self) -> None:
         status = end_child(self._child)
-        _log.warning("the smoother's process died (status %d) and is started again", status)
+        _log.warning("the optimizer's process died (status %d) and is restarted", status)
         self._children[:] = [start_child()]
 
 

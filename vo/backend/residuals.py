@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.backend.window_problem import WindowProblem
 from vo.compiling.function import compiled
-from vo.types import Floats, WindowProblem
+from vo.types import Floats
 
 
 def residuals(
-    problem: WindowProblem, world_from_cam: Floats, points: Floats, sigma_disparity_px: float
+    problem: WindowProblem, world_from_cam: Floats, points: Floats
 ) -> tuple[Floats, Floats]:
     """Residual lengths (N,) in standard deviations, and depths (N,), of all observations.
 
@@ -23,7 +24,7 @@ def residuals(
         problem.xy,
         problem.disparity,
         problem.sigma_px,
-        sigma_disparity_px,
+        problem.sigma_disparity_px,
         np.array(problem.intrinsics),
         problem.intrinsics[0] * problem.baseline_m,
     )

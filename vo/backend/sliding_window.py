@@ -1,154 +1,256 @@
-"""The map's newest keyframes as a window for the smoother, and its answer back into the map."""
+"""Sliding-window optimisation of the newest keyframes, and its result in the local map."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vo.backend.bundle import views_of
 from vo.backend.landmark_selection import choose_landmarks
+from vo.backend.optimizer import WindowOptimizer
 from vo.backend.path_covariance import update_covariances
 from vo.backend.residuals import residuals
 from vo.backend.solution import WindowSolution
-from vo.config import Config
+from vo.backend.window_problem import FactorSource, WindowProblem
+from vo.config import SmoothingConfig
 from vo.geometry.points import best_points
-from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, orthonormalised
-from vo.mapping.local_map import Keyframe, Map
-from vo.types import Bools, Floats, Ints, WindowProblem
+from vo.mapping.keyframe import Keyframe
+from vo.mapping.local_map import LocalMap
+from vo.stopwatch import Stopwatch, timed
+from vo.types import Bools, CalibrationResidual, Floats, Ints
+
+# Frames after which a result is applied, unless a keyframe comes before. The number is fixed, so
+# that the path does not depend on the speed of the optimizer. With one camera the landmarks' depths
+# depend on the poses, and the result is needed earlier.
+_LATENCY_STEREO, _LATENCY_MONO = 2, 1
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A window that was handed to the smoother, and what its rows stand for.
+    """A submitted window, and what the rows of its problem stand for.
 
     Attributes:
-        problem: the window.
+        problem: the problem.
         keyframes: of each of its poses, the newest last.
         landmarks: (M,) ids of its points.
-        speaks_for: how many windows there are for each that tells of the calibration, 0 if it is
-            not asked.
+        calibration_weight: number of windows that its calibration residual stands for.
     """
 
     problem: WindowProblem
     keyframes: tuple[Keyframe, ...]
     landmarks: Ints
-    speaks_for: int
+    calibration_weight: int
 
 
-def make_window(
-    world: Map,
-    rig: RectifiedRig,
-    config: Config,
-    *,
-    whole_map: bool = False,
-    speaks_for: int = 1,
-) -> Window | None:
-    """The map's newest keyframes and the landmarks that hold them best; None of one keyframe.
+@dataclass(frozen=True, eq=False)
+class WindowUpdate:
+    """A result that was applied to the map.
 
-    With `whole_map` every keyframe of the map but the first may move, not only the window's.
+    Attributes:
+        window: the window.
+        moved: the keyframes whose pose has changed.
+        calibration_residual: None if it is not determined, or not estimated.
     """
-    keyframes = world.keyframes
-    if len(keyframes) < 2:
-        return None
-    free = len(keyframes) - 1 if whole_map else min(config.smoothing.window, len(keyframes) - 1)
-    fixed = np.arange(len(keyframes)) < len(keyframes) - free
-    everything = _everything(world, rig, fixed)
-    chosen = choose_landmarks(everything, config.smoothing.max_landmarks)
-    problem, rows = _restricted(everything, chosen)
-    problem = replace(problem, calibrates=speaks_for > 0)
-    return Window(problem, tuple(keyframes), world.id[rows], speaks_for)
+
+    window: Window
+    moved: list[Keyframe]
+    calibration_residual: CalibrationResidual | None
+
+    @property
+    def motion(self) -> Floats:
+        """(4, 4) motion of the window's newest keyframe in the world until now."""
+        newest = self.window.keyframes[-1]
+        return np.asarray(newest.world_from_cam @ inverse(self.window.problem.world_from_cam[-1]))
 
 
-def take_in(
-    world: Map, window: Window, solution: WindowSolution, rig: RectifiedRig, config: Config
-) -> list[Keyframe]:
-    """Write a window's poses and points into the map as it is now; drop what disagrees.
+class SlidingWindow:
+    """Submits windows of the map to an optimizer, one at a time, and applies their results.
 
-    Keyframes that were made since are carried along with the window's newest, landmarks that took
-    no part with the keyframe of their patch; then these are fitted to the new poses.
+    Attributes:
+        submitted: number of windows submitted so far, without those of the whole map.
+        stopwatch: counts stages `window` and `smooth` (waiting for the optimizer).
 
-    Returns:
-        The keyframes whose pose has changed.
+    Args:
+        local_map: the map.
+        optimizer: optimises the windows.
+        sigma_disparity_px: standard deviation of a disparity.
+        config: settings.
+        stopwatch: measures the stages.
+        factor_sources: give factors beside the observations.
     """
-    if not solution.converged:
-        return []
-    before = np.stack([k.world_from_cam for k in world.keyframes])
-    moved = _move_keyframes(world, window, solution)
-    rows = world.rows(window.landmarks)
-    there = rows >= 0
-    took_part = np.zeros(len(world), dtype=bool)
-    took_part[rows[there]] = True
-    _carry_landmarks(world, before, ~took_part)
-    world.xyz[rows[there]] = solution.points[there]
-    everything = _everything(world, rig, np.zeros(len(world.keyframes), dtype=bool))
-    _refine(world, everything, ~took_part, config)
-    degenerate = np.zeros(len(world), dtype=bool)
-    degenerate[rows[there]] = ~solution.point_ok[there]
-    _drop_outliers(world, everything, window.keyframes[-1], degenerate, config)
-    return moved
 
+    def __init__(
+        self,
+        local_map: LocalMap,
+        optimizer: WindowOptimizer,
+        sigma_disparity_px: float,
+        config: SmoothingConfig,
+        stopwatch: Stopwatch,
+        factor_sources: Sequence[FactorSource] = (),
+    ) -> None:
+        self.submitted = 0
+        self.stopwatch = stopwatch
+        self._map = local_map
+        self._optimizer = optimizer
+        self._sigma_disparity_px = sigma_disparity_px
+        self._config = config
+        self._factor_sources = factor_sources
+        self._latency = _LATENCY_STEREO if local_map.rig.is_stereo else _LATENCY_MONO
+        self._pending: Window | None = None
+        self._frames_since = 0  # the last submission
 
-def _move_keyframes(world: Map, window: Window, solution: WindowSolution) -> list[Keyframe]:
-    newest = window.keyframes[-1]
-    motion = orthonormalised(solution.world_from_cam[-1] @ inverse(newest.world_from_cam))
-    moved = [k for k in world.keyframes if k.id > newest.id]
-    for keyframe in moved:
-        # Rounding must not add up: products with transposed rotations double it each time.
-        keyframe.world_from_cam = orthonormalised(motion @ keyframe.world_from_cam)
-    free = np.flatnonzero(~window.problem.fixed)
-    for k in free.tolist():
-        keyframe = window.keyframes[k]
-        keyframe.world_from_cam = solution.world_from_cam[k]
-    update_covariances(window.keyframes, solution)
-    return [window.keyframes[k] for k in free] + moved
+    def next_frame(self) -> bool:
+        """Count a frame; whether the pending result is due."""
+        self._frames_since += 1
+        return self._pending is not None and self._frames_since > self._latency
 
+    @timed("window")
+    def submit(self, *, calibration_weight: int) -> None:
+        """Submit the newest keyframes; the result before must have been applied."""
+        keyframes = self._map.keyframes
+        free = min(self._config.window, len(keyframes) - 1)
+        self._submit(free, calibration_weight)
+        self.submitted += self._pending is not None
 
-def _carry_landmarks(world: Map, before: Floats, carried: Bools) -> None:
-    """Move landmarks with the keyframes of their patches, whose poses were others `before`."""
-    now = np.stack([k.world_from_cam for k in world.keyframes])
-    motion = now @ inverse(before)
-    rows = np.flatnonzero(carried)
-    by = motion[world.reference[rows] - world.keyframes[0].id]
-    turned = np.einsum("nij,nj->ni", by[:, :3, :3], world.xyz[rows])
-    world.xyz[rows] = turned + by[:, :3, 3]
+    @timed("window")
+    def optimise_map(self) -> WindowUpdate | None:
+        """Optimise all keyframes of the map but the first, and apply the result."""
+        self._submit(len(self._map.keyframes) - 1, 0)
+        return self.apply()
 
+    @timed("window")
+    def apply(self) -> WindowUpdate | None:
+        """Wait for the pending result, if there is one, and apply it to the map."""
+        if self._pending is None:
+            return None
+        window, self._pending = self._pending, None
+        solution = self._wait()
+        moved = self.apply_solution(window, solution)
+        return WindowUpdate(window, moved, solution.calibration_residual)
 
-def cull(world: Map, config: Config) -> None:
-    """Drop landmarks that are rarely found, or that too few keyframes see to hold them."""
-    newest = world.keyframes[-1].id
-    _, row = world.sightings()
-    disparity = np.concatenate([k.disparity for k in world.keyframes])
-    seen = np.bincount(row, minlength=len(world))
-    measured = np.zeros(len(world), dtype=bool)
-    measured[row[~np.isnan(disparity)]] = True
-    rarely = world.found < config.mapping.min_found_share * world.visible
-    # Two views (or left and right of one) hold a landmark for a while, three for good.
-    weak = (seen < 2) & ~(measured & (world.last_seen >= newest - 1))
-    world.keep_landmarks((seen > 0) & ~rarely & ~weak)
+    @timed("smooth")
+    def _wait(self) -> WindowSolution:
+        return self._optimizer.result()
 
+    def _submit(self, free: int, calibration_weight: int) -> None:
+        window = self._window(free, calibration_weight)
+        if window is not None:
+            self._optimizer.submit(window.problem)
+        self._pending, self._frames_since = window, 0
 
-def _everything(world: Map, rig: RectifiedRig, fixed: Bools) -> WindowProblem:
-    """All keyframes, landmarks and observations of the map; its points are the map's rows."""
-    keyframes = world.keyframes
-    number, row = world.sightings()
-    return WindowProblem(
-        intrinsics=(rig.fx, rig.fy, rig.cx, rig.cy),
-        baseline_m=rig.baseline_m,
-        world_from_cam=np.stack([k.world_from_cam for k in keyframes]),
-        fixed=fixed,
-        points=world.xyz,
-        keyframe=number,
-        point=row,
-        xy=np.concatenate([k.xy for k in keyframes]),
-        disparity=np.concatenate([k.disparity for k in keyframes]),
-        sigma_px=np.concatenate([k.sigma_px for k in keyframes]),
-    )
+    def _window(self, free: int, calibration_weight: int) -> Window | None:
+        """The newest `free` keyframes, with fixed ones before them; None of a single keyframe."""
+        keyframes = tuple(self._map.keyframes)
+        if len(keyframes) < 2:
+            return None
+        fixed = np.arange(len(keyframes)) < len(keyframes) - free
+        whole = self._map_problem(fixed)
+        chosen = choose_landmarks(whole, self._config.max_landmarks)
+        problem, rows = _restricted(whole, chosen)
+        factors = [f for source in self._factor_sources for f in source.factors(keyframes)]
+        problem = replace(
+            problem, estimates_calibration=calibration_weight > 0, factors=tuple(factors)
+        )
+        return Window(problem, keyframes, self._map.id[rows], calibration_weight)
+
+    def apply_solution(self, window: Window, solution: WindowSolution) -> list[Keyframe]:
+        """Write poses and points into the map as it is now; remove what disagrees.
+
+        Newer keyframes move with the window's newest, and landmarks outside of the window with the
+        keyframe of their patch; these are then fitted to the new poses.
+
+        Returns:
+            The keyframes whose pose has changed.
+        """
+        if not solution.converged:
+            return []
+        local_map = self._map
+        before = local_map.poses
+        moved = self._move_keyframes(window, solution)
+        rows = local_map.rows(window.landmarks)
+        there = rows >= 0
+        in_window = np.zeros(len(local_map), dtype=bool)
+        in_window[rows[there]] = True
+        self._move_landmarks(before, ~in_window)
+        local_map.xyz[rows[there]] = solution.points[there]
+        whole = self._map_problem(np.zeros(len(local_map.keyframes), dtype=bool))
+        self._refine_landmarks(whole, ~in_window)
+        degenerate = np.zeros(len(local_map), dtype=bool)
+        degenerate[rows[there]] = ~solution.point_ok[there]
+        self._remove_outliers(whole, window.keyframes[-1], degenerate)
+        for source in self._factor_sources:
+            source.update(window.keyframes, solution.states)
+        return moved
+
+    def _move_keyframes(self, window: Window, solution: WindowSolution) -> list[Keyframe]:
+        newest = window.keyframes[-1]
+        motion = orthonormalised(solution.world_from_cam[-1] @ inverse(newest.world_from_cam))
+        moved = [k for k in self._map.keyframes if k.id > newest.id]
+        for keyframe in moved:
+            # Products with transposed rotations double the rounding error each time.
+            keyframe.world_from_cam = orthonormalised(motion @ keyframe.world_from_cam)
+        free = np.flatnonzero(~window.problem.fixed).tolist()
+        for k in free:
+            window.keyframes[k].world_from_cam = solution.world_from_cam[k]
+        update_covariances(window.keyframes, solution)
+        return [window.keyframes[k] for k in free] + moved
+
+    def _move_landmarks(self, before: Floats, mask: Bools) -> None:
+        """Move landmarks with the keyframes of their patches, whose poses were `before`."""
+        local_map = self._map
+        motion = local_map.poses @ inverse(before)
+        rows = np.flatnonzero(mask)
+        by = motion[local_map.reference[rows] - local_map.keyframes[0].id]
+        rotated = np.einsum("nij,nj->ni", by[:, :3, :3], local_map.xyz[rows])
+        local_map.xyz[rows] = rotated + by[:, :3, 3]
+
+    def _map_problem(self, fixed: Bools) -> WindowProblem:
+        """All keyframes, landmarks and observations; its points are the map's rows."""
+        keyframes, rig = self._map.keyframes, self._map.rig
+        number, row = self._map.observation_rows()
+        return WindowProblem(
+            intrinsics=rig.intrinsics,
+            baseline_m=rig.baseline_m,
+            sigma_disparity_px=self._sigma_disparity_px,
+            world_from_cam=self._map.poses,
+            fixed=fixed,
+            points=self._map.xyz,
+            keyframe=number,
+            point=row,
+            xy=np.concatenate([k.xy for k in keyframes]),
+            disparity=np.concatenate([k.disparity for k in keyframes]),
+            sigma_px=np.concatenate([k.sigma_px for k in keyframes]),
+        )
+
+    def _refine_landmarks(self, whole: WindowProblem, mask: Bools) -> None:
+        """Fit landmarks outside of the window to the new poses.
+
+        They were triangulated from poses that have since moved, all by a similar error.
+        """
+        views = views_of(whole, mask, self._config)
+        cam_from_world = inverse(whole.world_from_cam)
+        self._map.xyz, _ = best_points(self._map.xyz, cam_from_world, views)
+
+    def _remove_outliers(self, whole: WindowProblem, newest: Keyframe, degenerate: Bools) -> None:
+        """Remove observations with large residuals, and all those of degenerate landmarks.
+
+        Keyframes newer than `newest` have not been optimised and are not judged yet.
+        """
+        residual, _ = residuals(whole, whole.world_from_cam, self._map.xyz)
+        judged = whole.keyframe <= newest.id - self._map.keyframes[0].id
+        removed = degenerate[whole.point] | (judged & ~(residual <= self._config.gate))
+        begin = 0
+        for keyframe in self._map.keyframes:
+            end = begin + len(keyframe.landmark)
+            keyframe.keep_observations(~removed[begin:end])
+            begin = end
 
 
 def _restricted(problem: WindowProblem, chosen: Bools) -> tuple[WindowProblem, Ints]:
-    """The same with the chosen points (M,) only, and their rows in the whole."""
+    """The problem with the chosen points (M,) only, and their rows."""
     used, rows = np.flatnonzero(chosen[problem.point]), np.flatnonzero(chosen)
     place = np.cumsum(chosen) - 1
     restricted = replace(
@@ -161,30 +263,3 @@ def _restricted(problem: WindowProblem, chosen: Bools) -> tuple[WindowProblem, I
         sigma_px=problem.sigma_px.take(used),
     )
     return restricted, rows
-
-
-def _refine(world: Map, everything: WindowProblem, chosen: Bools, config: Config) -> None:
-    """Bring landmarks that took no part in a window into line with the adjusted poses.
-
-    They were triangulated from poses that have moved since, all in the same wrong way.
-    """
-    views = views_of(everything, chosen, config.smoothing)
-    world.xyz, _ = best_points(world.xyz, inverse(everything.world_from_cam), views)
-
-
-def _drop_outliers(
-    world: Map, everything: WindowProblem, newest: Keyframe, degenerate: Bools, config: Config
-) -> None:
-    """Forget observations that disagree, and all those of degenerate landmarks.
-
-    Keyframes newer than `newest` have not been smoothed and are not judged yet.
-    """
-    sigma_px = config.smoothing.sigma_disparity_px
-    residual, _ = residuals(everything, everything.world_from_cam, world.xyz, sigma_px)
-    judged = everything.keyframe <= newest.id - world.keyframes[0].id
-    dropped = degenerate[everything.point] | (judged & ~(residual <= config.smoothing.gate))
-    begin = 0
-    for keyframe in world.keyframes:
-        end = begin + len(keyframe.landmark)
-        keyframe.keep_observations(~dropped[begin:end])
-        begin = end

@@ -1,4 +1,4 @@
-"""What runs in the smoother's process: windows come in, adjusted windows go out."""
+"""Main loop of the optimizer's process: receives windows, sends their solutions."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from typing import IO, Any
 import numpy as np
 
 from vo.backend.messages import receive, send
-from vo.backend.solution import WindowSolution, smooth
+from vo.backend.solution import WindowSolution, solve
+from vo.backend.window_problem import WindowProblem
 from vo.scheduling import give_way
-from vo.types import WindowProblem
 
 
 def main() -> None:
-    """Answer on standard output what comes on standard input, until that is closed."""
-    questions = os.fdopen(os.dup(0), "rb")
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints must not get among the answers
+    """Read windows from standard input and write solutions to standard output, until it closes."""
+    windows = os.fdopen(os.dup(0), "rb")
+    solutions = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # output of libraries must not get between the solutions
     warm_up()
     give_way()
-    gc.freeze()  # what is loaded stays
+    gc.freeze()  # loaded modules are no garbage
     gc.enable()
     try:
-        serve(questions, answers)
+        serve(windows, solutions)
     except (EOFError, BrokenPipeError):
-        os._exit(0)  # nobody asks any more; what is buffered has no reader
+        os._exit(0)  # the reader is gone: buffered output is dropped
 
 
 def warm_up() -> None:
@@ -41,6 +41,7 @@ def warm_up() -> None:
     problem = WindowProblem(
         intrinsics=(500.0, 500.0, 320.0, 240.0),
         baseline_m=0.1,
+        sigma_disparity_px=0.4,
         world_from_cam=poses,
         fixed=np.array([True, False]),
         points=points,
@@ -54,24 +55,23 @@ def warm_up() -> None:
         iterations=8,
         relative_error_tolerance=1e-3,
         huber=1.0,
-        sigma_disparity_px=0.4,
         covariance_scale=1.0,
     )
-    smooth(problem, options)
+    solve(problem, options)
 
 
-def serve(questions: IO[bytes], answers: IO[bytes]) -> None:
-    """Answer windows with adjusted windows, or with the text of what went wrong.
+def serve(windows: IO[bytes], solutions: IO[bytes]) -> None:
+    """Send the solution of each window, or the text of an error.
 
     Raises:
-        EOFError: there are no more questions.
-        BrokenPipeError: nobody waits for the answer.
+        EOFError: there are no more windows.
+        BrokenPipeError: the reader is gone.
     """
     while True:
-        problem, config = receive(questions)
-        answer: WindowSolution | str
+        problem, config = receive(windows)
+        solution: WindowSolution | str
         try:
-            answer = smooth(problem, config)
+            solution = solve(problem, config)
         except Exception:
-            answer = traceback.format_exc()
-        send(answers, answer)
+            solution = traceback.format_exc()
+        send(solutions, solution)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
+from vo.failures import ImageDefect
 from vo.results.summary import Summary
-from vo.types import ImageDefect
 
 Grade = Literal["good", "caution", "bad"]
 
@@ -55,7 +55,7 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
     """Advice for the problems of a run, most promising first; empty after a good run."""
     lines = []
     mono = summary.facts.mode == "mono"
-    defects = dict.fromkeys(ImageDefect.of(r.reason) for r in summary.without_pose)
+    defects = dict.fromkeys(r.defect for r in summary.without_pose)
     lines += [
         f"images are {defect.value}: {_CAUSES[defect]} (see vo info --contact-sheet sheet.png)"
         for defect in defects

@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
+from vo.failures import describe
 from vo.progress import NullProgress, Progress
 from vo.types import Estimate, State
 
@@ -121,7 +122,7 @@ class _Counts:
         """Speed, result of this frame, and counters."""
         parts = [f"{self.frames_per_s():.1f} frames/s"]
         if estimate.world_from_cam0 is None:
-            parts.append(estimate.reason)
+            parts.append(describe(estimate.failure))
         else:
             parts.append(f"{estimate.inliers} of {estimate.matches} matches agree")
         parts.append(f"{self._keyframes} keyframes")

@@ -44,7 +44,7 @@ def _start_smoother(settings: Settings, stack: ExitStack) -> tuple[Config, Popen
     """Load the settings and start the smoother's process, before this one loads its modules."""
     from vo.backend.launch import child_started_early
     from vo.config import load_config
-    from vo.cores import available_cores
+    from vo.scheduling import available_cores
 
     config = load_config(settings.config, settings.all_overrides)
     child = stack.enter_context(child_started_early(config.threads or available_cores()))

@@ -1,4 +1,4 @@
-"""The camera's motion from how points looked in another image, all their patches at once."""
+"""Camera motion by joint alignment of the patches of many points (sparse image alignment)."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from vo.geometry.pnp import take_step
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bytes, Floats
 
-_LEVELS = 3  # images of 1/2, 1/4 and 1/8 of the size; 16 px too far off are no difficulty then
-_LEAST_SIDE = 32  # pixels of the smallest image
+_LEVELS = 3  # images of 1/2, 1/4 and 1/8 of the size, for initial errors of up to 16 px
+_MIN_SIDE = 32  # pixels of the smallest image
 _HALF_PX = 4  # patches of 9 x 9 pixels of their level
-_NOISE = 5.0  # grey levels by which pixels may differ without a patch counting less
+_NOISE = 5.0  # grey levels of difference from which the weight of a patch decreases
 _ITERATIONS = 8  # on each level
-_SETTLED_PX = 0.05  # mean step of the patches, in pixels of the level, that ends them
+_SETTLED_PX = 0.05  # mean step of the patches, in pixels of the level, at convergence
 
 
 class CameraAlignment(NamedTuple):
-    """How a camera moved.
+    """Result of the alignment.
 
     Attributes:
-        target_from_reference: (4, 4) takes coordinates of the reference camera to the other.
-        score: (N,) zero-mean normalised cross-correlation of each patch there, at half the size;
-            -1 where it could not be compared.
+        target_from_reference: (4, 4).
+        score: (N,) zero-mean normalised cross-correlation of each patch at half the size, -1 where
+            it could not be evaluated.
     """
 
     target_from_reference: Floats
     score: Floats
 
 
-def smaller_images(image: Bytes) -> tuple[Bytes, ...]:
-    """An (H, W) uint8 image at 1/2, 1/4 and 1/8 of its size, as far as anything is left to see."""
+def half_size_pyramid(image: Bytes) -> tuple[Bytes, ...]:
+    """An (H, W) uint8 image at 1/2, 1/4 and 1/8 of its size, down to the minimum size."""
     images: list[Bytes] = []
     for _ in range(_LEVELS):
         height, width = image.shape[0] // 2, image.shape[1] // 2
-        if min(height, width) < _LEAST_SIDE:
+        if min(height, width) < _MIN_SIDE:
             break
         even = image[: 2 * height, : 2 * width]
         image = np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
@@ -55,16 +55,16 @@ def align_sparse(
     distort: Floats,
     intrinsics: tuple[float, float, float, float],
 ) -> CameraAlignment:
-    """Move a camera until it sees the points' patches as another image shows them.
+    """Motion of a camera at which the points' patches look as in a reference image.
 
     Args:
-        reference: `smaller_images` of the image that shows them.
-        reference_xy: (N, 2) where, in pixels of its full size.
-        target: `smaller_images` of the camera's own image.
+        reference: `half_size_pyramid` of the reference image.
+        reference_xy: (N, 2) pixels of the points in it, at full size.
+        target: `half_size_pyramid` of the camera's image.
         points: (N, 3) in the reference camera's frame.
-        start: (4, 4) target_from_reference to begin with.
-        distort: (N, 2, 3) affine, from ideal pinhole pixels near where the point should
-            be to those of the target image.
+        start: (4, 4) target_from_reference to start from.
+        distort: (N, 2, 3) affine maps from ideal pixels near each point to pixels of the target
+            image.
         intrinsics: fx, fy, cx, cy of the ideal pinhole.
 
     Source: Forster et al., SVO, 2014, sec. IV-A (sparse image alignment, inverse compositional,

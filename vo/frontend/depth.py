@@ -1,4 +1,4 @@
-"""Measured depth as disparity to a right camera that is not there."""
+"""Measured depth as the disparity to a virtual right camera."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from vo.geometry.rectification import RectifiedRig
 from vo.types import Floats, Floats32
 
-_MOST_SPREAD = 1.05  # of the depths around a pixel, farthest over nearest; more is an edge
+# Maximum ratio of the largest to the smallest depth around a pixel; a larger one is an edge.
+_MAX_SPREAD = 1.05
 
 
 def disparity_from_depth(depth: Floats32, image_xy: Floats, rig: RectifiedRig) -> Floats:
-    """Disparity (n,) in pixels at working-image pixels (n, 2), NaN where depth is not known.
+    """Disparity (n,) in pixels at image pixels (n, 2), NaN where depth is unknown.
 
-    With it, all that is made for stereo holds for depth: a landmark, a residual and a window know
-    no difference. Between pixels the inverse depth is interpolated, which is exact on planes; at
-    edges there is none, as both sides are possible.
+    Landmarks, residuals and windows treat it like a stereo disparity. Between pixels inverse depth
+    is interpolated, which is exact on planes; at edges there is none, as both sides are possible.
 
     Args:
         depth: (H, W) metres along the optical axis, 0 where unknown.
-        image_xy: where to look.
-        rig: the working camera with its virtual baseline.
+        image_xy: (n, 2) pixels.
+        rig: the rectified camera with its virtual baseline.
 
     Source: Mur-Artal and Tardos, ORB-SLAM2, 2017, eq. 1.
     """
@@ -31,9 +31,9 @@ def disparity_from_depth(depth: Floats32, image_xy: Floats, rig: RectifiedRig) -
     around = np.stack([depth[v, u], depth[v, u + 1], depth[v + 1, u], depth[v + 1, u + 1]])
     around = around.astype(np.float64)
     nearest, farthest = around.min(axis=0), around.max(axis=0)
-    known = inside & (nearest > 0.0) & (farthest < _MOST_SPREAD * nearest)
-    share = image_xy - corner
-    across, down = share[:, 0], share[:, 1]
+    known = inside & (nearest > 0.0) & (farthest < _MAX_SPREAD * nearest)
+    fraction = image_xy - corner
+    across, down = fraction[:, 0], fraction[:, 1]
     weights = np.stack(
         [(1 - across) * (1 - down), across * (1 - down), (1 - across) * down, across * down]
     )

@@ -1,4 +1,4 @@
-"""Work that can be begun ahead of time; what comes of it is the same either way."""
+"""A future whose work starts on demand; the result does not depend on when it starts."""
 
 from __future__ import annotations
 
@@ -10,33 +10,38 @@ T = TypeVar("T")
 
 
 class LazyFuture(Generic[T]):
-    """A result that is worked out when it is asked for, or in a thread before that.
+    """A result that is computed when it is needed, or in a thread before that.
 
     Args:
-        work: gives the result.
-        executor: where to begin ahead of time; None begins nothing.
+        work: computes the result.
+        executor: where to start ahead of time; None never does.
     """
 
     def __init__(self, work: Callable[[], T], executor: Executor | None) -> None:
         self._work = work
         self._executor = executor
         self._future: Future[T] | None = None
-        self.is_used = False  # whether the result was asked for, however early it was begun
+        self.is_used = False  # whether `result` was called, however early the work began
 
-    def begin(self) -> None:
-        """Begin now, if there is a thread for it and that was not done before."""
+    def start(self) -> None:
+        """Start now, if there is a thread for it and the work has not started."""
         if self._executor is not None and self._future is None:
             self._future = self._executor.submit(self._work)
 
     def result(self) -> T:
-        """Wait for the result; at the second time it is there.
+        """Wait for the result, which is kept.
 
-        It comes from the executor, if there is one, where it cannot get in the way of others.
+        The work is done by the executor, if there is one, so that its thread alone does such work.
         """
         self.is_used = True
-        self.begin()
+        self.start()
         if self._future is None:
             result = self._work()
             self._future = Future()
             self._future.set_result(result)
         return self._future.result()
+
+
+def finished(value: T) -> LazyFuture[T]:
+    """A future whose result is there already."""
+    return LazyFuture(lambda: value, None)

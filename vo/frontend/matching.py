@@ -1,9 +1,4 @@
-"""Matching of binary features inside windows, along epipolar lines and along image rows.
-
-Every matcher takes rows of a query and of a train set and returns, for each query, the row of its
-match or -1. A match must be near enough in Hamming distance, clearly better than the second best
-(Lowe's ratio test) and the best query of its train feature.
-"""
+"""Matching of binary features by Hamming distance, everywhere or inside search regions."""
 
 from __future__ import annotations
 
@@ -13,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.compiling.function import Intrinsic, compiled
-from vo.types import Bools, Bytes, Floats, Floats32, Ints
+from vo.config import MatchingConfig
+from vo.frontend.contracts import (
+    DescriptorFormat,
+    FeatureSet,
+    Matches,
+    SearchRegion,
+    Windows,
+)
+from vo.types import Bools, Descriptors, Floats32, Ints
 
 _CELL_PX = 32.0
 _ANGLE_BINS = 30
@@ -34,96 +37,104 @@ def hamming(a: Any, b: Any) -> Any:
     )
 
 
-def as_words(descriptor: Bytes) -> NDArray[np.uint64]:
+def as_words(descriptor: Descriptors) -> NDArray[np.uint64]:
     """(N, 32) uint8 descriptors as (N, 4) words."""
     return np.ascontiguousarray(descriptor).view(np.uint64).reshape(-1, 4)
 
 
-def match_windows(
-    query_xy: Floats | Floats32,
-    query_octave: NDArray[np.int32],
-    query_descriptor: Bytes,
-    radius_px: Floats,
-    train_xy: Floats | Floats32,
-    train_octave: NDArray[np.int32],
-    train_descriptor: Bytes,
-    *,
-    max_distance: int,
-    ratio: float,
-) -> Ints:
-    """Match each query to a train feature within `radius_px` (N,) of where it is expected.
+class HammingMatcher:
+    """Matches binary descriptors of 256 bits.
 
-    A train feature may be one pyramid level off the query's at most.
+    A match is within the search region and at most one octave off, its Hamming distance is low,
+    clearly lower than the second best (ratio test, Lowe 2004), and it is the best query of its
+    train feature.
     """
-    if len(query_xy) == 0 or len(train_xy) == 0:
-        return np.full(len(query_xy), NO_MATCH)
-    train_xy = np.ascontiguousarray(train_xy, dtype=np.float64)
-    order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
-    matched, distance = _best_in_windows(
-        np.ascontiguousarray(query_xy, dtype=np.float64),
-        query_octave,
-        as_words(query_descriptor),
-        np.ascontiguousarray(radius_px, dtype=np.float64),
-        train_xy,
-        train_octave,
-        as_words(train_descriptor),
-        order,
-        starts,
-        columns,
-        rows,
-        origin,
-        max_distance,
-        ratio,
-    )
-    return np.asarray(_one_to_one(matched, distance))
+
+    descriptor_format = DescriptorFormat(32, np.dtype(np.uint8))
+
+    def __init__(self, config: MatchingConfig) -> None:
+        self._config = config
+
+    def match(
+        self,
+        query: FeatureSet,
+        train: FeatureSet,
+        region: SearchRegion = None,
+        *,
+        ratio: float | None = None,
+        check_rotation: bool = True,
+    ) -> Matches:
+        """One-to-one matches, see `vo.frontend.contracts.Matcher`.
+
+        Raises:
+            ValueError: descriptors are not (N, 32) uint8.
+        """
+        self.descriptor_format.check(query.descriptor)
+        self.descriptor_format.check(train.descriptor)
+        if len(query) == 0 or len(train) == 0:
+            return Matches(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+        limits = self._config.max_hamming, self._config.ratio if ratio is None else ratio
+        matched, distance = self._nearest(query, train, region, *limits)
+        matched = _one_to_one(matched, distance)
+        rows = np.flatnonzero(matched >= 0)
+        matches = Matches(rows, matched[rows], distance[rows].astype(np.float64))
+        return with_common_rotation(matches, query, train) if check_rotation else matches
+
+    def _nearest(
+        self,
+        query: FeatureSet,
+        train: FeatureSet,
+        region: SearchRegion,
+        max_distance: int,
+        ratio: float,
+    ) -> tuple[Ints, Ints]:
+        """Row of the best train feature of each query (N,), -1 for none, and its distance."""
+        query_words, train_words = as_words(query.descriptor), as_words(train.descriptor)
+        if region is None:
+            nearest, distance = _best_of_all(query_words, train_words, max_distance, ratio)
+            return nearest, distance
+        train_xy = np.ascontiguousarray(train.xy, dtype=np.float64)
+        if isinstance(region, Windows):
+            order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
+            nearest, distance = _best_in_windows(
+                np.ascontiguousarray(query.xy, dtype=np.float64),
+                query.octave,
+                query_words,
+                np.ascontiguousarray(region.radius_px, dtype=np.float64),
+                train_xy,
+                train.octave,
+                train_words,
+                order,
+                starts,
+                columns,
+                rows,
+                origin,
+                max_distance,
+                ratio,
+            )
+            return nearest, distance
+        nearest, distance = _best_near_segments(
+            query.octave,
+            query_words,
+            train_xy,
+            train.octave,
+            train_words,
+            np.ascontiguousarray(region.start, dtype=np.float64),
+            np.ascontiguousarray(region.end, dtype=np.float64),
+            np.ascontiguousarray(region.tolerance_px, dtype=np.float64),
+            max_distance,
+            ratio,
+        )
+        return nearest, distance
 
 
-def match_everywhere(
-    query_descriptor: Bytes, train_descriptor: Bytes, *, max_distance: int, ratio: float
-) -> Ints:
-    """Match by descriptor alone; mutual best only."""
-    if len(query_descriptor) == 0 or len(train_descriptor) == 0:
-        return np.full(len(query_descriptor), NO_MATCH)
-    query, train = as_words(query_descriptor), as_words(train_descriptor)
-    matched, distance = _best_of_all(query, train, max_distance, ratio)
-    return np.asarray(_one_to_one(matched, distance))
-
-
-def match_segments(
-    query_octave: NDArray[np.int32],
-    query_descriptor: Bytes,
-    train_xy: Floats | Floats32,
-    train_octave: NDArray[np.int32],
-    train_descriptor: Bytes,
-    segment_start: Floats,
-    segment_end: Floats,
-    *,
-    tolerance_px: Floats,
-    max_distance: int,
-    ratio: float,
-) -> Ints:
-    """Match each query to a train feature near its epipolar segment.
-
-    The segment runs from `segment_start` (N, 2), the pixel in the train image of the query's
-    nearest allowed depth, to `segment_end` (N, 2), that of its farthest; `tolerance_px` (M,) is
-    the allowed distance from it for each train feature.
-    """
-    if len(query_octave) == 0 or len(train_xy) == 0:
-        return np.full(len(query_octave), NO_MATCH)
-    train_xy = np.ascontiguousarray(train_xy, dtype=np.float64)
-    matched, distance = _best_near_segments(
-        query_octave,
-        as_words(query_descriptor),
-        train_xy,
-        train_octave,
-        as_words(train_descriptor),
-        np.ascontiguousarray(segment_start, dtype=np.float64),
-        np.ascontiguousarray(segment_end, dtype=np.float64),
-        np.ascontiguousarray(tolerance_px, dtype=np.float64),
-        max_distance,
-        ratio,
-    )
-    return np.asarray(_one_to_one(matched, distance))
+def with_common_rotation(matches: Matches, query: FeatureSet, train: FeatureSet) -> Matches:
+    """The matches whose change of orientation is a common one; all where features have none."""
+    before, after = query.angle[matches.query], train.angle[matches.train]
+    if np.isnan(before).any() or np.isnan(after).any():
+        return matches
+    kept = agree_in_rotation(before, after)
+    return Matches(matches.query[kept], matches.train[kept], matches.score[kept])
 
 
 def agree_in_rotation(query_angle: Floats32, train_angle: Floats32) -> Bools:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.compiling.function import compiled
 from vo.config import FeaturesConfig
+from vo.frontend.contracts import DescriptorFormat
 from vo.frontend.fast import FastGrid
 from vo.types import Bytes, Floats32, Keypoints
 
@@ -23,11 +24,13 @@ _BLUR_SIGMA_PX = 2.0
 _PAIRS = (Path(__file__).parent / "orb_pattern.txt").read_text("ascii").split()
 
 
-class OrbDetector:
-    """Detects and describes; holds only its settings.
+class OrbExtractor:
+    """Detects and describes ORB features; holds only its settings.
 
     Source: Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011.
     """
+
+    descriptor_format = DescriptorFormat(32, np.dtype(np.uint8))
 
     def __init__(self, config: FeaturesConfig) -> None:
         self._config = config
@@ -36,12 +39,20 @@ class OrbDetector:
         self._moments = _moment_weights()
         self._pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
 
-    def detect(self, image: Bytes, helper: Executor | None = None) -> Keypoints:
-        """Keypoints of an (H, W) uint8 image, by pyramid level, then in scan order.
+    @property
+    def scale_factor(self) -> float:
+        """Size ratio of two pyramid levels."""
+        return self._config.scale_factor
+
+    def extract(
+        self, image: Bytes, mask: Bytes | None = None, helper: Executor | None = None
+    ) -> Keypoints:
+        """Features of an (H, W) uint8 image, by pyramid level, then in scan order.
 
         Args:
-            image: where to look.
-            helper: works on the smaller levels, which are half of the work, at the same time.
+            image: (H, W) uint8.
+            mask: (H, W) uint8, 0 where features are dropped; None for the whole image.
+            helper: extracts from the smaller levels, half of the work, at the same time.
         """
         full, *smaller = self._pyramid(image)
 
@@ -51,13 +62,14 @@ class OrbDetector:
         others = None if helper is None else helper.submit(detect_smaller)
         largest = self._detect_level(*full, 0, image.shape)
         levels = [largest, *(detect_smaller() if others is None else others.result())]
-        return Keypoints(
+        keypoints = Keypoints(
             xy=np.concatenate([k.xy for k in levels]),
             octave=np.concatenate([k.octave for k in levels]),
             angle=np.concatenate([k.angle for k in levels]),
             response=np.concatenate([k.response for k in levels]),
             descriptor=np.concatenate([k.descriptor for k in levels]),
         )
+        return keypoints if mask is None else _outside_mask(keypoints, mask)
 
     def _pyramid(self, image: Bytes) -> list[tuple[Bytes, int]]:
         factor = self._config.scale_factor
@@ -88,8 +100,15 @@ class OrbDetector:
         return Keypoints(full, octaves, angle, scores, descriptor)
 
 
+def _outside_mask(keypoints: Keypoints, mask: Bytes) -> Keypoints:
+    """The keypoints at whose nearest pixel the mask is not 0."""
+    u, v = np.rint(keypoints.xy).astype(np.int64).T
+    height, width = mask.shape
+    return keypoints.select(mask[v.clip(0, height - 1), u.clip(0, width - 1)] > 0)
+
+
 def _moment_weights() -> tuple[Floats32, Floats32]:
-    """What the pixels of a square around a corner count for the first moments of a disc in it."""
+    """Weights of the intensity-centroid moments: pixels of a square, 0 outside of its disc."""
     y, x = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _SIDE - _RADIUS].astype(np.float32)
     half_width = np.floor(np.sqrt(_RADIUS**2 - y**2) + 0.5)
     inside = np.abs(x) <= half_width

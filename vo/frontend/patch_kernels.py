@@ -28,7 +28,7 @@ _prefetch = Intrinsic("vo.frontend.instructions", "prefetch")
 def align(  # type: ignore[no-untyped-def]
     references, reference, reference_xy, inverses, targets, target, start_xy, half, iterations
 ):
-    """See `alignment.align_between`; `inverses` may be empty, then nothing is stretched."""
+    """See `patch_alignment.align_between`; `inverses` may be empty, then nothing is stretched."""
     count, side = len(reference_xy), 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work = _workspace(half, stride)

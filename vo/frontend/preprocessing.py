@@ -1,4 +1,4 @@
-"""A frame made ready: rectified, and its features found and undistorted once they are needed."""
+"""Preprocessing of frames: rectification, image pyramid, and features on demand."""
 
 from __future__ import annotations
 
@@ -9,108 +9,133 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.config import Config
-from vo.frontend.camera_alignment import smaller_images
-from vo.frontend.lazy_future import LazyFuture
-from vo.frontend.orb import OrbDetector
+from vo.frontend.camera_alignment import half_size_pyramid
+from vo.frontend.contracts import FeatureExtractor
+from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.scheduling import give_way
-from vo.types import Bools, Bytes, Floats32, Frame, Keypoints
+from vo.types import Bytes, Floats32, Frame, Keypoints
 
 
 @dataclass(frozen=True, eq=False)
 class PreprocessedFrame:
-    """What tracking works on.
+    """A rectified frame.
 
     Attributes:
         index: number of the frame in its source.
         stamp_ns: its time.
-        image0: (H, W) uint8 working image of the left camera.
-        image1: the same of the right camera, or None.
-        smaller: image0 at 1/2, 1/4 and 1/8 of its size.
-        left: features of image0 inside the ideal camera's field of view, found when they are asked
-            for, like those on the right: frames that are no keyframes seldom need them.
-        right: features of image1.
-        depth: (H, W) metres at the pixels of image0, 0 where unknown, or None.
-        path: the file that holds the left image as recorded, or None.
-        rows: by how much rows of recorded pairs were found to differ until this frame, or None.
-        corrected: what of that is corrected in image1.
+        images: rectified images (H, W) uint8 by camera, None where one is missing.
+        pyramid: images[0] at 1/2, 1/4 and 1/8 of its size.
+        features: of each image, inside the pinhole camera's field of view; extracted when they are
+            needed, since frames that do not become keyframes seldom need them.
+        depth: (H, W) metres at the pixels of images[0], 0 where unknown, or None.
+        path: the file that holds the image of camera 0 as recorded, or None.
+        vertical_disparity: that of recorded pairs as estimated until this frame, or None.
+        corrected: the part of them that is corrected in images[1].
     """
 
     index: int
     stamp_ns: int
-    image0: Bytes
-    image1: Bytes | None
-    smaller: tuple[Bytes, ...]
-    left: LazyFuture[Keypoints]
-    right: LazyFuture[Keypoints] | None = None
+    images: tuple[Bytes | None, ...]
+    pyramid: tuple[Bytes, ...]
+    features: tuple[LazyFuture[Keypoints] | None, ...]
     depth: Floats32 | None = None
     path: Path | None = None
-    rows: VerticalDisparity | None = None
+    vertical_disparity: VerticalDisparity | None = None
     corrected: VerticalDisparity = VerticalDisparity()
 
     @property
+    def image0(self) -> Bytes:
+        """The image of camera 0."""
+        image = self.images[0]
+        assert image is not None
+        return image
+
+    @property
     def keypoints(self) -> Keypoints:
-        """The features of image0."""
-        return self.left.result()
+        """The features of camera 0."""
+        features = self.features[0]
+        assert features is not None
+        return features.result()
 
     @property
     def used_keypoints_xy(self) -> Floats32:
-        """The pixels (N, 2) of the features of image0; none if nobody asked for them."""
-        return self.keypoints.xy if self.left.is_used else np.empty((0, 2), np.float32)
+        """Pixels (N, 2) of the features of camera 0; none if they were not needed."""
+        features = self.features[0]
+        is_used = features is not None and features.is_used
+        return self.keypoints.xy if is_used else np.empty((0, 2), np.float32)
 
-    def begin_features(self) -> None:
-        """Have the features looked for, left and right at once if there are cores for it."""
-        self.left.begin()
-        if self.right is not None:
-            self.right.begin()
+    def start_features(self) -> None:
+        """Start the extraction of features in all images, in threads where there are any."""
+        for features in self.features:
+            if features is not None:
+                features.start()
+
+    @property
+    def right(self) -> tuple[Bytes, LazyFuture[Keypoints]] | None:
+        """Image and features of camera 1, None in mono or where the image is missing."""
+        if len(self.images) < 2 or self.images[1] is None or self.features[1] is None:
+            return None
+        return self.images[1], self.features[1]
 
     @property
     def has_disparity(self) -> bool:
-        """Whether features can be measured in depth, by a right image or otherwise."""
-        return self.image1 is not None or self.depth is not None
+        """Whether there is a right image or measured depth."""
+        return self.right is not None or self.depth is not None
 
 
 class FramePreprocessor:
-    """Makes frames ready, left and right each in a thread of its own if there are cores for it.
+    """Preprocesses frames, left and right images in a thread each where there are cores for it.
 
-    Rows of the right images are brought in line on the way, see `vo.frontend.vertical_disparity`.
+    Vertical disparities of pairs are corrected on the way, see `vo.frontend.vertical_disparity`.
 
     Attributes:
-        begins_features: whether features, too, are looked for a frame ahead. Those that nobody
-            asks for then cost time, and nothing else.
+        is_eager: whether features, too, are extracted a frame ahead. Features that turn out not to
+            be needed cost time and change nothing else.
+
+    Args:
+        rig: the rectified cameras as calibrated.
+        extractor: extracts features.
+        vertical_disparity: estimates and corrects vertical disparities of pairs.
+        threads: cores to use.
     """
 
-    def __init__(self, config: Config, *, threads: int) -> None:
-        self.begins_features = True
-        self._rows = VerticalDisparityCorrection(config)
-        self._detectors = (OrbDetector(config.features), OrbDetector(config.features))
+    def __init__(
+        self,
+        rig: RectifiedRig,
+        extractor: FeatureExtractor,
+        vertical_disparity: VerticalDisparityCorrection,
+        *,
+        threads: int,
+    ) -> None:
+        self.is_eager = True
+        self._rig = rig
+        self._extractor = extractor
+        self._vertical_disparity = vertical_disparity
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
         ]
 
-    def later(self, frame: Frame, rig: RectifiedRig) -> LazyFuture[PreprocessedFrame]:
-        """A frame that will be made ready."""
+    def submit(self, frame: Frame) -> LazyFuture[PreprocessedFrame]:
+        """A frame to be preprocessed."""
         pool = self._pools[0] if self._pools else None
-        return LazyFuture(lambda: self._prepare(frame, rig), pool)
+        return LazyFuture(lambda: self._preprocess(frame), pool)
 
-    def ahead(
-        self, frames: Iterable[Frame], rig: RectifiedRig
-    ) -> Iterator[LazyFuture[PreprocessedFrame]]:
-        """All frames, each begun while the one before it is worked on."""
+    def ahead(self, frames: Iterable[Frame]) -> Iterator[LazyFuture[PreprocessedFrame]]:
+        """All frames, each started while the one before it is tracked."""
         waiting: LazyFuture[PreprocessedFrame] | None = None
         try:
             for frame in frames:
-                coming = self.later(frame, rig)
-                coming.begin()
+                coming = self.submit(frame)
+                coming.start()
                 if waiting is not None:
                     yield waiting
                 waiting = coming
         except Exception:
-            if waiting is not None:  # what was read before the error still counts
+            if waiting is not None:  # a frame that was read before the error still counts
                 yield waiting
             raise
         if waiting is not None:
@@ -121,63 +146,58 @@ class FramePreprocessor:
         for pool in self._pools:
             pool.shutdown(cancel_futures=True)
 
-    def _prepare(self, frame: Frame, rig: RectifiedRig) -> PreprocessedFrame:
-        """Rectify a frame; have its features looked for."""
-        image0 = rig.rectify(frame.image0, 0)
-        left = LazyFuture(lambda: self._left(image0, rig), self._pool_of_left(rig))
-        image1, right = None, None
-        if rig.is_stereo and frame.image1 is not None:
-            image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
-            right = self._right(image1)
-            if self._rows.asks():
-                keypoints = self._left(image0, rig)
-                left = LazyFuture(lambda: keypoints, None)  # a thread cannot wait for itself
-                one, other = View(image0, keypoints), View(image1, right.result())
-                if self._rows.learn(one, other, rig):
-                    image1 = self._rows.aligned(rig).rectify(frame.image1, 1)
-                    right = self._right(image1)
-        working = PreprocessedFrame(
+    def _preprocess(self, frame: Frame) -> PreprocessedFrame:
+        images, features = self._images_and_features(frame)
+        image0 = images[0]
+        assert image0 is not None
+        preprocessed = PreprocessedFrame(
             frame.index,
             frame.stamp_ns,
-            image0,
-            image1,
-            smaller_images(image0),
-            left,
-            right,
-            None if frame.depth is None else rig.rectify_depth(frame.depth),
+            images,
+            half_size_pyramid(image0),
+            features,
+            None if frame.depth is None else self._rig.rectify_depth(frame.depth),
             frame.path,
-            self._rows.found,
-            self._rows.corrected,
+            self._vertical_disparity.estimated,
+            self._vertical_disparity.corrected,
         )
-        if self.begins_features:
-            working.begin_features()
-        return working
+        if self.is_eager:
+            preprocessed.start_features()
+        return preprocessed
 
-    def _pool_of_left(self, rig: RectifiedRig) -> ThreadPoolExecutor | None:
-        """The thread for features of left images; of a single camera the other, which is idle."""
+    def _images_and_features(
+        self, frame: Frame
+    ) -> tuple[tuple[Bytes | None, ...], tuple[LazyFuture[Keypoints] | None, ...]]:
+        rig, correction = self._rig, self._vertical_disparity
+        image0 = rig.rectify(frame.image0, 0)
+        left = LazyFuture(lambda: self._extract_left(image0), self._pool_of_left())
+        if not rig.is_stereo or frame.image1 is None:
+            return (image0,), (left,)
+        image1 = correction.aligned_rig().rectify(frame.image1, 1)
+        right = self._extract_right(image1)
+        if correction.needs_next_pair():
+            # Extracted here: the thread of the left images, which this is, cannot wait for itself.
+            left = finished(self._extract_left(image0))
+            pair = View(image0, left.result()), View(image1, right.result())
+            if correction.update(*pair):
+                image1 = correction.aligned_rig().rectify(frame.image1, 1)
+                right = self._extract_right(image1)
+        return (image0, image1), (left, right)
+
+    def _pool_of_left(self) -> ThreadPoolExecutor | None:
+        """The thread for features of camera 0; with a single camera the second, idle one."""
         if not self._pools:
             return None
-        return self._pools[0 if rig.is_stereo else 1]
+        return self._pools[0 if self._rig.is_stereo else 1]
 
-    def _left(self, image: Bytes, rig: RectifiedRig) -> Keypoints:
-        # Nothing in the left images' thread waits for features of a single camera, so that these
-        # may wait for it.
-        helper = self._pools[0] if self._pools and not rig.is_stereo else None
-        keypoints = self._detectors[0].detect(image, helper)
-        inside = np.asarray(np.isfinite(rig.undistort(keypoints.xy)).all(axis=1))
-        return keypoints if inside.all() else select(keypoints, inside)
+    def _extract_left(self, image: Bytes) -> Keypoints:
+        # With a single camera nothing in the first thread waits for features, so that extraction,
+        # in the second, may wait for the first.
+        helper = self._pools[0] if self._pools and not self._rig.is_stereo else None
+        keypoints = self._extractor.extract(image, helper=helper)
+        inside = np.asarray(np.isfinite(self._rig.undistort(keypoints.xy)).all(axis=1))
+        return keypoints if inside.all() else keypoints.select(inside)
 
-    def _right(self, image: Bytes) -> LazyFuture[Keypoints]:
+    def _extract_right(self, image: Bytes) -> LazyFuture[Keypoints]:
         pool = self._pools[1] if self._pools else None
-        return LazyFuture(lambda: self._detectors[1].detect(image), pool)
-
-
-def select(keypoints: Keypoints, rows: Bools) -> Keypoints:
-    """Some rows of keypoints."""
-    return Keypoints(
-        keypoints.xy[rows],
-        keypoints.octave[rows],
-        keypoints.angle[rows],
-        keypoints.response[rows],
-        keypoints.descriptor[rows],
-    )
+        return LazyFuture(lambda: self._extractor.extract(image), pool)

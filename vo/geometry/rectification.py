@@ -76,6 +76,11 @@ class RectifiedRig:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
+    def intrinsics(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy of both rectified cameras."""
+        return self.fx, self.fy, self.cx, self.cy
+
+    @property
     def is_stereo(self) -> bool:
         """Whether there is a right camera, or depth that stands for it."""
         return self.baseline_m > 0.0

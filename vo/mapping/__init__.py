@@ -1,1 +1,1 @@
-"""The map's storage: keyframes, landmarks and who saw what."""
+"""The local map: keyframes, landmarks and observations, and how they are added and removed."""

@@ -1,116 +1,81 @@
-"""Keyframes, landmarks and observations; bounded, because what is old is dropped."""
+"""Storage of the local map: the newest keyframes and the landmarks that they observe."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.frontend.contracts import DescriptorFormat
 from vo.geometry.rectification import RectifiedRig
+from vo.geometry.vertical_disparity_model import VerticalDisparity
+from vo.mapping.keyframe import FrameId, Keyframe
+from vo.mapping.keyframe_store import KeyframeStore, StoredLandmarks
 from vo.mapping.lookup import rows_of
-from vo.types import Bools, Bytes, Floats, Ints, Keypoints
+from vo.types import Bools, Bytes, Descriptors, Floats, Ints, Keypoints
 
 
-@dataclass(eq=False)
-class Keyframe:
-    """A frame that the map keeps.
+class LocalMap:
+    """The newest `capacity` keyframes and their landmarks, as a struct of arrays.
+
+    Landmark arrays have rows in order of id; rows move when landmarks are removed, ids never do.
 
     Attributes:
-        id: number among the keyframes, from 0, never used again.
-        frame_index: number of its frame in the source.
-        stamp_ns: its time.
-        segment: number of its segment.
-        slot: where its image lies in `Map.images`.
-        world_from_cam: (4, 4), changed by smoothing.
-        covariance: (6, 6) in the camera's frame, or None before it was smoothed.
-        shared: (6, 6) with keyframes before it, by their ids: rows its own errors, columns theirs.
-        keypoints: its features.
-        undistorted_xy: (N, 2) undistorted pixels of its features.
-        free: (N,) features that have no landmark.
-        landmark: (n,) ids of the landmarks it sees.
-        xy: (n, 2) ideal pixels where it sees them.
-        image_xy: (n, 2) the same in its working image.
-        disparity: (n,) pixels, NaN without a right match.
-        sigma_px: (n,) standard deviation of xy.
+        rig: the rectified cameras, with all corrections of their calibration so far.
+        keyframes: in time order; their ids are consecutive.
+        images: (capacity, H, W) rectified images of camera 0, by `Keyframe.slot`.
+        id: (M,) ids of the landmarks.
+        xyz: (M, 3) in the world.
+        normal: (M, 3) of the surface, in the world, of any length.
+        descriptor: (M, width).
+        octave: (M,) pyramid level of the patch.
+        angle: (M,) orientation of the feature, radians.
+        reference: (M,) id of the keyframe whose image holds the patch.
+        reference_xy: (M, 2) pixel of the patch in that image.
+        last_seen: (M,) id of the newest keyframe that observes it.
+        visible: (M,) frames in which it should have been found.
+        found: (M,) frames in which it was found.
+
+    Args:
+        rig: the rectified cameras.
+        capacity: maximum number of keyframes.
+        descriptors: layout of the descriptors.
+        store: receives the keyframes that leave the map.
     """
 
-    id: int
-    frame_index: int
-    stamp_ns: int
-    segment: int
-    slot: int
-    world_from_cam: Floats
-    covariance: Floats | None
-    shared: dict[int, Floats]
-    keypoints: Keypoints
-    undistorted_xy: Floats
-    free: Bools
-    landmark: Ints
-    xy: Floats
-    image_xy: Floats
-    disparity: Floats
-    sigma_px: Floats
-
-    def see_through(self, rig: RectifiedRig) -> None:
-        """Find the ideal pixels anew, for a lens that bends the image otherwise."""
-        self.xy = rig.undistort(self.image_xy)
-        self.undistorted_xy = rig.undistort(self.keypoints.xy)
-
-    def add_observations(
-        self, landmark: Ints, xy: Floats, image_xy: Floats, disparity: Floats, sigma_px: Floats
+    def __init__(
+        self,
+        rig: RectifiedRig,
+        capacity: int,
+        descriptors: DescriptorFormat,
+        store: KeyframeStore | None = None,
     ) -> None:
-        """Note that this keyframe sees landmarks, each of them not noted yet."""
-        self.landmark = np.concatenate([self.landmark, landmark])
-        self.xy = np.concatenate([self.xy, xy])
-        self.image_xy = np.concatenate([self.image_xy, image_xy])
-        self.disparity = np.concatenate([self.disparity, disparity])
-        self.sigma_px = np.concatenate([self.sigma_px, sigma_px])
-
-    def keep_observations(self, mask: Bools) -> None:
-        """Forget the observations outside of the mask."""
-        kept = np.flatnonzero(mask)  # taking rows is several times as fast as masking them
-        if len(kept) == len(mask):
-            return
-        self.landmark = self.landmark.take(kept)
-        self.xy = self.xy.take(kept, axis=0)
-        self.image_xy = self.image_xy.take(kept, axis=0)
-        self.disparity = self.disparity.take(kept)
-        self.sigma_px = self.sigma_px.take(kept)
-
-
-_LANDMARK_FIELDS: dict[str, tuple[tuple[int, ...], type]] = {
-    "id": ((), np.int64),
-    "xyz": ((3,), np.float64),
-    "normal": ((3,), np.float64),  # of the surface it lies on, in the world, of any length
-    "descriptor": ((32,), np.uint8),
-    "octave": ((), np.int32),
-    "angle": ((), np.float32),
-    "reference": ((), np.int64),  # keyframe whose image holds the patch
-    "reference_xy": ((2,), np.float64),  # working-image pixel of the patch
-    "last_seen": ((), np.int64),  # newest keyframe that sees it
-    "visible": ((), np.int64),  # frames in which it should have been seen
-    "found": ((), np.int64),  # frames in which it was seen
-}
-
-
-class Map:
-    """The newest `capacity` keyframes and the landmarks that they see, as a struct of arrays.
-
-    Landmark arrays (`id`, `xyz`, `descriptor`, …) are rows in order of id; rows move when
-    landmarks are dropped, ids never do.
-    """
-
-    def __init__(self, capacity: int, height: int, width: int) -> None:
+        self.rig = rig
         self.keyframes: list[Keyframe] = []
-        self.images: Bytes = np.zeros((capacity, height, width), dtype=np.uint8)
+        self.images: Bytes = np.zeros((capacity, rig.height, rig.width), dtype=np.uint8)
         self._capacity = capacity
+        self._store = store
         self._next_landmark = 0
         self._next_keyframe = 0
+        self._fields: dict[str, tuple[tuple[int, ...], Any]] = {
+            "id": ((), np.int64),
+            "xyz": ((3,), np.float64),
+            "normal": ((3,), np.float64),
+            "descriptor": ((descriptors.width,), descriptors.dtype),
+            "octave": ((), np.int32),
+            "angle": ((), np.float32),
+            "reference": ((), np.int64),
+            "reference_xy": ((2,), np.float64),
+            "last_seen": ((), np.int64),
+            "visible": ((), np.int64),
+            "found": ((), np.int64),
+        }
         self.id: Ints
         self.xyz: Floats
         self.normal: Floats
-        self.descriptor: Bytes
+        self.descriptor: Descriptors
         self.octave: NDArray[np.int32]
         self.angle: NDArray[np.float32]
         self.reference: Ints
@@ -118,45 +83,53 @@ class Map:
         self.last_seen: Ints
         self.visible: Ints
         self.found: Ints
-        self.clear()
+        self._remove_landmarks()
 
     def __len__(self) -> int:
         return len(self.id)
 
+    @property
+    def poses(self) -> Floats:
+        """(K, 4, 4) world_from_cam of the keyframes."""
+        return np.stack([k.world_from_cam for k in self.keyframes])
+
     def clear(self) -> None:
-        """Forget all keyframes and landmarks; ids go on."""
+        """Remove all keyframes and landmarks; ids go on."""
+        for keyframe in self.keyframes:
+            self._hand_over(keyframe)
         self.keyframes = []
-        for name, (shape, dtype) in _LANDMARK_FIELDS.items():
-            setattr(self, name, np.empty((0, *shape), dtype=dtype))
+        self._remove_landmarks()
 
     def add_keyframe(
         self,
-        *,
-        frame_index: int,
-        stamp_ns: int,
-        segment: int,
+        frame: FrameId,
         image: Bytes,
         world_from_cam: Floats,
         keypoints: Keypoints,
-        undistorted_xy: Floats,
         free: Bools,
     ) -> Keyframe:
-        """Store a keyframe, in place of the oldest if there is no room."""
+        """Add a keyframe without observations; the oldest one leaves if there is no room.
+
+        Args:
+            frame: which frame it is.
+            image: (H, W) its rectified image of camera 0.
+            world_from_cam: (4, 4).
+            keypoints: its N features.
+            free: (N,) features without a landmark.
+        """
         if len(self.keyframes) == self._capacity:
-            self._drop_oldest()
+            self._remove_oldest()
         slot = min(set(range(self._capacity)) - {k.slot for k in self.keyframes})
         self.images[slot] = image
         keyframe = Keyframe(
             id=self._next_keyframe,
-            frame_index=frame_index,
-            stamp_ns=stamp_ns,
-            segment=segment,
+            frame=frame,
             slot=slot,
             world_from_cam=world_from_cam.copy(),
             covariance=None,
-            shared={},
+            cross_covariance={},
             keypoints=keypoints,
-            undistorted_xy=undistorted_xy,
+            undistorted_xy=self.rig.undistort(keypoints.xy),
             free=free.copy(),
             landmark=np.empty(0, np.int64),
             xy=np.empty((0, 2)),
@@ -169,28 +142,25 @@ class Map:
         return keyframe
 
     def add_landmarks(
-        self,
-        xyz: Floats,
-        descriptor: Bytes,
-        octave: NDArray[np.int32],
-        angle: NDArray[np.float32],
-        reference: Keyframe,
-        reference_xy: Floats,
-        last_seen: Keyframe,
+        self, xyz: Floats, reference: Keyframe, features: Ints, last_seen: Keyframe
     ) -> Ints:
-        """Store landmarks, new ones all; returns their ids."""
-        n = len(xyz)
+        """Add landmarks (n, 3) for features (n,) of a keyframe, which holds their patches.
+
+        Returns:
+            Their ids.
+        """
+        keypoints, n = reference.keypoints, len(xyz)
         ids = np.arange(self._next_landmark, self._next_landmark + n)
         self._next_landmark += n
         new = {
             "id": ids,
             "xyz": xyz,
             "normal": np.tile(reference.world_from_cam[:3, 2], (n, 1)),  # facing that camera
-            "descriptor": descriptor,
-            "octave": octave,
-            "angle": angle,
+            "descriptor": keypoints.descriptor[features],
+            "octave": keypoints.octave[features],
+            "angle": keypoints.angle[features],
             "reference": np.full(n, reference.id),
-            "reference_xy": reference_xy,
+            "reference_xy": keypoints.xy[features].astype(np.float64),
             "last_seen": np.full(n, last_seen.id),
             "visible": np.ones(n, np.int64),
             "found": np.ones(n, np.int64),
@@ -200,51 +170,92 @@ class Map:
         return ids
 
     def rows(self, ids: Ints) -> Ints:
-        """Rows of landmarks by id, -1 for those no longer there."""
+        """Rows of landmarks by id, -1 for those that have been removed."""
         return rows_of(ids, self.id)
 
-    def sightings(self) -> tuple[Ints, Ints]:
-        """Number of the keyframe in `keyframes`, and row of the landmark, of all N observations.
+    def observation_rows(self) -> tuple[Ints, Ints]:
+        """Index of the keyframe, and row of the landmark, of all N observations.
 
-        They come keyframe by keyframe, as when an array of theirs is concatenated.
+        They are ordered by keyframe, like concatenated arrays of the keyframes.
         """
-        seen = [k.landmark for k in self.keyframes]
-        number = np.repeat(np.arange(len(seen)), [len(ids) for ids in seen])
-        return number, self.rows(np.concatenate(seen))
+        observed = [k.landmark for k in self.keyframes]
+        number = np.repeat(np.arange(len(observed)), [len(ids) for ids in observed])
+        return number, self.rows(np.concatenate(observed))
 
     def keep_landmarks(self, mask: Bools) -> None:
-        """Drop the landmarks outside of the mask, and all observations of them."""
+        """Remove the landmarks outside of the mask (M,), and all observations of them."""
         rows = np.flatnonzero(mask)
         if len(rows) == len(mask):
             return
         first = self.id[0]
         kept = np.zeros(self.id[-1] - first + 1, dtype=bool)  # by id
         kept[self.id[rows] - first] = True
-        for name in _LANDMARK_FIELDS:
+        for name in self._fields:
             setattr(self, name, getattr(self, name).take(rows, axis=0))
         for keyframe in self.keyframes:
             keyframe.keep_observations(kept[keyframe.landmark - first])
 
     def reference_slots(self) -> Ints:
-        """(n,) where in `images` each landmark's reference patch lies."""
-        slots = np.array([k.slot for k in self.keyframes], dtype=np.int64)  # their ids go up by one
+        """(M,) indices in `images` of the landmarks' reference patches."""
+        slots = np.array([k.slot for k in self.keyframes], dtype=np.int64)
         return slots[self.reference - self.keyframes[0].id]
 
-    def take_reference(self, keyframe: Keyframe, mask: Bools) -> None:
-        """Let landmarks (n,) that a keyframe sees have their reference patch there."""
+    def set_reference(self, keyframe: Keyframe, mask: Bools) -> None:
+        """Take the reference patches of landmarks (M,) from a keyframe where it observes them."""
         rows = self.rows(keyframe.landmark)
         chosen = (rows >= 0) & mask[rows]
         self.reference[rows[chosen]] = keyframe.id
         self.reference_xy[rows[chosen]] = keyframe.image_xy[chosen]
 
-    def _drop_oldest(self) -> None:
-        dropped = self.keyframes[0]
-        number, row = self.sightings()
+    def correct_disparities(self, offset_px: float, curve_px: float, *, is_yaw: bool) -> None:
+        """Replace the correction of the disparity bias, for measured disparities too."""
+        before = self.rig
+        self.rig = replace(
+            before,
+            disparity_offset_px=offset_px,
+            disparity_curve_px=curve_px,
+            offset_is_yaw=is_yaw,
+        )
+        for keyframe in self.keyframes:
+            right_u = keyframe.image_xy[:, 0] - keyframe.disparity
+            change = self.rig.disparity_error(right_u) - before.disparity_error(right_u)
+            keyframe.disparity -= change
+
+    def correct_radial_distortion(self, k1: float) -> None:
+        """Replace the correction of the lens, for keyframes in the map too."""
+        self.rig = self.rig.with_k1_error(k1)
+        for keyframe in self.keyframes:
+            keyframe.undistort(self.rig)
+
+    def correct_vertical_disparity(self, before: VerticalDisparity, now: VerticalDisparity) -> None:
+        """Change measured disparities to those of a right camera that is corrected differently."""
+        rig = self.rig
+        for keyframe in self.keyframes:
+            x = (keyframe.image_xy[:, 0] - keyframe.disparity - rig.cx) / rig.fx
+            y = (keyframe.image_xy[:, 1] - rig.cy) / rig.fy
+            keyframe.disparity += now.horizontal_px(x, y) - before.horizontal_px(x, y)
+
+    def _remove_landmarks(self) -> None:
+        for name, (shape, dtype) in self._fields.items():
+            setattr(self, name, np.empty((0, *shape), dtype=dtype))
+
+    def _remove_oldest(self) -> None:
+        oldest = self.keyframes[0]
+        self._hand_over(oldest)
+        number, row = self.observation_rows()
         image_xy = np.concatenate([k.image_xy for k in self.keyframes])
-        orphaned = (self.reference[row] == dropped.id) & (number > 0)
-        # From the newest to the oldest: of those that see a landmark the oldest takes it last.
-        seen = np.flatnonzero(orphaned)[::-1]
-        self.reference[row[seen]] = dropped.id + number[seen]
-        self.reference_xy[row[seen]] = image_xy[seen]
+        orphaned = (self.reference[row] == oldest.id) & (number > 0)
+        # In reverse order, so that the oldest of the remaining observers is assigned last.
+        observed = np.flatnonzero(orphaned)[::-1]
+        self.reference[row[observed]] = oldest.id + number[observed]
+        self.reference_xy[row[observed]] = image_xy[observed]
         del self.keyframes[0]
-        self.keep_landmarks(self.reference != dropped.id)
+        self.keep_landmarks(self.reference != oldest.id)
+
+    def _hand_over(self, keyframe: Keyframe) -> None:
+        if self._store is None:
+            return
+        rows = self.rows(keyframe.landmark)
+        rows = np.sort(rows[rows >= 0])
+        fields = (getattr(self, name).take(rows, axis=0) for name in StoredLandmarks._fields)
+        self._store.add(keyframe, StoredLandmarks(*fields))

@@ -9,9 +9,9 @@ from vo.types import Ints
 
 
 def rows_of(ids: Ints, known: Ints) -> Ints:
-    """Rows (n,) of ids (n,) among the known ones (m,), which grow; -1 for those not known.
+    """Rows (n,) of ids (n,) among increasing known ids (m,); -1 for unknown ids.
 
-    Fast where the ids grow too, as they nearly always do in the observations of a keyframe.
+    Galloping search: fast where the ids increase too, as in most observations of a keyframe.
     """
     return np.asarray(_rows_of(np.ascontiguousarray(ids), known))
 
@@ -27,7 +27,7 @@ def _rows_of(ids, known):  # type: ignore[no-untyped-def]
         low, high = row, row + 1
         if wanted < known[row]:
             low = 0
-        else:  # mostly a few rows on: steps that double
+        else:  # usually a few rows further: steps double
             while high < len(known) and known[high] <= wanted:
                 low, high = high, high + 2 * (high - low)
             high = min(high, len(known))

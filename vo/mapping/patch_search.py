@@ -1,4 +1,4 @@
-"""Look for landmarks in kept keyframes, many of each at once."""
+"""Search for landmarks in keyframes of the map."""
 
 from __future__ import annotations
 
@@ -6,26 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.config import TrackingConfig
-from vo.frontend.alignment import align_between
+from vo.frontend.patch_alignment import PatchAligner, Patches
 from vo.geometry.patch_prediction import predict_patches
-from vo.geometry.rectification import RectifiedRig
-from vo.mapping.local_map import Map
+from vo.mapping.local_map import LocalMap
 from vo.types import Floats, Ints
 
-# The same as for frames, in observe.py.
-_BORDER_PX = 8.0
-_SCALE_RANGE = 2.0
+BORDER_PX = 8.0  # of an image, where no patch is searched
+MAX_SCALE = 2.0  # maximum size ratio of a patch and its reference
 
 
 class FoundPatches(NamedTuple):
-    """Landmarks found in keyframes, a row for each time.
+    """Landmarks found in keyframes; rows belong together.
 
     Attributes:
         rows: (n,) rows of the map.
-        camera: (n,) which of the map's keyframes.
+        camera: (n,) index in `LocalMap.keyframes`.
         xy: (n, 2) ideal pixels there.
-        image_xy: (n, 2) the same in its working image.
+        image_xy: (n, 2) the same in its rectified image.
     """
 
     rows: Ints
@@ -35,32 +32,30 @@ class FoundPatches(NamedTuple):
 
 
 def find_patches(
-    world: Map, rows: Ints, camera: Ints, rig: RectifiedRig, config: TrackingConfig
+    local_map: LocalMap, rows: Ints, camera: Ints, patches: PatchAligner
 ) -> FoundPatches:
-    """Find landmarks (N,), by row, to sub-pixel in keyframes of the map (N,) that may show them."""
-    reference = world.reference - world.keyframes[0].id
-    poses = np.stack([k.world_from_cam for k in world.keyframes])
-    slots = np.array([k.slot for k in world.keyframes])
-    intrinsics = (rig.fx, rig.fy, rig.cx, rig.cy)
-    seen = predict_patches(world.xyz, world.normal, reference, rows, camera, poses, intrinsics)
-    kept = np.flatnonzero((seen.scale < _SCALE_RANGE) & (seen.scale > 1.0 / _SCALE_RANGE))
+    """Find landmarks (N,), by row, to sub-pixel in keyframes (N,) that may show them."""
+    rig = local_map.rig
+    reference = local_map.reference - local_map.keyframes[0].id
+    slots = np.array([k.slot for k in local_map.keyframes])
+    seen = predict_patches(
+        local_map.xyz, local_map.normal, reference, rows, camera, local_map.poses, rig.intrinsics
+    )
+    kept = np.flatnonzero((seen.scale < MAX_SCALE) & (seen.scale > 1.0 / MAX_SCALE))
     expected = rig.distort(seen.xy[kept])
-    farthest = (rig.width - _BORDER_PX, rig.height - _BORDER_PX)
-    inside = ((expected >= _BORDER_PX) & (expected < farthest)).all(axis=1)
+    farthest = (rig.width - BORDER_PX, rig.height - BORDER_PX)
+    inside = ((expected >= BORDER_PX) & (expected < farthest)).all(axis=1)
     kept, expected = kept[inside], expected[inside]
     rows, camera = rows[kept], camera[kept]
-    found = align_between(
-        world.images,
+    references = Patches(
+        local_map.images,
         slots[reference[rows]],
-        world.reference_xy[rows],
+        local_map.reference_xy[rows],
         seen.reference_from_target[kept],
-        world.images,
-        slots[camera],
-        expected,
-        half_px=config.patch_half_px,
     )
+    found = patches.align_in(references, local_map.images, slots[camera], expected)
     shift = np.linalg.norm(found.xy - expected, axis=1)
     ideal = rig.undistort(found.xy)
-    good = found.converged & (found.score >= config.min_patch_score)
-    good &= (shift <= config.max_shift_px) & np.isfinite(ideal).all(axis=1)
+    good = patches.is_found(found) & (shift <= patches.max_shift_px)
+    good &= np.isfinite(ideal).all(axis=1)
     return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])

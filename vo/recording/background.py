@@ -6,14 +6,20 @@ import logging
 import queue
 import threading
 import time
+from typing import NamedTuple
 
-from vo.recording.recorder import Recorder
-from vo.types import Estimate, Rig, Trajectory
+from vo.recording.recorder import Recorder, TakeSnapshot
+from vo.types import Estimate, Rig, Snapshot, Trajectory
 
 _ROOM = 32  # frames; their images are what takes space
 _PATIENCE_S = 20.0
 
 _log = logging.getLogger(__name__)
+
+
+class _Frame(NamedTuple):
+    estimate: Estimate
+    snapshot: Snapshot
 
 
 class BackgroundRecorder:
@@ -32,7 +38,7 @@ class BackgroundRecorder:
         self, recorder: Recorder, *, room: int = _ROOM, patience_s: float = _PATIENCE_S
     ) -> None:
         self._recorder = recorder
-        self._waiting: queue.Queue[Estimate | tuple[Trajectory, Trajectory]] = queue.Queue(room)
+        self._waiting: queue.Queue[_Frame | tuple[Trajectory, Trajectory]] = queue.Queue(room)
         self._patience_s = patience_s
         self._thread: threading.Thread | None = None
         self._progress = 0
@@ -45,12 +51,12 @@ class BackgroundRecorder:
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
-    def record(self, estimate: Estimate) -> None:
-        """Take in a frame if there is room."""
-        try:
-            self._waiting.put_nowait(estimate)
-        except queue.Full:
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """Queue a frame if there is room."""
+        if self._waiting.full():
             self._left_out += 1
+        else:
+            self._waiting.put_nowait(_Frame(estimate, snapshot()))
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Wait until all is recorded, as long as it gets on."""
@@ -82,10 +88,14 @@ class BackgroundRecorder:
             while True:
                 what = self._waiting.get()
                 self._progress += 1
-                if isinstance(what, Estimate):
-                    self._recorder.record(what)
+                if isinstance(what, _Frame):
+                    self._recorder.record(what.estimate, _returning(what.snapshot))
                 else:
                     self._recorder.finish(*what)
                     return
         except Exception as error:  # whatever it is, the run goes on
             _log.warning("recording stopped: %s: %s", type(error).__name__, error)
+
+
+def _returning(snapshot: Snapshot) -> TakeSnapshot:
+    return lambda: snapshot

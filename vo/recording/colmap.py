@@ -15,6 +15,7 @@ from vo.geometry import cameras
 from vo.geometry.rectification import rectified_rig
 from vo.recording.image_folder import ImageFolder
 from vo.recording.reconstruction import Model, Reconstruction, camera_of, pinhole_of
+from vo.recording.recorder import TakeSnapshot
 from vo.types import Camera, Estimate, Floats32, Rig, Trajectory, View
 
 _IMAGES, _MODELS = "images", "sparse"
@@ -58,25 +59,26 @@ class ColmapRecorder:
                 "choose another --colmap"
             ) from error
 
-    def record(self, estimate: Estimate) -> None:
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Take in a frame; a keyframe's image is written.
 
         Raises:
             OSError: the disk is full.
         """
-        self._reconstruction.add(estimate)
+        shown = snapshot()
+        self._reconstruction.add(estimate, shown)
         if self._camera is None:
-            self._camera, self._maps = _output_camera(estimate.view)
+            self._camera, self._maps = _output_camera(shown.view)
         if estimate.is_keyframe:
-            self._names[estimate.frame_index] = self._write_image(estimate)
+            self._names[estimate.frame_index] = self._write_image(estimate, shown.view)
 
-    def _write_image(self, estimate: Estimate) -> str:
-        image = estimate.view.image0
+    def _write_image(self, estimate: Estimate, view: View) -> str:
+        image = view.image0
         if self._maps is not None:
             undistorted = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
             image = np.asarray(undistorted, dtype=np.uint8)
         is_recorded = self._maps is None and not self._is_rectified
-        return self._images.add(estimate, image, is_recorded=is_recorded)
+        return self._images.add(estimate.frame_index, view.path, image, is_recorded=is_recorded)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the models that have points.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from vo.recording.background import BackgroundRecorder
-from vo.recording.recorder import Recorder
+from vo.recording.recorder import Recorder, TakeSnapshot
 from vo.types import Estimate, Rig, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -73,11 +74,12 @@ class SeveralRecorders:
         for recorder in self._recorders:
             recorder.begin(name, rig, ground_truth)
 
-    def record(self, estimate: Estimate) -> None:
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """After each frame."""
+        snapshot = cache(snapshot)
         for recorder in list(self._recorders):
             try:
-                recorder.record(estimate)
+                recorder.record(estimate, snapshot)
             except Exception as error:  # whatever it is, the run goes on
                 self._give_up(recorder, error)
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.types import Bytes, Estimate
+from vo.types import Bytes
 
 _COLOURS = 3
 
@@ -26,18 +26,18 @@ class ImageFolder:
         self._folder = folder
         self._names: set[str] = set()
 
-    def add(self, estimate: Estimate, shown: Bytes, *, is_recorded: bool) -> str:
+    def add(self, frame_index: int, path: Path | None, shown: Bytes, *, is_recorded: bool) -> str:
         """Write the image of a frame; gives its name, which has no white space.
 
         Args:
-            estimate: of the frame.
+            frame_index: of the frame.
+            path: file of its recorded image, or None.
             shown: its image as it is to be seen.
             is_recorded: whether that is the recorded one, so that a colour image may be copied.
 
         Raises:
             OSError: it cannot be written, or the folder is that of the recording.
         """
-        path = estimate.view.path
         if path is not None and path.parent.resolve() == self._folder.resolve():
             raise OSError(f"{self._folder} holds the recording's own images")
         recorded = _in_colour(path) if is_recorded and path is not None else None
@@ -45,7 +45,7 @@ class ImageFolder:
         stem = "frame" if path is None else re.sub(r"\s", "_", path.stem)
         name = f"{stem}{suffix}"
         if path is None or name in self._names:
-            name = f"{stem}_{estimate.frame_index:06d}{suffix}"
+            name = f"{stem}_{frame_index:06d}{suffix}"
         self._names.add(name)
         if recorded is None:
             (self._folder / name).write_bytes(_png(shown))

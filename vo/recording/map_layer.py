@@ -13,7 +13,7 @@ from vo.recording import entities
 from vo.recording.scene import GrowingMap, GrowingPath, KeyframeGraph, Points, SmoothedPath
 from vo.recording.tape import Strips, Tape
 from vo.recording.timelines import Moment
-from vo.types import Estimate, Floats, KeyframePose, Landmarks, State, Trajectory
+from vo.types import Estimate, Floats, KeyframePose, Landmarks, Snapshot, State, Trajectory
 
 _PATHS = {
     entities.CAUSAL_PATH: (entities.ORANGE, 1.2),
@@ -54,18 +54,18 @@ class MapLayer:
         )
         self._tape.fix(entities.COVARIANCE, shells)
 
-    def add(self, moment: Moment, estimate: Estimate) -> None:
+    def add(self, moment: Moment, estimate: Estimate, snapshot: Snapshot) -> None:
         """Note what a frame adds to the world."""
         self._add_state(moment, estimate.state)
         pose = estimate.world_from_cam0
         if pose is not None:
             self._add_pose(moment, pose, estimate.segment)
         if estimate.keyframes:
-            self._add_keyframes(moment, estimate)
+            self._add_keyframes(moment, estimate, snapshot.neighbours)
         is_map_due = estimate.frame_index >= self._next_map_frame
-        if estimate.landmarks is not None and pose is not None and is_map_due:
+        if snapshot.landmarks is not None and pose is not None and is_map_due:
             self._next_map_frame = estimate.frame_index + _FRAMES_BETWEEN_MAPS
-            self._add_landmarks(moment, estimate.landmarks, pose)
+            self._add_landmarks(moment, snapshot.landmarks, pose)
 
     def finish(self, moment: Moment, pieces: Sequence[Trajectory]) -> None:
         """Log the final path, a strip for each segment, in place of the growing one."""
@@ -90,11 +90,11 @@ class MapLayer:
         self._add_lines(moment, entities.CAUSAL_PATH, [] if line is None else [line])
         self._grow_frustum(moment, _FRUSTUM_SHARE_OF_PATH * float(np.linalg.norm(pose[:3, 3])))
 
-    def _add_keyframes(self, moment: Moment, estimate: Estimate) -> None:
+    def _add_keyframes(self, moment: Moment, estimate: Estimate, shared: Mapping[int, int]) -> None:
         lines, window, settled = self._smoothed.update(estimate.keyframes)
         self._add_lines(moment, entities.SMOOTHED_PATH, lines)
         self._add_whole(moment, entities.WINDOW_PATH, window)
-        neighbours = _closest(estimate.neighbours)
+        neighbours = _closest(shared)
         edges = self._graph.update(estimate.keyframes, estimate.frame_index, neighbours)
         self._add_whole(moment, entities.GRAPH, list(edges))
         self._add_covariances(moment, settled)

@@ -27,6 +27,7 @@ from vo.formats.messages import (
     TransformsMessage,
 )
 from vo.recording.reconstruction import camera_of
+from vo.recording.recorder import TakeSnapshot
 from vo.types import Estimate, FeatureState, Floats, Rig, Trajectory, View
 
 _WORLD, _CAM0, _SHOWN = "world", "cam0", "cam0_image"
@@ -72,21 +73,22 @@ class McapRecorder:
             ) from error
         self._writer.add_metadata("recording", {"name": name, "library": "vo"})
 
-    def record(self, estimate: Estimate) -> None:
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Write one frame.
 
         Raises:
             OSError: the disk is full.
         """
+        shown = snapshot()
         self._stamp_ns = estimate.stamp_ns
         pose = estimate.world_from_cam0
-        self._write_transforms(estimate.view, pose)
+        self._write_transforms(shown.view, pose)
         if pose is not None:
             self._write("/pose", PoseMessage(self._stamp_ns, _WORLD, pose))
             self._poses.append(pose)
-        self._write_image(estimate.view)
-        if estimate.landmarks is not None:
-            found = estimate.landmarks
+        self._write_image(shown.view)
+        if shown.landmarks is not None:
+            found = shown.landmarks
             grey = found.grey
             if grey is None:
                 grey = np.full(len(found.ids), _MID_GREY, dtype=np.uint8)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from vo.failures import describe
 from vo.geometry.quantiles import percentiles
 from vo.recording import entities
 from vo.recording.tape import Tape
 from vo.recording.timelines import Moment
-from vo.types import Estimate, FeatureState, State
+from vo.types import Estimate, FeatureState, State, View
 
 _SERIES = {
     f"{entities.TRACKING_PLOT}/matches": ("matches", entities.SKY),
@@ -46,13 +47,13 @@ class PlotLayer:
         )
         self._tape.fix(_LOST, crosses)
 
-    def add(self, moment: Moment, estimate: Estimate) -> None:
+    def add(self, moment: Moment, estimate: Estimate, view: View) -> None:
         """Note a frame's numbers, and what changed."""
         self.add_number(moment, f"{entities.TRACKING_PLOT}/matches", estimate.matches)
         self.add_number(moment, f"{entities.TRACKING_PLOT}/inliers", estimate.inliers)
         if estimate.state == State.LOST:
             self.add_number(moment, _LOST, 0.0)
-        self._add_reprojection(moment, estimate)
+        self._add_reprojection(moment, view)
         self._add_times(moment, estimate)
         self._add_events(moment, estimate)
 
@@ -60,8 +61,7 @@ class PlotLayer:
         """Note a point of a series."""
         self._tape.add(moment, entity, rr.Scalars, scalars=np.array([number], dtype=np.float64))
 
-    def _add_reprojection(self, moment: Moment, estimate: Estimate) -> None:
-        view = estimate.view
+    def _add_reprojection(self, moment: Moment, view: View) -> None:
         if view.error_px is None:
             return
         error_px = view.error_px[view.feature_state == FeatureState.TRACKED]
@@ -92,7 +92,7 @@ class PlotLayer:
             level, what = _CHANGES[estimate.state]
             if before == State.LOST:
                 what = "recovered" if estimate.state == State.TRACKING else what
-            why = f": {estimate.reason}" if estimate.reason else ""
+            why = f": {describe(estimate.failure)}" if estimate.failure else ""
             self._say(moment, level, what + why)
         if estimate.is_keyframe:
             counts = f"{estimate.inliers} of {estimate.matches} matches agree"

@@ -9,6 +9,7 @@ import numpy as np
 from vo.errors import OutputError
 from vo.formats.ply import write_ply
 from vo.recording.reconstruction import Reconstruction
+from vo.recording.recorder import TakeSnapshot
 from vo.types import Estimate, Rig, Trajectory
 
 
@@ -39,9 +40,9 @@ class PlyRecorder:
                 "choose another --ply"
             ) from error
 
-    def record(self, estimate: Estimate) -> None:
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Take in a frame."""
-        self._reconstruction.add(estimate)
+        self._reconstruction.add(estimate, snapshot())
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the points.

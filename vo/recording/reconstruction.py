@@ -24,6 +24,7 @@ from vo.types import (
     KeyframePose,
     Landmarks,
     Sightings,
+    Snapshot,
     Trajectory,
     View,
 )
@@ -71,15 +72,15 @@ class Reconstruction:
         self._camera: Camera | None = None
         self._cam0_from_image0 = np.eye(4)
 
-    def add(self, estimate: Estimate) -> None:
+    def add(self, estimate: Estimate, snapshot: Snapshot) -> None:
         """Take in a frame."""
-        self._camera = camera_of(estimate.view)
-        if estimate.view.cam0_from_image0 is not None:
-            self._cam0_from_image0 = estimate.view.cam0_from_image0
+        self._camera = camera_of(snapshot.view)
+        if snapshot.view.cam0_from_image0 is not None:
+            self._cam0_from_image0 = snapshot.view.cam0_from_image0
         for keyframe in estimate.keyframes:
             self._keyframes[keyframe.frame_index] = keyframe
-        if estimate.landmarks is not None:
-            self._take_in(estimate.landmarks)
+        if snapshot.landmarks is not None:
+            self._take_in(snapshot.landmarks)
 
     def _take_in(self, landmarks: Landmarks) -> None:
         for sightings in landmarks.sightings:

@@ -13,7 +13,7 @@ from vo.recording.blueprint import make_blueprint
 from vo.recording.map_layer import MapLayer
 from vo.recording.outlet import Outlet, open_file, open_viewer
 from vo.recording.plot_layer import PlotLayer
-from vo.recording.recorder import ImageChoice
+from vo.recording.recorder import ImageChoice, TakeSnapshot
 from vo.recording.tally import Tally
 from vo.recording.tape import Tape
 from vo.recording.timelines import Timelines
@@ -69,15 +69,16 @@ class RerunRecorder:
         self._fix_summary(self._tally.beginning())
         self._send()
 
-    def record(self, estimate: Estimate) -> None:
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Note one frame, and send what there is from time to time."""
         if not self._outlets:
             return
         moment = self._index.add(estimate)
         self._tally.add(estimate)
-        self._view.add(moment, estimate)
-        self._map.add(moment, estimate)
-        self._plots.add(moment, estimate)
+        shown = snapshot()
+        self._view.add(moment, estimate, shown.view)
+        self._map.add(moment, estimate, shown)
+        self._plots.add(moment, estimate, shown.view)
         self._show_truth_at_start(estimate)
         self._waiting += 1
         if self._waiting >= _FRAMES_PER_BATCH or time.monotonic() - self._sent >= self._batch_s:

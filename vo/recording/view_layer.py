@@ -52,9 +52,8 @@ class ViewLayer:
             lines = rr.LineStrips2D.from_fields(colors=[colour], radii=thin, draw_order=10.0)
             self._tape.fix(entity, lines)
 
-    def add(self, moment: Moment, estimate: Estimate) -> None:
+    def add(self, moment: Moment, estimate: Estimate, view: View) -> None:
         """Note what the cameras saw in this frame."""
-        view = estimate.view
         if not self._cameras_known:
             self._cameras_known = True
             self._fix_cameras(view)

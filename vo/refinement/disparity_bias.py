@@ -1,25 +1,24 @@
-"""Decides from window to window whether, and by how much, disparities are to be corrected."""
+"""Estimation of a disparity bias, constant or growing towards the sides, from many windows."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vo.backend.calibration_residual import CalibrationResidual
 from vo.geometry.rectification import RectifiedRig
-from vo.types import Floats
+from vo.types import CalibrationResidual, Floats
 
-# Windows of the same recording differ by more than their noise explains: uneven rectification,
-# moving things. Measured on real recordings, of the offset: 0.1 px.
+# Windows of one recording differ by more than their noise, due to uneven rectification and moving
+# objects: a standard deviation of 0.1 px of the offset, measured on real recordings.
 _SYSTEMATIC_PX = 0.1
 _SIGNIFICANT = 2.5  # standard deviations
-_LEAST_CHANGE_PX = 0.05
-_LEAST_WINDOWS = 3
-_YAW_PX, _LEAST_YAW, _MOST_YAW = 0.3, 0.5, 1.5
-_OVERLAP = 10  # windows from one to the next that shares no keyframe with it
+_MIN_CHANGE_PX = 0.05
+_MIN_WINDOWS = 3
+_MIN_SKEW_PX, _MIN_YAW_RATIO, _MAX_YAW_RATIO = 0.3, 0.5, 1.5
+_OVERLAP = 10  # number of consecutive windows that share keyframes
 
 
 class DisparityBiasEstimator:
-    """Averages what the windows say of the total error.
+    """Averages the estimates of windows.
 
     Attributes:
         applied: (2,) the offset and the curve that are corrected, pixels.
@@ -28,43 +27,43 @@ class DisparityBiasEstimator:
     def __init__(self, rig: RectifiedRig) -> None:
         self.applied: Floats = np.zeros(2)
         edge = max(rig.cx, rig.width - rig.cx) / rig.fx
-        self._edge = np.array([1.0, edge**2])  # what each of the two is at the image's sides
+        self._edge = np.array([1.0, edge**2])  # value of each of the two at the image's sides
         self._systematic = np.diag((_SYSTEMATIC_PX / self._edge) ** 2)
         self._information, self._sum = np.zeros((2, 2)), np.zeros(2)
         self._windows = 0
 
-    def update(self, left: CalibrationResidual, windows: int = 1) -> Floats | None:
-        """Take in the estimate of a window that speaks for so many.
+    def update(self, residual: CalibrationResidual, windows: int = 1) -> Floats | None:
+        """Add the estimate of a window that stands for `windows` of them.
 
-        Windows overlap: one in ten counts for how sure their mean is.
+        Windows overlap: one in ten counts for the uncertainty of their mean.
 
         Returns:
-            The new offset and curve to apply, or None to leave them.
+            The new offset and curve to apply, None for no change.
         """
-        information = np.linalg.inv(np.linalg.inv(left.information) + self._systematic)
+        information = np.linalg.inv(np.linalg.inv(residual.information) + self._systematic)
         self._information += windows * information
-        self._sum += windows * information @ (self.applied + left.value)
+        self._sum += windows * information @ (self.applied + residual.value)
         self._windows += windows
-        if self._windows < _LEAST_WINDOWS:
+        if self._windows < _MIN_WINDOWS:
             return None
-        # What windows differ by anyway is no error.
+        # Differences between windows are not significant.
         simplest = self._simplest()
         wanted = np.where(np.abs(simplest) * self._edge > _SYSTEMATIC_PX, simplest, 0.0)
-        if not (np.abs(wanted - self.applied) * self._edge >= _LEAST_CHANGE_PX).any():
+        if not (np.abs(wanted - self.applied) * self._edge >= _MIN_CHANGE_PX).any():
             return None
         self.applied = wanted
         return wanted
 
     def _simplest(self) -> Floats:
-        """What explains the windows with the fewest numbers: nothing, one of the two, or both."""
-        share = (1.0 + (self._windows - 1) / _OVERLAP) / self._windows
+        """The fewest parameters that explain the windows: none, one of the two, or both."""
+        weight = (1.0 + (self._windows - 1) / _OVERLAP) / self._windows
         both: Floats = np.asarray(np.linalg.solve(self._information, self._sum))
         best, least = both, _SIGNIFICANT
         for kept in ([], [0], [1]):
             value = np.zeros(2)
             value[kept] = self._sum[kept] / self._information[kept, kept]
-            missed = both - value
-            distance = float(np.sqrt(share * missed @ self._information @ missed))
+            remaining = both - value
+            distance = float(np.sqrt(weight * remaining @ self._information @ remaining))
             if distance < least:
                 best, least = value, distance
             if not best.any():
@@ -73,10 +72,11 @@ class DisparityBiasEstimator:
 
 
 def is_from_yaw(offset_px: float, skew_px: float) -> bool:
-    """Whether the offset and the skew of the rows have one cause: the right camera looks sideways.
+    """Whether the offset and the skew of vertical disparities are both from a yaw error.
 
-    Turned by w about its vertical axis it sees rows off by w x y and disparities by -w (1 + x^2),
-    x and y being pixels over focal length. A skew that another cause has is of another size.
+    A right camera turned by w about its vertical axis has vertical disparities of w x y and a bias
+    of disparities of -w (1 + x^2), in pixels from the principal point over focal length. A skew
+    from another cause has another size.
     """
-    ratio = -offset_px / skew_px if abs(skew_px) > _YAW_PX else 0.0
-    return _LEAST_YAW < ratio < _MOST_YAW
+    ratio = -offset_px / skew_px if abs(skew_px) > _MIN_SKEW_PX else 0.0
+    return _MIN_YAW_RATIO < ratio < _MAX_YAW_RATIO

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.failures import Failure
 from vo.geometry.quantiles import median, percentiles
 from vo.types import Estimate, State
 
@@ -16,7 +17,7 @@ class Unplaced(NamedTuple):
     """Why a frame had no pose when it was taken in."""
 
     state: State
-    reason: str
+    failure: Failure | None
 
 
 class StageTime(NamedTuple):
@@ -48,13 +49,13 @@ class Account:
         """Enter a frame."""
         self.frames.append(estimate.frame_index)
         if estimate.world_from_cam0 is None:
-            self.unplaced[estimate.frame_index] = Unplaced(estimate.state, estimate.reason)
+            self.unplaced[estimate.frame_index] = Unplaced(estimate.state, estimate.failure)
         else:
             self._inliers.append(estimate.inliers)
             if estimate.median_disparity_px is not None:
                 self._disparities_px.append(estimate.median_disparity_px)
-        if estimate.landmarks is not None:
-            self._count_landmarks(estimate.landmarks.ids)
+        if estimate.landmark_ids is not None:
+            self._count_landmarks(estimate.landmark_ids)
 
     def note_time(self, stage_ms: Mapping[str, float]) -> None:
         """Enter what the stages of one frame took."""

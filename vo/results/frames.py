@@ -31,7 +31,7 @@ FRAMES_HEADING = ",".join(
 
 def frame_line(estimate: Estimate, stage_ms: Mapping[str, float]) -> str:
     """One frame with the wall time of its stages; a stage that it did not need has 0."""
-    counts = (len(estimate.view.xy), estimate.matches, estimate.inliers)
+    counts = (estimate.features, estimate.matches, estimate.inliers)
     place = (estimate.frame_index, estimate.stamp_ns, estimate.state.value, estimate.segment)
     spent = (sum(stage_ms.values()), *(stage_ms.get(stage, 0.0) for stage in STAGES))
     fields = (*place, int(estimate.is_keyframe), *counts, *(f"{ms:.3f}" for ms in spent))

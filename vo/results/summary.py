@@ -8,13 +8,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from vo.failures import ImageDefect
 from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
 from vo.types import (
+    CalibrationErrors,
     Floats,
-    ImageDefect,
     Ints,
     LensError,
     PlacedFrames,
@@ -131,7 +132,7 @@ class Summary:
             "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),
             "skipped": [asdict(s) for s in self.skipped],
-            "without_pose": [r._asdict() for r in self.without_pose],
+            "without_pose": [_range_fields(r) for r in self.without_pose],
             "segments": [s._asdict() for s in self.segments],
             "stages": {name: _rounded(times) for name, times in stages.items()},
             **({} if profile is None else {"profile": profile._asdict()}),
@@ -152,10 +153,7 @@ def summarise(
     skipped: Sequence[Skipped],
     unpaired: int,
     wall_s: float,
-    disparity_offset_px: float = 0.0,
-    disparity_curve_px: float = 0.0,
-    right_camera: RightCameraError | None = None,
-    lens_error: LensError | None = None,
+    calibration: CalibrationErrors,
     error: str | None = None,
     profile: Profile | None = None,
 ) -> Summary:
@@ -189,10 +187,10 @@ def summarise(
         versions=versions(),
         median_inliers=account.median_inliers,
         median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
-        disparity_offset_px=round(disparity_offset_px, 4),
-        disparity_curve_px=round(disparity_curve_px, 4),
-        right_camera=right_camera,
-        lens_error=lens_error,
+        disparity_offset_px=round(calibration.disparity_offset_px, 4),
+        disparity_curve_px=round(calibration.disparity_curve_px, 4),
+        right_camera=calibration.right_camera,
+        lens_error=calibration.lens_error,
         profile=profile,
     )
 
@@ -204,6 +202,12 @@ def _untracked(facts: RunFacts, status: Status, account: Account) -> Ints:
     stop = facts.end if status == "finished" else account.frames[-1] + 1
     asked = np.arange(facts.start, stop, facts.stride)
     return np.asarray(asked[np.arange(len(asked)) % facts.every != 0])
+
+
+def _range_fields(range_: FrameRange) -> dict[str, Any]:
+    fields = range_._asdict()
+    del fields["defect"]  # the reason tells it
+    return fields
 
 
 def _segments(placed: PlacedFrames) -> list[Segment]:
@@ -282,7 +286,7 @@ def _of_far_scene(disparity_px: float) -> str:
 
 
 def _of_light(without_pose: Sequence[FrameRange], light: ImageDefect) -> list[str]:
-    ranges = [r for r in without_pose if ImageDefect.of(r.reason) is light]
+    ranges = [r for r in without_pose if r.defect is light]
     if not ranges:
         return []
     said = [str(r.first) if r.frames == 1 else f"{r.first} to {r.last}" for r in ranges]

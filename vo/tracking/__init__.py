@@ -1,1 +1,1 @@
-"""From matches to poses: the two-view start, frame to map, keyframe choice."""
+"""Tracking: each frame's pose in the map, first maps, and the decision on keyframes."""

@@ -1,76 +1,77 @@
-"""Mono, the map too thin for PnP: the essential matrix gives the motion, the map its length."""
+"""Frame-to-frame motion of a single camera where the map is too thin for PnP."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vo.config import Config
-from vo.frontend.matching import agree_in_rotation, match_everywhere
+from vo.config import StartConfig
+from vo.frontend.contracts import Matcher, feature_set
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry import epipolar
-from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
-from vo.mapping.local_map import Map
-from vo.snapshot import LastFrame
+from vo.mapping.local_map import LocalMap
+from vo.tracking.last_frame import LastFrame
 from vo.tracking.scale import scale_from_points
 from vo.types import Floats, Floats32, Ints
 
-_MIN_SUPPORT = 6
-_SAME_PX = 3.0
+_MIN_LANDMARKS = 6  # that must agree on the scale,
+_MIN_LANDMARK_RATIO = 0.5  # and their minimum ratio to all that could
+_SAME_PX = 3.0  # maximum distance of a landmark from the feature that it is seen as
 
 
-def essential_matrix_fallback(
-    world: Map,
-    last: LastFrame,
-    world_from_last: Floats,
-    frame: PreprocessedFrame,
-    rig: RectifiedRig,
-    config: Config,
-) -> Floats | None:
-    """world_from_cam by frame-to-frame motion; None unless some landmarks confirm its scale.
+class EssentialMatrixFallback:
+    """Motion from an essential matrix; its scale comes from landmarks of the map.
 
     Args:
-        world: the map.
-        last: the last tracked frame and what it sees.
-        world_from_last: its pose.
-        frame: the frame to place.
-        rig: the working camera.
-        config: all settings.
+        local_map: holds the landmarks.
+        matcher: matches features of two frames.
+        config: settings of two-view geometry.
     """
-    tracking = config.tracking
-    a, b = last.frame.keypoints, frame.keypoints
-    matched = match_everywhere(
-        a.descriptor, b.descriptor, max_distance=tracking.max_hamming, ratio=tracking.ratio
-    )
-    query = np.flatnonzero(matched >= 0)
-    query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
-    if len(query) < config.start.min_matches:
-        return None
-    first, second = (rig.undistort(xy) for xy in (a.xy[query], b.xy[matched[query]]))
-    found = epipolar.find_essential(first, second, rig.matrix, config.start.threshold_px)
-    if found is None or int(found[1].sum()) < config.start.min_points:
-        return None
-    motion = epipolar.recover_motion(found[0], first, second, rig.matrix, found[1])
-    query, second = query[found[1]], second[found[1]]
-    rows, at = _landmarks_of(world, a.xy[query], last.ids, last.image_xy)
-    in_last = transform_points(inverse(world_from_last), world.xyz[rows])
-    rays = (second[at] - (rig.cx, rig.cy)) / (rig.fx, rig.fy)
-    scale, support = scale_from_points(motion, in_last, rays)
-    if support < _MIN_SUPPORT or support < 0.5 * len(rows):
-        return None
-    motion[:3, 3] *= scale
-    return np.asarray(world_from_last @ inverse(motion))
 
+    def __init__(self, local_map: LocalMap, matcher: Matcher, config: StartConfig) -> None:
+        self._map = local_map
+        self._matcher = matcher
+        self._config = config
 
-def _landmarks_of(
-    world: Map, feature_xy: Floats32, ids: Ints, landmark_xy: Floats
-) -> tuple[Ints, Ints]:
-    """Map rows of landmarks seen where features (n, 2) are, and the rows of those features."""
-    rows = world.rows(ids)
-    landmark_xy, rows = landmark_xy[rows >= 0], rows[rows >= 0]
-    if len(rows) == 0 or len(feature_xy) == 0:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    distance = np.linalg.norm(feature_xy[:, None] - landmark_xy[None], axis=2)
-    nearest = np.argmin(distance, axis=1)
-    at = np.flatnonzero(distance[np.arange(len(nearest)), nearest] < _SAME_PX)
-    return rows[nearest[at]], at
+    def estimate(
+        self, last: LastFrame, world_from_last: Floats, frame: PreprocessedFrame
+    ) -> Floats | None:
+        """world_from_cam of a frame; None unless landmarks confirm the scale.
+
+        Args:
+            last: the last tracked frame and its landmarks.
+            world_from_last: (4, 4) its pose.
+            frame: the frame.
+        """
+        rig = self._map.rig
+        a, b = last.frame.keypoints, frame.keypoints
+        matches = self._matcher.match(feature_set(a), feature_set(b))
+        query = matches.query
+        if len(query) < self._config.min_matches:
+            return None
+        first, second = (rig.undistort(xy) for xy in (a.xy[query], b.xy[matches.train]))
+        found = epipolar.find_essential(first, second, rig.matrix, self._config.threshold_px)
+        if found is None or int(found[1].sum()) < self._config.min_points:
+            return None
+        essential, inlier = found
+        motion = epipolar.recover_motion(essential, first, second, rig.matrix, inlier)
+        query, second = query[inlier], second[inlier]
+        rows, at = self._landmarks_at(a.xy[query], last)
+        in_last = transform_points(inverse(world_from_last), self._map.xyz[rows])
+        rays = (second[at] - (rig.cx, rig.cy)) / (rig.fx, rig.fy)
+        scale, agreeing = scale_from_points(motion, in_last, rays)
+        if agreeing < _MIN_LANDMARKS or agreeing < _MIN_LANDMARK_RATIO * len(rows):
+            return None
+        motion[:3, 3] *= scale
+        return np.asarray(world_from_last @ inverse(motion))
+
+    def _landmarks_at(self, feature_xy: Floats32, last: LastFrame) -> tuple[Ints, Ints]:
+        """Map rows of landmarks seen where features (n, 2) are, and rows of those features."""
+        rows = self._map.rows(last.ids)
+        landmark_xy, rows = last.image_xy[rows >= 0], rows[rows >= 0]
+        if len(rows) == 0 or len(feature_xy) == 0:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        distance = np.linalg.norm(feature_xy[:, None] - landmark_xy[None], axis=2)
+        nearest = np.argmin(distance, axis=1)
+        at = np.flatnonzero(distance[np.arange(len(nearest)), nearest] < _SAME_PX)
+        return rows[nearest[at]], at

@@ -1,4 +1,4 @@
-"""First maps: from one stereo frame, or from two frames of a single camera."""
+"""First map of a single camera, from two frames with enough parallax."""
 
 from __future__ import annotations
 
@@ -6,26 +6,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vo.config import Config
-from vo.frontend.alignment import align_patches
-from vo.frontend.matching import agree_in_rotation, match_everywhere, match_windows
+from vo.config import StartConfig
+from vo.failures import Failure, FailureReason
+from vo.frontend.contracts import Matches, Windows, feature_set
+from vo.frontend.frontend import Frontend
+from vo.frontend.matching import with_common_rotation
+from vo.frontend.patch_alignment import patches_of
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.quantiles import median
-from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
-from vo.mapping.keyframes import add_keyframe
-from vo.mapping.local_map import Keyframe, Map
-from vo.tracking.two_view import IntermediateView, TwoView, start_two_view
-from vo.types import Bools, Floats, Ints
+from vo.mapping.keyframe import Keyframe, without_disparity
+from vo.mapping.local_map import LocalMap
+from vo.mapping.local_mapper import LocalMapper
+from vo.tracking.two_view import IntermediateView, MatchedViews, TwoView, reconstruct
+from vo.types import Floats, Ints
 
-_MOST_WAITING = 30  # frames kept in memory to be placed once there is a map
-_ASKED = 4  # of them, spread evenly, tell a plane's two motions apart; those in the middle best
+_MAX_WAITING = 30  # frames kept in memory, to be tracked in the first map
+_INTERMEDIATE_VIEWS = 4  # of them, evenly spread, that decide between two motions
+_MEDIAN_DEPTH = 1.0  # of the first map of each segment, whose scale is free
+_SEARCH_FACTOR = 4.0  # search radius in units of that of tracking
 
 
 @dataclass(frozen=True, eq=False)
 class InitialPair:
-    """Two frames that make a map: matched features and what they say of the motion."""
+    """Two frames that make a map.
+
+    Attributes:
+        reference: the first frame.
+        current: the second frame.
+        query: (N,) matched features of the first frame.
+        image_xy: (N, 2) their pixels in the second frame.
+        xy: (N, 2) the same as ideal pixels.
+        two_view: their reconstruction.
+    """
 
     reference: PreprocessedFrame
     current: PreprocessedFrame
@@ -36,14 +50,36 @@ class InitialPair:
 
 
 class MonocularInitializer:
-    """Follows the features of a reference frame until there is enough parallax for a map."""
+    """Tracks the features of a reference frame until there is enough parallax for a map.
 
-    def __init__(self, config: Config) -> None:
+    Attributes:
+        waiting: the frames since the reference frame, newest last.
+
+    Args:
+        local_map: the map.
+        mapper: adds keyframes to it.
+        frontend: matches features and aligns patches.
+        config: settings.
+        search_ratio: radius of the search windows in tracking, ratio of the image width.
+    """
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        mapper: LocalMapper,
+        frontend: Frontend,
+        config: StartConfig,
+        search_ratio: float,
+    ) -> None:
+        self.waiting: list[PreprocessedFrame] = []
+        self._map = local_map
+        self._mapper = mapper
+        self._frontend = frontend
         self._config = config
+        self._radius_ratio = _SEARCH_FACTOR * search_ratio
         self._reference: PreprocessedFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
-        self.waiting: list[PreprocessedFrame] = []  # the frames since the reference, newest last
-        # The reference's features that each of them has seen, and where (ideal pixels).
+        # Features of the reference frame that each waiting frame shows, and their ideal pixels.
         self._seen: list[tuple[Ints, Floats]] = []
 
     def restart(self) -> None:
@@ -51,119 +87,91 @@ class MonocularInitializer:
         self._reference = None
         self.waiting, self._seen = [], []
 
-    def attempt(self, frame: PreprocessedFrame, rig: RectifiedRig) -> InitialPair | str:
-        """A first map from the reference frame and this one, or why there is none yet."""
+    def attempt(self, frame: PreprocessedFrame) -> InitialPair | Failure:
+        """A pair of the reference frame and this one, or why it makes no map yet."""
         if self._reference is None:
-            return self._begin(frame, "this is the reference frame")
-        query, image_xy = self._match(self._reference, frame, rig)
-        if len(query) < self._config.start.min_matches:
-            return self._begin(frame, f"{len(query)} matches with the reference frame, too few")
+            self._set_reference(frame)
+            return Failure(FailureReason.REFERENCE_FRAME)
+        query, image_xy = self._match(self._reference, frame)
+        if len(query) < self._config.min_matches:
+            self._set_reference(frame)
+            return Failure(FailureReason.FEW_MATCHES, len(query), self._config.min_matches)
         self._expected_xy[query] = image_xy
+        rig = self._map.rig
         xy = rig.undistort(image_xy)
-        reference_xy = rig.undistort(self._reference.keypoints.xy[query])
-        asked = np.linspace(0, len(self._seen) - 1, min(_ASKED, len(self._seen)))
-        between = [_between(query, *self._seen[int(i)]) for i in asked]
-        result = start_two_view(reference_xy, xy, rig.matrix, self._config.start, between)
-        if isinstance(result, str):
-            self.waiting = [*self.waiting[1 - _MOST_WAITING :], frame]
-            self._seen = [*self._seen[1 - _MOST_WAITING :], (query, xy)]
+        views = MatchedViews(
+            rig.undistort(self._reference.keypoints.xy[query]),
+            xy,
+            rig.matrix,
+            self._intermediate_views(query),
+        )
+        result = reconstruct(views, self._config)
+        if isinstance(result, Failure):
+            self.waiting = [*self.waiting[1 - _MAX_WAITING :], frame]
+            self._seen = [*self._seen[1 - _MAX_WAITING :], (query, xy)]
             return result
         return InitialPair(self._reference, frame, query, image_xy, xy, result)
 
-    def _begin(self, frame: PreprocessedFrame, reason: str) -> str:
+    def create_map(
+        self, pair: InitialPair, world_from_cam: Floats, segment: int
+    ) -> tuple[Keyframe, Keyframe]:
+        """Replace the map by the keyframes and landmarks of a pair, the first at a pose (4, 4)."""
+        self._map.clear()
+        good, points = pair.two_view.good, pair.two_view.points
+        scale = _MEDIAN_DEPTH / median(points[good, 2])
+        motion = pair.two_view.second_from_first.copy()
+        motion[:3, 3] *= scale
+        query, image_xy = pair.query[good], pair.image_xy[good]
+        unused = np.ones(len(pair.reference.keypoints), dtype=bool)
+        unused[query] = False
+        first = self._mapper.add_first_keyframe(pair.reference, world_from_cam, segment, unused)
+        free = far_from(pair.current.keypoints.xy, image_xy)
+        second_pose = world_from_cam @ inverse(motion)
+        second = self._mapper.add_keyframe_at(pair.current, second_pose, segment, free)
+        in_world = transform_points(world_from_cam, points[good] * scale)
+        ids = self._map.add_landmarks(in_world, first, query, second)
+        reference_xy = pair.reference.keypoints.xy[query].astype(np.float64)
+        sigma_px = self._frontend.patches.sigma_px
+        first.add_observations(
+            without_disparity(ids, first.undistorted_xy[query], reference_xy, sigma_px)
+        )
+        second.add_observations(without_disparity(ids, pair.xy[good], image_xy, sigma_px))
+        return first, second
+
+    def _set_reference(self, frame: PreprocessedFrame) -> None:
         self._reference = frame
         self.waiting, self._seen = [], []
         self._expected_xy = frame.keypoints.xy.astype(np.float64)
-        return reason
 
-    def _match(
-        self, reference: PreprocessedFrame, frame: PreprocessedFrame, rig: RectifiedRig
-    ) -> tuple[Ints, Floats]:
-        """Features of the reference found in the frame, and where, to sub-pixel."""
-        tracking = self._config.tracking
-        a, b = reference.keypoints, frame.keypoints
-        radius = np.full(len(a), 4.0 * tracking.search_share * rig.width)
-        matched = match_windows(
-            self._expected_xy,
-            a.octave,
-            a.descriptor,
-            radius,
-            b.xy,
-            b.octave,
-            b.descriptor,
-            max_distance=tracking.max_hamming,
-            ratio=tracking.ratio,
-        )
-        if int((matched >= 0).sum()) < self._config.start.min_matches:
-            matched = match_everywhere(
-                a.descriptor,
-                b.descriptor,
-                max_distance=tracking.max_hamming,
-                ratio=tracking.ratio,
-            )
-        query = np.flatnonzero(matched >= 0)
-        query = query[agree_in_rotation(a.angle[query], b.angle[matched[query]])]
-        start = b.xy[matched[query]].astype(np.float64)
-        found = align_patches(
-            reference.image0[None],
-            np.zeros(len(query), dtype=np.int64),
-            a.xy[query].astype(np.float64),
-            np.tile(np.eye(2), (len(query), 1, 1)),
-            frame.image0,
-            start,
-            half_px=tracking.patch_half_px,
-        )
-        size = self._config.features.scale_factor ** b.octave[matched[query]]
-        good = found.converged & (found.score >= tracking.min_patch_score)
+    def _intermediate_views(self, query: Ints) -> list[IntermediateView]:
+        """Some waiting frames as views of the matches of features `query`."""
+        count = min(_INTERMEDIATE_VIEWS, len(self._seen))
+        views = []
+        for i in np.linspace(0, len(self._seen) - 1, count):
+            seen, xy = self._seen[int(i)]
+            _, rows, at = np.intersect1d(query, seen, assume_unique=True, return_indices=True)
+            views.append(IntermediateView(rows, xy[at]))
+        return views
+
+    def _match(self, reference: PreprocessedFrame, frame: PreprocessedFrame) -> tuple[Ints, Floats]:
+        """Features of the reference frame found in a frame, and their pixels there (n, 2)."""
+        matches = self._match_descriptors(reference, frame)
+        a, b, query = reference.keypoints, frame.keypoints, matches.query
+        start = b.xy[matches.train].astype(np.float64)
+        patches = self._frontend.patches
+        references = patches_of(reference.image0, a.xy[query].astype(np.float64))
+        found = patches.align(references, frame.image0, start)
+        size = self._frontend.scale_factor ** b.octave[matches.train]
+        good = patches.is_found(found)
         good &= np.linalg.norm(found.xy - start, axis=1) <= 1.0 + 1.5 * size
         return query[good], found.xy[good]
 
-
-def map_from_pair(
-    world: Map,
-    pair: InitialPair,
-    anchor: Floats,
-    median_depth: float,
-    segment: int,
-    rig: RectifiedRig,
-    sigma_px: float,
-) -> tuple[Keyframe, Keyframe]:
-    """Two keyframes and their landmarks, scaled to a median depth; the first is at `anchor`."""
-    good, points = pair.two_view.good, pair.two_view.points
-    scale = median_depth / median(points[good, 2])
-    motion = pair.two_view.second_from_first.copy()
-    motion[:3, 3] *= scale
-    query, in_world = pair.query[good], transform_points(anchor, points[good] * scale)
-    others = _others(pair.reference, query)
-    first = add_keyframe(world, pair.reference, anchor, segment, others, rig)
-    first.covariance = np.zeros((6, 6))  # what comes later is measured against it
-    taken = pair.image_xy[good]
-    free = far_from(pair.current.keypoints.xy, taken)
-    second = add_keyframe(world, pair.current, anchor @ inverse(motion), segment, free, rig)
-    keypoints = pair.reference.keypoints
-    reference_xy = keypoints.xy[query].astype(np.float64)
-    ids = world.add_landmarks(
-        in_world,
-        keypoints.descriptor[query],
-        keypoints.octave[query],
-        keypoints.angle[query],
-        first,
-        reference_xy,
-        second,
-    )
-    none, sigma = np.full(len(ids), np.nan), np.full(len(ids), sigma_px)
-    first.add_observations(ids, first.undistorted_xy[query], reference_xy, none, sigma)
-    second.add_observations(ids, pair.xy[good], taken, none, sigma)
-    return first, second
-
-
-def _between(query: Ints, seen: Ints, xy: Floats) -> IntermediateView:
-    """Which of the features `query` were among those seen, by row."""
-    _, rows, there = np.intersect1d(query, seen, assume_unique=True, return_indices=True)
-    return IntermediateView(rows, xy[there])
-
-
-def _others(frame: PreprocessedFrame, used: Ints) -> Bools:
-    free = np.ones(len(frame.keypoints), dtype=bool)
-    free[used] = False
-    return free
+    def _match_descriptors(self, reference: PreprocessedFrame, frame: PreprocessedFrame) -> Matches:
+        """Matches near the pixels in the frame before, or anywhere if these are too few."""
+        a, b, matcher = reference.keypoints, frame.keypoints, self._frontend.matcher
+        radius_px = np.full(len(a), self._radius_ratio * self._map.rig.width)
+        query, train = feature_set(a, xy=self._expected_xy), feature_set(b)
+        matches = matcher.match(query, train, Windows(radius_px), check_rotation=False)
+        if len(matches.query) < self._config.min_matches:
+            return matcher.match(query, train)
+        return with_common_rotation(matches, query, train)

@@ -1,6 +1,8 @@
-"""Where the camera should be next: it keeps its velocity."""
+"""Prediction of the next pose: the contract, and constant velocity."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 
@@ -8,39 +10,64 @@ from vo.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
 from vo.types import Floats
 
 
+class MotionModel(Protocol):
+    """Predicts the pose of the next frame. Poses are world_from_cam (4, 4)."""
+
+    @property
+    def last(self) -> Floats:
+        """Pose of the newest tracked frame, the identity before the first."""
+        ...
+
+    def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
+        """Begin at a pose of unknown velocity, with a new map."""
+        ...
+
+    def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
+        """Add the pose of a newly tracked frame."""
+        ...
+
+    def move(self, motion: Floats) -> None:
+        """Follow the newest frame, which optimisation has moved by (4, 4) in the world."""
+        ...
+
+    def predict(self, stamp_ns: int) -> Floats:
+        """Pose at a later time."""
+        ...
+
+
 class ConstantVelocity:
-    """Predicts a pose from the last two, whatever the time between frames."""
+    """Continues with the velocity between the last two poses, for any time between frames."""
 
     def __init__(self) -> None:
         self._stamp_ns = 0
         self._world_from_cam: Floats = np.eye(4)
         self._twist_per_s: Floats | None = None
 
+    @property
+    def last(self) -> Floats:
+        """Pose of the newest tracked frame, the identity before the first."""
+        return self._world_from_cam
+
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Begin at a pose, with no idea of the velocity."""
+        """Begin at a pose of unknown velocity."""
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
         self._twist_per_s = None
 
     def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Take in the pose of the newest frame."""
+        """Add the pose of a newly tracked frame."""
         elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
         if elapsed_s > 0:
             moved = se3_log(inverse(self._world_from_cam) @ world_from_cam)
             self._twist_per_s = moved / elapsed_s
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
 
-    def carry(self, motion: Floats) -> None:
-        """The newest frame was moved (4, 4) in the world; the velocity in its own frame stays."""
+    def move(self, motion: Floats) -> None:
+        """Move the newest pose by (4, 4) in the world; the velocity in its own frame stays."""
         self._world_from_cam = orthonormalised(motion @ self._world_from_cam)
 
     def predict(self, stamp_ns: int) -> Floats:
-        """world_from_cam at a later time."""
+        """Pose at a later time."""
         if self._twist_per_s is None:
             return self._world_from_cam
         elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
         return np.asarray(self._world_from_cam @ se3_exp(self._twist_per_s * elapsed_s))
-
-    @property
-    def last(self) -> Floats:
-        """world_from_cam of the newest frame."""
-        return self._world_from_cam

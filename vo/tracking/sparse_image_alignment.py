@@ -1,4 +1,7 @@
-"""The motion since the last frame from how its landmarks looked there, without any features."""
+"""Motion since the last frame from the patches of its landmarks, without features.
+
+Source: Forster et al., SVO, 2014, sec. IV-A (sparse image alignment).
+"""
 
 from __future__ import annotations
 
@@ -8,59 +11,55 @@ from vo.frontend.camera_alignment import align_sparse
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
-from vo.mapping.local_map import Map
-from vo.snapshot import LastFrame
+from vo.mapping.local_map import LocalMap
+from vo.tracking.last_frame import LastFrame
 from vo.types import Floats
 
-_MOST = 200  # landmarks, evenly chosen
-_LEAST = 20
-_CLEAR_SCORE, _CLEAR_SHARE = 0.7, 0.3  # so many patches must look like that in the end
+_MAX_LANDMARKS = 200  # evenly chosen
+_MIN_LANDMARKS = 20
+_MIN_SCORE, _MIN_SCORE_RATIO = 0.7, 0.3  # minimum ratio of patches that correlate as much
 
 
 def sparse_image_alignment(
-    world: Map,
+    local_map: LocalMap,
     last: LastFrame,
     world_from_last: Floats,
     frame: PreprocessedFrame,
     predicted: Floats,
-    rig: RectifiedRig,
 ) -> Floats | None:
-    """last_from_cam with which the last frame's landmarks look as they did; None if unclear.
-
-    It hangs on the landmarks' places against the last frame only, and outlasts what smoothing
-    makes of both in the world.
+    """last_from_cam (4, 4) at which landmarks look as in the last frame; None if it is unclear.
 
     Args:
-        world: the map.
-        last: the last tracked frame and what it sees.
-        world_from_last: its pose.
-        frame: the frame to place.
-        predicted: world_from_cam to begin with.
-        rig: the working camera.
+        local_map: the map.
+        last: the last tracked frame and its landmarks.
+        world_from_last: (4, 4) its pose.
+        frame: the frame.
+        predicted: (4, 4) world_from_cam to start from.
     """
-    rows = world.rows(last.ids)
+    rig = local_map.rig
+    rows = local_map.rows(last.ids)
     seen = np.flatnonzero((rows >= 0) & last.inlier)
-    seen = seen[:: max(1, len(seen) // _MOST)]
-    if len(seen) < _LEAST:
+    seen = seen[:: max(1, len(seen) // _MAX_LANDMARKS)]
+    if len(seen) < _MIN_LANDMARKS:
         return None
-    points = transform_points(inverse(world_from_last), world.xyz[rows[seen]])
+    points = transform_points(inverse(world_from_last), local_map.xyz[rows[seen]])
     start = inverse(predicted) @ world_from_last
     found = align_sparse(
-        last.frame.smaller,
+        last.frame.pyramid,
         last.image_xy[seen],
-        frame.smaller,
+        frame.pyramid,
         points,
         start,
-        _distort(rig.project(transform_points(start, points)), rig),
-        (rig.fx, rig.fy, rig.cx, rig.cy),
+        _distortion_near(rig.project(transform_points(start, points)), rig),
+        rig.intrinsics,
     )
-    if float(np.mean(found.score >= _CLEAR_SCORE)) < _CLEAR_SHARE:
+    if float(np.mean(found.score >= _MIN_SCORE)) < _MIN_SCORE_RATIO:
         return None
     return inverse(found.target_from_reference)
 
 
-def _distort(xy: Floats, rig: RectifiedRig) -> Floats:
-    """What the lens does to pixels near xy (N, 2), as affine maps (N, 2, 3)."""
+def _distortion_near(xy: Floats, rig: RectifiedRig) -> Floats:
+    """Affine maps (N, 2, 3) from ideal pixels near xy (N, 2) to pixels of the rectified image."""
     if rig.lens is None:
         return np.tile(np.eye(2, 3), (len(xy), 1, 1))
     beside = np.concatenate([xy, xy + (1.0, 0.0), xy + (0.0, 1.0)])

@@ -1,142 +1,223 @@
-"""Place a frame in the map: a first pose from descriptors, then from every patch in view."""
+"""Tracking: the pose of a frame in the map.
+
+A first pose comes from sparse image alignment, from descriptors near the predicted pose or
+anywhere, or from an essential matrix. It is refined on the patches of all landmarks in view.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.config import Config, TrackingConfig
+from vo.config import StartConfig, TrackingConfig
+from vo.frontend.contracts import FeatureSet, Windows, feature_set
+from vo.frontend.frontend import Frontend
 from vo.frontend.preprocessing import PreprocessedFrame
-from vo.geometry.quantiles import median
-from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse
-from vo.mapping.local_map import Keyframe, Map
-from vo.tracking import observations as observe
-from vo.tracking.observations import Observations
-from vo.types import Bools, Floats, Ints
+from vo.mapping.local_map import LocalMap
+from vo.mapping.octaves import predicted_octave
+from vo.mapping.tracked_frame import TrackedFrame
+from vo.stopwatch import Stopwatch, timed
+from vo.tracking.essential_matrix import EssentialMatrixFallback
+from vo.tracking.landmark_alignment import LandmarkAligner
+from vo.tracking.last_frame import LastFrame, last_frame
+from vo.tracking.motion_model import MotionModel
+from vo.tracking.pose_estimation import PoseEstimator
+from vo.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.tracking.visibility import visible_landmarks
+from vo.types import Floats, Ints
 
-# Search windows, one after the other, in units of the normal one.
-_WIDEN = (1.0, 3.0)
-_WIDEN_LOST = (3.0, 8.0)
+# Radii of the search windows, tried in turn, in units of the configured one.
+_RADII = (1.0, 3.0)
+_RADII_LOST = (3.0, 8.0)
+# Minimum ratio of the last frame's inliers that must agree with a pose from sparse image alignment.
+_MIN_SPARSE_RATIO = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class TrackedFrame:
-    """A frame placed in the map: its pose, what it sees (landmark ids), and what agrees.
-
-    Only the ids hold for long: the rows in `observed` move when landmarks are dropped.
-    """
+class _FirstPose(NamedTuple):
+    """A pose to refine, and the number of inliers from which no other one is tried."""
 
     world_from_cam: Floats
-    ids: Ints
-    observed: Observations
-    inlier: Bools
-
-    @property
-    def inliers(self) -> int:
-        """Number of landmarks that agree with the pose."""
-        return int(self.inlier.sum())
-
-    @property
-    def median_disparity_px(self) -> float | None:
-        """Of the landmarks that agree with the pose; None where no disparity was measured."""
-        disparity = self.observed.disparity[self.inlier]
-        measured = disparity[~np.isnan(disparity)]
-        return median(measured) if len(measured) else None
+    enough: float = 0.0
 
 
-def track_by_projection(
-    world: Map,
-    frame: PreprocessedFrame,
-    predicted: Floats,
-    rig: RectifiedRig,
-    config: Config,
-    *,
-    lost: bool = False,
-) -> Floats | None:
-    """world_from_cam from landmarks matched near where a predicted pose puts them.
+class Tracker:
+    """Tracks frames in the local map; holds the motion model and the last frame.
 
-    With `lost` the prediction is a guess, and wider windows are searched.
+    Attributes:
+        last: the last tracked frame, None before the first of a segment.
+        stopwatch: counts stages `match` and `align`.
+
+    Args:
+        local_map: the map.
+        frontend: matches features and aligns patches.
+        motion: predicts poses.
+        config: tracking settings.
+        start: settings of two-view geometry, for the essential matrix.
+        stopwatch: measures the stages.
     """
-    visible = observe.visible_landmarks(world, rig, predicted)
-    radius_px = config.tracking.search_share * rig.width
-    for widen in _WIDEN_LOST if lost else _WIDEN:
-        query, keypoints = observe.match_by_descriptor(
-            world, visible, frame, widen * radius_px, config.features.scale_factor, config.tracking
-        )
-        pose = _pose_of(world, frame, visible.rows[query], keypoints, rig, config)
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        frontend: Frontend,
+        motion: MotionModel,
+        config: TrackingConfig,
+        start: StartConfig,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.last: LastFrame | None = None
+        self.stopwatch = stopwatch
+        self._map = local_map
+        self._matcher = frontend.matcher
+        self._scale_factor = frontend.scale_factor
+        self._motion = motion
+        self._config = config
+        self._aligner = LandmarkAligner(local_map, frontend, config.min_inliers)
+        self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
+        self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
+
+    @property
+    def last_pose(self) -> Floats:
+        """world_from_cam of the last tracked frame, the identity before the first."""
+        return self._motion.last
+
+    def restart(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
+        """Begin at the frame that a new map was made of, with unknown velocity."""
+        self._motion.restart(frame.stamp_ns, tracked.world_from_cam)
+        self.last = last_frame(frame, tracked)
+
+    def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
+        """Continue from a tracked frame."""
+        self._motion.update(frame.stamp_ns, tracked.world_from_cam)
+        self.last = last_frame(frame, tracked)
+
+    def forget_last_frame(self) -> None:
+        """Begin a new segment."""
+        self.last = None
+
+    def move(self, motion: Floats) -> None:
+        """Follow the map's newest keyframe, which optimisation has moved by (4, 4)."""
+        self._motion.move(motion)
+
+    @timed("match")
+    def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
+        """last_from_cam (4, 4) by sparse image alignment; None if it fails.
+
+        It depends on the landmarks' positions relative to the last frame only, and stays valid when
+        optimisation moves both in the world.
+        """
+        if self.last is None:
+            return None
+        predicted = self._motion.predict(frame.stamp_ns)
+        return sparse_image_alignment(self._map, self.last, self._motion.last, frame, predicted)
+
+    @timed("match")
+    def track(
+        self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool = False
+    ) -> TrackedFrame | None:
+        """The frame's pose with most inliers of those tried; None if too few landmarks agree.
+
+        Args:
+            frame: the frame.
+            last_from_cam: (4, 4) from `align_to_last`.
+            is_lost: whether the frame before was not tracked.
+        """
+        best: TrackedFrame | None = None
+        for first in self._first_poses(frame, last_from_cam, is_lost=is_lost):
+            tracked = self.refine(frame, first.world_from_cam)
+            if best is None or (tracked is not None and tracked.inliers >= best.inliers):
+                best = tracked
+            if best is not None and best.inliers >= first.enough:
+                return best
+        return best
+
+    def _first_poses(
+        self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool
+    ) -> Iterator[_FirstPose]:
+        """Poses to refine, the most accurate and cheapest first."""
+        if self.last is not None and last_from_cam is not None:
+            enough = _MIN_SPARSE_RATIO * int(self.last.inlier.sum())
+            yield _FirstPose(self._motion.last @ last_from_cam, enough)
+        predicted = self._motion.predict(frame.stamp_ns)
+        pose = self.track_by_projection(frame, predicted, _RADII)
         if pose is not None:
-            return pose
-    return None
+            yield _FirstPose(pose)
+        if is_lost:  # the camera may have stopped as well as gone on
+            pose = self.track_by_projection(frame, self._motion.last, _RADII_LOST)
+            if pose is not None:
+                yield _FirstPose(pose)
+        else:
+            yield _FirstPose(predicted)
+        pose = self.relocalize(frame)
+        if pose is not None:
+            yield _FirstPose(pose)
+        if not self._map.rig.is_stereo and self.last is not None:
+            pose = self._essential_matrix.estimate(self.last, self._motion.last, frame)
+            if pose is not None:
+                yield _FirstPose(pose)
 
-
-def relocalize(
-    world: Map, frame: PreprocessedFrame, rig: RectifiedRig, config: Config
-) -> Floats | None:
-    """world_from_cam from descriptors alone."""
-    rows, keypoints = observe.match_without_prediction(world, frame, config.tracking)
-    return _pose_of(world, frame, rows, keypoints, rig, config)
-
-
-def refine(
-    world: Map, frame: PreprocessedFrame, pose: Floats, rig: RectifiedRig, config: Config
-) -> TrackedFrame | None:
-    """Align every landmark in view, starting from a first pose, and fit the pose to them.
-
-    None if too few of them agree.
-    """
-    visible = observe.visible_landmarks(world, rig, pose, config.tracking.max_landmarks)
-    observed = observe.align_landmarks(world, visible, frame.image0, rig, config.tracking)
-    observed = observe.with_disparity(
-        observed, world, pose, frame, rig, config.tracking, config.stereo
-    )
-    fit = observe.fit_pose(world, observed, pose, rig, config.tracking)
-    world.visible[visible.rows] += 1
-    world.found[observed.rows[fit.inlier]] += 1
-    if int(fit.inlier.sum()) < _needed(len(visible.rows), config.tracking):
+    def track_by_projection(
+        self, frame: PreprocessedFrame, predicted: Floats, radii: tuple[float, ...] = _RADII
+    ) -> Floats | None:
+        """world_from_cam from descriptors near where a predicted pose (4, 4) projects landmarks."""
+        visible = visible_landmarks(self._map, predicted)
+        rows = visible.rows
+        octave = predicted_octave(self._map.octave[rows], visible.scale, self._scale_factor)
+        query = replace(self._features_of(rows), xy=visible.image_xy, octave=octave)
+        radius_px = self._config.search_ratio * self._map.rig.width
+        for factor in radii:
+            region = Windows(np.full(len(rows), factor * radius_px))
+            matches = self._matcher.match(query, feature_set(frame.keypoints), region)
+            pose = self._pose(frame, rows[matches.query], matches.train)
+            if pose is not None:
+                return pose
         return None
-    ids = world.id[observed.rows]
-    return TrackedFrame(inverse(fit.cam_from_world), ids, observed, fit.inlier)
 
+    def relocalize(self, frame: PreprocessedFrame) -> Floats | None:
+        """world_from_cam from descriptors alone."""
+        query = self._features_of(np.arange(len(self._map)))
+        matches = self._matcher.match(query, feature_set(frame.keypoints))
+        return self._pose(frame, matches.query, matches.train)
 
-def _needed(visible: int, config: TrackingConfig) -> float:
-    """How many landmarks have to agree: half as many do where they are most of those in view."""
-    sure = config.min_inliers
-    return max(min(sure, max(sure, visible) / 2), config.min_share * visible)
+    def track_anywhere(self, frame: PreprocessedFrame) -> TrackedFrame | None:
+        """Track a frame without a prediction."""
+        pose = self.relocalize(frame)
+        return None if pose is None else self.refine(frame, pose)
 
+    @timed("align")
+    def refine(self, frame: PreprocessedFrame, world_from_cam: Floats) -> TrackedFrame | None:
+        """Align all landmarks in view, starting at a pose (4, 4), and fit the pose to them.
 
-def as_tracked_frame(world: Map, keyframe: Keyframe) -> TrackedFrame:
-    """A first keyframe as if it had been tracked."""
-    n = len(keyframe.landmark)
-    observed = Observations(
-        world.rows(keyframe.landmark),
-        keyframe.image_xy,
-        keyframe.xy,
-        keyframe.disparity,
-        keyframe.sigma_px,
-        np.ones(n),
-        np.ones(n),
-        np.zeros((n, 2)),
-    )
-    every = np.ones(n, dtype=bool)
-    return TrackedFrame(keyframe.world_from_cam, keyframe.landmark, observed, every)
+        None if too few of them agree.
+        """
+        visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
+        observed = self._aligner.align(visible, frame.image0)
+        observed = self._aligner.with_disparity(observed, world_from_cam, frame)
+        fit = self._estimator.refine(observed, world_from_cam)
+        self._map.visible[visible.rows] += 1
+        self._map.found[observed.rows[fit.inlier]] += 1
+        if int(fit.inlier.sum()) < self._min_inliers(len(visible.rows)):
+            return None
+        ids = self._map.id[observed.rows]
+        return TrackedFrame(inverse(fit.cam_from_world), ids, observed, fit.inlier)
 
+    def _min_inliers(self, visible: int) -> float:
+        """Minimum number of inliers; half as many where they are most of the landmarks in view."""
+        usual = self._config.min_inliers
+        fewest = min(usual, max(usual, visible) / 2)
+        return max(fewest, self._config.min_inlier_ratio * visible)
 
-def _pose_of(
-    world: Map,
-    frame: PreprocessedFrame,
-    rows: Ints,
-    keypoints: Ints,
-    rig: RectifiedRig,
-    config: Config,
-) -> Floats | None:
-    octave = frame.keypoints.octave[keypoints].astype(np.float64)
-    found = observe.pose_from_matches(
-        world.xyz[rows],
-        rig.undistort(frame.keypoints.xy[keypoints]),
-        config.features.scale_factor**octave,
-        rig,
-        config.tracking,
-    )
-    return None if found is None else found[0]
+    def _features_of(self, rows: Ints) -> FeatureSet:
+        """Landmarks by row as features to match."""
+        world = self._map
+        return FeatureSet(None, world.octave[rows], world.angle[rows], world.descriptor[rows])
+
+    def _pose(self, frame: PreprocessedFrame, rows: Ints, features: Ints) -> Floats | None:
+        """world_from_cam from landmarks (n,) matched with features (n,)."""
+        octave = frame.keypoints.octave[features].astype(np.float64)
+        xy = self._map.rig.undistort(frame.keypoints.xy[features])
+        return self._estimator.from_matches(rows, xy, self._scale_factor**octave)

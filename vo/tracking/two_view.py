@@ -1,4 +1,7 @@
-"""The mono start: a first map from two views, or the reason why not yet."""
+"""Two-view reconstruction: motion and points from matches of two images of one camera.
+
+Source: Mur-Artal et al., "ORB-SLAM", 2015, sec. IV (automatic map initialisation).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import StartConfig
+from vo.failures import Failure, FailureReason
 from vo.geometry import epipolar
 from vo.geometry.pnp import refine_pose
 from vo.geometry.quantiles import median
@@ -17,18 +21,19 @@ from vo.types import Bools, Floats, Ints
 
 # 95 % of the chi-square distribution with 1 and 2 degrees of freedom (Mur-Artal 2015, eq. 2).
 _CHI2_LINE, _CHI2_POINT = 3.84, 5.99
-# Points with less than this share of the parallax asked for have no depth worth keeping.
-_LEAST_SHARE = 0.3
-# Motions that make more than this share of the most good points are rivals: points cannot tell.
-_RIVALS = 0.7
-# Of rivals the one is taken whose squared errors in the frames between are this much smaller.
-_CLEARLY = 2.0
-_LEAST_SEEN = 30  # points that a frame between must share with the two
+# Minimum parallax of a point that is kept, ratio of the parallax that the map needs.
+_MIN_PARALLAX_RATIO = 0.3
+# Minimum ratio of good points to the most of any motion, for a motion that may be the true one.
+_MIN_RIVAL_RATIO = 0.7
+# Minimum ratio of squared errors in intermediate views from which the smaller one decides.
+_MIN_ERROR_RATIO = 2.0
+_MIN_COMMON = 30  # points that an intermediate view must share with the two
+_MIN_GOOD_RATIO = 0.5  # of good points to inliers
 
 
 @dataclass(frozen=True, eq=False)
 class TwoView:
-    """A first map.
+    """A reconstruction from two views.
 
     Attributes:
         second_from_first: (4, 4); the translation has length 1.
@@ -44,101 +49,110 @@ class TwoView:
 
 
 class IntermediateView(NamedTuple):
-    """What a frame between the two has seen of their matches.
+    """Matches as seen by a frame between the two views.
 
     Attributes:
         rows: (M,) of the matches.
-        xy: (M, 2) where they are in it, ideal pixels.
+        xy: (M, 2) ideal pixels in this frame.
     """
 
     rows: Ints
     xy: Floats
 
 
-def start_two_view(
-    first: Floats,
-    second: Floats,
-    matrix: Floats,
-    config: StartConfig,
-    between: Sequence[IntermediateView] = (),
-) -> TwoView | str:
-    """Motion and points from matches (N, 2) in ideal pixels, or why there is none.
+class MatchedViews(NamedTuple):
+    """Matches of two views of one camera.
 
-    Both models are fitted; the one that explains the matches better is used, after
-    Mur-Artal et al., "ORB-SLAM", 2015, sec. IV. Too little parallax (standing still, pure
-    rotation) gives no map, whatever the scores.
-
-    Two views of a plane allow two motions (Faugeras and Lustman 1988): one with the true plane,
-    one with a plane across the direction of travel. The second is another plane for every length
-    of the way, so that frames `between`, oldest first, tell them apart.
+    Attributes:
+        first: (N, 2) ideal pixels in the first view.
+        second: (N, 2) ideal pixels in the second view.
+        matrix: (3, 3) camera matrix.
+        between: views between the two, oldest first.
     """
+
+    first: Floats
+    second: Floats
+    matrix: Floats
+    between: Sequence[IntermediateView] = ()
+
+
+def reconstruct(views: MatchedViews, config: StartConfig) -> TwoView | Failure:
+    """Motion and points from the matches of two views.
+
+    An essential matrix and a homography are fitted; the one that explains the matches better is
+    used (Mur-Artal 2015, sec. IV). Too little parallax (no motion, pure rotation) is a failure,
+    whatever the scores.
+
+    Two views of a plane allow two motions (Faugeras and Lustman 1988): one with the true plane and
+    one with a plane across the direction of travel. The latter is another plane for every distance
+    travelled, so that intermediate views tell them apart.
+    """
+    first, second, matrix, _ = views
     if len(first) < config.min_matches:
-        return f"{len(first)} matches with the reference frame, {config.min_matches} needed"
+        return Failure(FailureReason.FEW_MATCHES, len(first), config.min_matches)
     if median(np.linalg.norm(second - first, axis=1)) < config.min_motion_px:
-        return "the image hardly moves"
+        return Failure(FailureReason.LITTLE_MOTION)
     essential = epipolar.find_essential(first, second, matrix, config.threshold_px)
     homography = epipolar.find_homography(first, second, config.threshold_px)
     if essential is None:
-        return "no essential matrix fits the matches"
+        return Failure(FailureReason.NO_ESSENTIAL_MATRIX)
     motion = epipolar.recover_motion(essential[0], first, second, matrix, essential[1])
-    line_score = _essential_score(motion, first, second, matrix, config.threshold_px)
+    line_score = _essential_score(motion, views, config.threshold_px)
     plane_score = 0.0
     if homography is not None:
         plane_score = _homography_score(homography[0], first, second, config.threshold_px)
     # Eq. 5: a plane, or a motion with little parallax, is explained by a homography as well.
-    if homography is not None and plane_score > config.homography_share * (
+    if homography is not None and plane_score > config.homography_ratio * (
         plane_score + line_score
     ):
         candidates = epipolar.motions_of_homography(homography[0], matrix)
-        return _choose(
-            candidates, homography[1], first, second, matrix, config, "homography", between
-        )
-    return _choose([motion], essential[1], first, second, matrix, config, "essential")
+        return _choose(candidates, homography[1], views, config, "homography")
+    return _choose([motion], essential[1], views._replace(between=()), config, "essential")
+
+
+class _Trial(NamedTuple):
+    """Points (N, 3) triangulated with a candidate motion, whether good (N,), parallax (N,) rad."""
+
+    points: Floats
+    good: Bools
+    angle: Floats
 
 
 def _choose(
     candidates: list[Floats],
     inlier: Bools,
-    first: Floats,
-    second: Floats,
-    matrix: Floats,
+    views: MatchedViews,
     config: StartConfig,
     model: str,
-    between: Sequence[IntermediateView] = (),
-) -> TwoView | str:
+) -> TwoView | Failure:
     """The candidate with clearly the most good points, if it has enough of them and parallax."""
     if not candidates:
-        return "the camera only turns"
-    trials = [_trial(motion, inlier, first, second, matrix, config) for motion in candidates]
-    counts = np.array([int(good.sum()) for _, good, _ in trials])
-    enough = max(config.min_points, 0.5 * int(inlier.sum()))
+        return Failure(FailureReason.PURE_ROTATION)
+    trials = [_try(motion, inlier, views, config) for motion in candidates]
+    counts = np.array([int(trial.good.sum()) for trial in trials])
+    inliers = int(inlier.sum())
+    enough = max(config.min_points, _MIN_GOOD_RATIO * inliers)
     best = int(np.argmax(counts))
-    rivals = np.flatnonzero(counts > _RIVALS * counts[best])
+    rivals = np.flatnonzero(counts > _MIN_RIVAL_RATIO * counts[best])
     if len(rivals) > 1 and counts[best] >= enough:
-        errors = [_squared_error(trials[i][0], trials[i][1], between, matrix) for i in rivals]
+        errors = [_squared_error(trials[i], views) for i in rivals]
         order = np.argsort(errors)
-        if not errors[order[1]] > _CLEARLY * errors[order[0]]:
-            return "the plane in view allows two motions"
+        if not errors[order[1]] > _MIN_ERROR_RATIO * errors[order[0]]:
+            return Failure(FailureReason.AMBIGUOUS_PLANE)
         best = int(rivals[order[0]])
     if counts[best] < enough:
-        return f"{counts[best]} of {int(inlier.sum())} inliers make good points, too few"
+        return Failure(FailureReason.FEW_GOOD_POINTS, int(counts[best]), inliers)
     points, good, angle = trials[best]
-    # Far points never show parallax, however long one waits: enough near ones are what counts.
-    parallax = np.rad2deg(np.sort(angle[good])[-config.min_points])
-    if parallax < config.min_parallax_deg:
-        return f"{parallax:.2f}° of parallax, {config.min_parallax_deg}° needed"
-    good &= np.rad2deg(angle) >= _LEAST_SHARE * config.min_parallax_deg
+    # Far points never show parallax: the parallax of the best `min_points` points is decisive.
+    parallax_deg = float(np.rad2deg(np.sort(angle[good])[-config.min_points]))
+    if parallax_deg < config.min_parallax_deg:
+        return Failure(FailureReason.LITTLE_PARALLAX, parallax_deg, config.min_parallax_deg)
+    good &= np.rad2deg(angle) >= _MIN_PARALLAX_RATIO * config.min_parallax_deg
     return TwoView(candidates[best], points, good, model)
 
 
-def _trial(
-    motion: Floats,
-    inlier: Bools,
-    first: Floats,
-    second: Floats,
-    matrix: Floats,
-    config: StartConfig,
-) -> tuple[Floats, Bools, Floats]:
+def _try(motion: Floats, inlier: Bools, views: MatchedViews, config: StartConfig) -> _Trial:
+    first, second, matrix, _ = views
     focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
     points, angle = triangulate(motion, (first - centre) / focal, (second - centre) / focal)
     good = inlier & in_front(points, motion)
@@ -148,40 +162,40 @@ def _trial(
         error_second = moved[:, :2] / moved[:, 2:] * focal + centre - second
         close = np.maximum(np.sum(error_first**2, axis=1), np.sum(error_second**2, axis=1))
     good &= close < _CHI2_POINT * config.threshold_px**2
-    return points, good, angle
+    return _Trial(points, good, angle)
 
 
-def _squared_error(
-    points: Floats, good: Bools, between: Sequence[IntermediateView], matrix: Floats
-) -> float:
-    """Of points in the frames between, each placed by them, px^2; mean of medians, NaN if none."""
+def _squared_error(trial: _Trial, views: MatchedViews) -> float:
+    """Mean over intermediate views of the median squared error, px^2; NaN without views.
+
+    Each view is placed by the points themselves.
+    """
     pose, errors = np.eye(4), []
-    intrinsics = float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
-    for frame in between:
-        usable = good[frame.rows]
-        rows, xy = frame.rows[usable], frame.xy[usable]
-        if len(rows) < _LEAST_SEEN:
+    m = views.matrix
+    intrinsics = float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2])
+    for view in views.between:
+        usable = trial.good[view.rows]
+        rows, xy = view.rows[usable], view.xy[usable]
+        if len(rows) < _MIN_COMMON:
             continue
         none, sigma = np.full(len(rows), np.nan), np.ones(len(rows))
-        fit = refine_pose(pose, points[rows], xy, none, sigma, 1.0, intrinsics, 0.0)
+        fit = refine_pose(pose, trial.points[rows], xy, none, sigma, 1.0, intrinsics, 0.0)
         errors.append(median(fit.residual**2))
-        pose = fit.cam_from_world  # where the next one begins
+        pose = fit.cam_from_world  # start of the next view
     return float(np.mean(errors)) if errors else float("nan")
 
 
-def _essential_score(
-    motion: Floats, first: Floats, second: Floats, matrix: Floats, sigma: float
-) -> float:
-    fundamental = epipolar.fundamental_from_motion(motion, matrix)
-    errors = epipolar.epipolar_errors(fundamental, first, second)
-    return sum(_score(e / sigma**2, _CHI2_LINE) for e in errors)
+def _essential_score(motion: Floats, views: MatchedViews, sigma_px: float) -> float:
+    fundamental = epipolar.fundamental_from_motion(motion, views.matrix)
+    errors = epipolar.epipolar_errors(fundamental, views.first, views.second)
+    return sum(_score(e / sigma_px**2, _CHI2_LINE) for e in errors)
 
 
-def _homography_score(homography: Floats, first: Floats, second: Floats, sigma: float) -> float:
+def _homography_score(homography: Floats, first: Floats, second: Floats, sigma_px: float) -> float:
     errors = epipolar.transfer_errors(homography, first, second)
-    return sum(_score(e / sigma**2, _CHI2_POINT) for e in errors)
+    return sum(_score(e / sigma_px**2, _CHI2_POINT) for e in errors)
 
 
 def _score(squared: Floats, limit: float) -> float:
-    """Eq. 2 and 3: what an error leaves of the largest allowed one, the same for both models."""
+    """Score of squared errors (N,), the same scale for both models (Mur-Artal 2015, eq. 2)."""
     return float(np.sum(np.where(squared < limit, _CHI2_POINT - squared, 0.0)))

@@ -1,1 +1,1 @@
-"""The path: causal poses as first known, and smoothed poses attached to keyframes."""
+"""The trajectory: causal poses as first known, and smoothed poses attached to keyframes."""

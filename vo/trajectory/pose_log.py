@@ -1,4 +1,4 @@
-"""Poses that stay as they were when they were noted."""
+"""Causal poses, which never change."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class PoseLog:
         self._table = Table(_POSE)
 
     def append(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Note a pose (4, 4)."""
+        """Append a pose (4, 4)."""
         self._table.append(stamp_ns, world_from_cam[:3])
 
     def trajectory(self) -> Trajectory:
-        """All of them."""
+        """All poses."""
         rows = self._table.rows
         return Trajectory(rows["stamp_ns"].copy(), whole_transforms(rows["world_from_cam"]))

@@ -1,4 +1,4 @@
-"""The path so far: each tracked frame hangs on a keyframe and moves with it."""
+"""The trajectory: every frame has a pose relative to a keyframe and moves with it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _FRAME = np.dtype(
         ("frame_index", np.int64),
         ("stamp_ns", np.int64),
         ("segment", np.int32),
-        ("keyframe", np.int32),  # id; never falls from row to row
-        ("share", np.float64),  # of the way between two tracked frames, 0 if tracked
+        ("keyframe", np.int32),  # id, not decreasing
+        ("fraction", np.float64),  # of the time between two tracked frames, 0 for a tracked one
         ("keyframe_from_cam", np.float64, (3, 4)),
     ]
 )
@@ -31,7 +31,7 @@ _KEYFRAME = np.dtype(
         ("stamp_ns", np.int64),
         ("segment", np.int32),
         ("world_from_cam0", np.float64, (3, 4)),
-        ("covariance", np.float64, (21,)),  # upper triangle, NaN if it is unknown
+        ("covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
     ]
 )
 _TRIANGLE = np.triu_indices(6)
@@ -39,12 +39,12 @@ _TRIANGLE = np.triu_indices(6)
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedFrames:
-    """Frames that are left out between tracked ones, to be interpolated.
+    """Frames that are not tracked but interpolated between tracked ones.
 
     Attributes:
         stamps_ns: (N,) of all frames of the recording.
-        stride: from one frame that is asked for to the next.
-        every: of the frames that are asked for, each so many is tracked.
+        stride: step between requested frames.
+        every: every so many requested frames one is tracked.
     """
 
     stamps_ns: Ints
@@ -52,7 +52,7 @@ class InterpolatedFrames:
     every: int
 
     def between(self, first: int, last: int) -> range:
-        """Numbers of the frames between two tracked ones; none if more than those is missing."""
+        """Frames between two tracked ones; none if tracked frames are missing between them."""
         if last - first != self.stride * self.every:
             return range(0)
         return range(first + self.stride, last, self.stride)
@@ -61,12 +61,14 @@ class InterpolatedFrames:
 class TrajectoryStore:
     """Frames with a pose in time order, and the newest pose of every keyframe.
 
+    Any keyframe, old ones too, can get a new pose at any time; the frames relative to it follow.
+
     Attributes:
-        untracked: frames to be interpolated, None if there is to be none.
+        interpolated: frames to be interpolated, None for no interpolation.
     """
 
     def __init__(self) -> None:
-        self.untracked: InterpolatedFrames | None = None
+        self.interpolated: InterpolatedFrames | None = None
         self._frames = Table(_FRAME)
         self._keyframes = Table(_KEYFRAME)
         self._changed = self._changed_keyframe = 0
@@ -78,21 +80,21 @@ class TrajectoryStore:
 
     @property
     def keyframe_count(self) -> int:
-        """How many keyframes there are."""
+        """Number of keyframes."""
         return len(self._keyframes)
 
     def add(
         self, frame_index: int, stamp_ns: int, segment: int, keyframe: int, world_from_cam0: Floats
     ) -> None:
-        """Append a frame that hangs on a keyframe, and those to be interpolated before it."""
-        self._add_untracked(frame_index, segment)
+        """Append a frame with a pose (4, 4), and the frames to be interpolated before it."""
+        self._add_interpolated(frame_index, segment)
         row = self._keyframe_row(keyframe)
-        hung_on = whole_transforms(self._keyframes.rows["world_from_cam0"][row : row + 1])[0]
-        relative = inverse(hung_on) @ world_from_cam0
+        reference = whole_transforms(self._keyframes.rows["world_from_cam0"][row : row + 1])[0]
+        relative = inverse(reference) @ world_from_cam0
         self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
 
     def store(self, keyframe: int, pose: KeyframePose) -> None:
-        """Enter a keyframe, or its new pose."""
+        """Add a keyframe, or replace its pose and covariance."""
         place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
         triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
         fields = (*place, pose.world_from_cam0[:3], triangle)
@@ -106,13 +108,13 @@ class TrajectoryStore:
         self._changed_keyframe = min(self._changed_keyframe, row)
 
     def take_changes(self) -> tuple[int, int]:
-        """First row of the frames, and of the keyframes, that is new or moved since last asked."""
+        """First rows of frames and of keyframes that are new or moved since the last call."""
         changed = self._changed, self._changed_keyframe
         self._changed, self._changed_keyframe = len(self._frames), len(self._keyframes)
         return changed
 
     def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
-        """Keyframes by their ids, which grow."""
+        """Keyframes by increasing ids."""
         return _keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
 
     def keyframes(self, row: int = 0) -> list[KeyframePose]:
@@ -120,10 +122,10 @@ class TrajectoryStore:
         return _keyframe_poses(self._keyframes.rows[row:])
 
     def path(self, row: int = 0) -> PlacedFrames:
-        """All frames with a pose as known now, from a row on."""
+        """All frames with their current poses, from a row on."""
         frames = self.frames[row:]
         rows = self._keyframe_rows(frames["keyframe"])
-        interpolated = frames["share"] > 0
+        interpolated = frames["fraction"] > 0
         frame_index = frames["frame_index"].copy()
         is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
         segment = frames["segment"].astype(np.int64)
@@ -132,56 +134,53 @@ class TrajectoryStore:
     def trajectory(self, row: int = 0) -> Trajectory:
         """The poses of `path` alone."""
         first = row
-        while first < len(self._frames) and self.frames["share"][first] > 0:
+        while first < len(self._frames) and self.frames["fraction"][first] > 0:
             first -= 1
         frames = self.frames[first:]
         rows = self._keyframe_rows(frames["keyframe"])
         poses = whole_transforms(self._keyframes.rows["world_from_cam0"][rows])
         poses = poses @ whole_transforms(frames["keyframe_from_cam"])
-        _fill(poses, frames["share"])
+        _fill(poses, frames["fraction"])
         return Trajectory(frames["stamp_ns"][row - first :].copy(), poses[row - first :])
 
-    def _add_untracked(self, frame_index: int, segment: int) -> None:
-        if self.untracked is None or len(self._frames) == 0:
+    def _add_interpolated(self, frame_index: int, segment: int) -> None:
+        if self.interpolated is None or len(self._frames) == 0:
             return
         last = self.frames[-1]
         if last["segment"] != segment:
             return
-        stamps_ns, keyframe = self.untracked.stamps_ns, int(last["keyframe"])
+        stamps_ns, keyframe = self.interpolated.stamps_ns, int(last["keyframe"])
         begin, end = int(last["stamp_ns"]), int(stamps_ns[frame_index])
-        for number in self.untracked.between(int(last["frame_index"]), frame_index):
+        for number in self.interpolated.between(int(last["frame_index"]), frame_index):
             stamp_ns = int(stamps_ns[number])
-            share = (stamp_ns - begin) / (end - begin)
-            self._frames.append(number, stamp_ns, segment, keyframe, share, np.zeros((3, 4)))
+            fraction = (stamp_ns - begin) / (end - begin)
+            self._frames.append(number, stamp_ns, segment, keyframe, fraction, np.zeros((3, 4)))
 
     def _first_after_tracked(self, row: int) -> int:
-        """The row, or the first of the interpolated ones before it, which move with it."""
-        while 0 < row < len(self._frames) and self.frames["share"][row - 1] > 0:
+        """The row, or the first of the interpolated frames before it, which move with it."""
+        while 0 < row < len(self._frames) and self.frames["fraction"][row - 1] > 0:
             row -= 1
         return row
 
     def _keyframe_row(self, keyframe: int) -> int:
-        # Not by NumPy, which would copy the whole column each time.
+        # NumPy would copy the whole column each time.
         return bisect_left(self._keyframes.rows["id"], keyframe)
 
     def _keyframe_rows(self, keyframes: Ints) -> Ints:
-        """Rows (n,) of ids (n,) that never fall."""
+        """Rows (n,) of non-decreasing ids (n,)."""
         if len(keyframes) == 0:
             return keyframes
         first = self._keyframe_row(int(keyframes[0]))
         return first + np.searchsorted(self._keyframes.rows["id"][first:], keyframes)
 
 
-def _fill(poses: Floats, share: Floats) -> None:
-    """Put interpolated poses where the share of the way is not 0; the first and last are tracked.
-
-    Each lies on the geodesic between the tracked poses around it.
-    """
-    tracked = np.flatnonzero(share == 0)
-    for row in np.flatnonzero(share > 0).tolist():
+def _fill(poses: Floats, fraction: Floats) -> None:
+    """Interpolate poses along the geodesic where the fraction is not 0; the ends are tracked."""
+    tracked = np.flatnonzero(fraction == 0)
+    for row in np.flatnonzero(fraction > 0).tolist():
         after = int(np.searchsorted(tracked, row))
         first, last = poses[tracked[after - 1]], poses[tracked[after]]
-        poses[row] = interpolate(first, last, float(share[row]))
+        poses[row] = interpolate(first, last, float(fraction[row]))
 
 
 def _keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:

@@ -1,4 +1,4 @@
-"""Rows that grow at the end, as one NumPy structure: bytes of memory a row, not Python objects."""
+"""A growing table as one structured NumPy array, which needs little memory per row."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_LEAST_ROOM = 64
+_MIN_CAPACITY = 64
 
 
 class Table:
     """Rows of one structured type."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
-        self._block = np.zeros(_LEAST_ROOM, dtype=dtype)
+        self._storage = np.zeros(_MIN_CAPACITY, dtype=dtype)
         self._count = 0
 
     def __len__(self) -> int:
@@ -22,13 +22,13 @@ class Table:
 
     @property
     def rows(self) -> NDArray[Any]:
-        """All rows, (n,); to be changed in place, and not to be kept over an `append`."""
-        return self._block[: self._count]
+        """All rows (n,), to be changed in place; invalid after the next `append`."""
+        return self._storage[: self._count]
 
     def append(self, *fields: Any) -> None:
         """Add a row of these fields."""
-        if self._count == len(self._block):
-            room = max(_LEAST_ROOM, self._count // 16)
-            self._block = np.concatenate([self._block, np.zeros(room, self._block.dtype)])
-        self._block[self._count] = fields
+        if self._count == len(self._storage):
+            more = max(_MIN_CAPACITY, self._count // 16)
+            self._storage = np.concatenate([self._storage, np.zeros(more, self._storage.dtype)])
+        self._storage[self._count] = fields
         self._count += 1

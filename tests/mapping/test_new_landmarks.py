@@ -1,3 +1,5 @@
+"""New landmarks of keyframes that look at a slanted wall."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -7,14 +9,18 @@ import numpy as np
 import pytest
 
 from vo.config import Config
+from vo.frontend.frontend import make_frontend
 from vo.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.neighbours import far_from
-from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.geometry.rectification import rectified_rig
 from vo.geometry.transforms import inverse, make_transform, transform_points
-from vo.mapping.local_map import Keyframe, Map
-from vo.mapping.triangulate_mono import triangulate_between_keyframes
-from vo.mapping.triangulate_stereo import look_back, stereo_disparity, triangulate_stereo
-from vo.tracking.monocular_initializer import add_keyframe
+from vo.mapping.keyframe import Keyframe, without_disparity
+from vo.mapping.keyframe_triangulation import KeyframeTriangulator
+from vo.mapping.local_map import LocalMap
+from vo.mapping.local_mapper import LocalMapper
+from vo.mapping.stereo_triangulation import StereoTriangulator
+from vo.stopwatch import Stopwatch
 from vo.types import Bytes, Camera, Floats, Frame, Rig
 
 WIDTH, HEIGHT, FOCAL = 480, 320, 380.0
@@ -22,6 +28,7 @@ BASELINE_M = 0.25
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 STEREO = Rig(CAMERA, CAMERA, make_transform(np.eye(3), np.array([-BASELINE_M, 0.0, 0.0])))
 CONFIG = Config()
+FRONTEND = make_frontend(CONFIG)
 PX_PER_M = 110.0
 SIDEWAYS = make_transform(np.eye(3), np.array([0.4, 0.05, 0.1]))
 
@@ -60,13 +67,16 @@ def _view(texture: Bytes, world_from_cam: Floats) -> Bytes:
 
 
 class Scene:
-    """A map with a working rig, to which frames of the wall are added."""
+    """A map to which frames of the wall are added."""
 
     def __init__(self, texture: Bytes, rig: Rig) -> None:
         self.texture = texture
-        self.rig: RectifiedRig = rectified_rig(rig)
-        self.preparation = FramePreprocessor(CONFIG, threads=1)
-        self.map = Map(4, HEIGHT, WIDTH)
+        rectified = rectified_rig(rig)
+        extractor, matcher, patches, self.stereo = FRONTEND
+        correction = VerticalDisparityCorrection(rectified, matcher, patches, CONFIG.stereo)
+        self.preprocessor = FramePreprocessor(rectified, extractor, correction, threads=1)
+        self.map = LocalMap(rectified, 4, extractor.descriptor_format)
+        self.mapper = LocalMapper(self.map, FRONTEND, CONFIG.mapping, Stopwatch())
 
     def frame(self, world_from_cam: Floats, *, shift_right_px: float = 0.0) -> PreprocessedFrame:
         right = world_from_cam @ make_transform(np.eye(3), np.array([BASELINE_M, 0.0, 0.0]))
@@ -79,14 +89,27 @@ class Scene:
         number = len(self.map.keyframes)
         image0 = _view(self.texture, world_from_cam)
         frame = Frame(number, number, image0, image1)
-        return self.preparation.later(frame, self.rig).result()
+        return self.preprocessor.submit(frame).result()
 
     def keyframe(self, frame: PreprocessedFrame, world_from_cam: Floats) -> Keyframe:
         free = np.ones(len(frame.keypoints), dtype=bool)
-        return add_keyframe(self.map, frame, world_from_cam, 0, free, self.rig)
+        return self.mapper.add_keyframe_at(frame, world_from_cam, 0, free)
+
+    def triangulate_stereo(self, keyframe: Keyframe, frame: PreprocessedFrame) -> int:
+        """Add landmarks of a keyframe's free features with a disparity; their number."""
+        before = len(self.map)
+        triangulator = StereoTriangulator(self.map, FRONTEND, CONFIG.mapping.new_per_keyframe)
+        triangulator.add_landmarks(keyframe, triangulator.measure(frame, keyframe.free))
+        return len(self.map) - before
+
+    def triangulate_between(self, keyframe: Keyframe, image: Bytes) -> int:
+        """Add landmarks that the newest keyframe shares with earlier ones; their number."""
+        before = len(self.map)
+        KeyframeTriangulator(self.map, FRONTEND, CONFIG.mapping).add_landmarks(keyframe, image)
+        return len(self.map) - before
 
     def depth_errors(self) -> Floats:
-        """How far each landmark is from the wall, as a share of its depth."""
+        """Distance of each landmark from the wall along the axis, as a ratio of its depth."""
         xyz = self.map.xyz
         return np.asarray((xyz[:, 2] - _wall_depth(xyz[:, 0])) / xyz[:, 2])
 
@@ -94,20 +117,12 @@ class Scene:
 def _seed(scene: Scene, keyframe: Keyframe, count: int = 60) -> None:
     """Landmarks on the wall for some features of a keyframe, as an earlier frame would give."""
     rows = np.arange(0, len(keyframe.keypoints), len(keyframe.keypoints) // count)
-    rays = scene.rig.back_project(keyframe.undistorted_xy[rows], np.ones(len(rows)))
+    rays = scene.map.rig.back_project(keyframe.undistorted_xy[rows], np.ones(len(rows)))
     keypoints = keyframe.keypoints
-    ids = scene.map.add_landmarks(
-        _on_wall(rays, keyframe.world_from_cam),
-        keypoints.descriptor[rows],
-        keypoints.octave[rows],
-        keypoints.angle[rows],
-        keyframe,
-        keypoints.xy[rows].astype(np.float64),
-        keyframe,
-    )
-    xy = keyframe.undistorted_xy[rows]
-    nothing, sigma = np.full(len(ids), np.nan), np.full(len(ids), 0.5)
-    keyframe.add_observations(ids, xy, keypoints.xy[rows].astype(np.float64), nothing, sigma)
+    xyz = _on_wall(rays, keyframe.world_from_cam)
+    ids = scene.map.add_landmarks(xyz, keyframe, rows, keyframe)
+    xy, image_xy = keyframe.undistorted_xy[rows], keypoints.xy[rows].astype(np.float64)
+    keyframe.add_observations(without_disparity(ids, xy, image_xy, 0.5))
     keyframe.free[rows] = False
 
 
@@ -118,7 +133,7 @@ def test_stereo_landmarks_lie_on_the_wall(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = scene.frame(SIDEWAYS)
     keyframe = scene.keyframe(frame, SIDEWAYS)
-    count = triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
+    count = scene.triangulate_stereo(keyframe, frame)
     assert count == len(scene.map) == len(keyframe.landmark) > 250
     errors = scene.depth_errors()
     assert np.median(np.abs(errors)) < 0.003
@@ -131,8 +146,8 @@ def test_disparities_are_those_of_the_wall(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
     frame = scene.frame(np.eye(4))
     rows = np.arange(0, len(frame.keypoints), 2)
-    found = stereo_disparity(frame, rows, scene.rig, CONFIG)
-    rays = scene.rig.back_project(frame.keypoints.xy[rows], np.ones(len(rows)))
+    found = scene.stereo.disparities(frame, rows, scene.map.rig)
+    rays = scene.map.rig.back_project(frame.keypoints.xy[rows], np.ones(len(rows)))
     expected = FOCAL * BASELINE_M / _on_wall(rays, np.eye(4))[:, 2]
     assert np.isfinite(found).mean() > 0.4
     error = (found - expected)[np.isfinite(found)]
@@ -141,20 +156,21 @@ def test_disparities_are_those_of_the_wall(texture: Bytes) -> None:
     assert abs(np.median(error)) < 0.005
 
 
-def test_a_known_disparity_offset_is_taken_off(texture: Bytes) -> None:
+def test_known_disparity_offset_is_subtracted(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
-    scene.rig = replace(scene.rig, disparity_offset_px=0.6)
+    scene.map.correct_disparities(0.6, 0.0, is_yaw=False)
     frame = scene.frame(np.eye(4), shift_right_px=0.6)
     keyframe = scene.keyframe(frame, np.eye(4))
-    triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG)
+    scene.triangulate_stereo(keyframe, frame)
     assert abs(np.median(scene.depth_errors())) < 0.002
 
 
-def test_without_a_right_image_nothing_grows(texture: Bytes) -> None:
+def test_without_a_right_image_no_landmark_is_added(texture: Bytes) -> None:
     scene = Scene(texture, STEREO)
-    frame = replace(scene.frame(np.eye(4)), image1=None)
+    frame = scene.frame(np.eye(4))
+    frame = replace(frame, images=frame.images[:1], features=frame.features[:1])
     keyframe = scene.keyframe(frame, np.eye(4))
-    assert triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) == 0
+    assert scene.triangulate_stereo(keyframe, frame) == 0
     assert len(scene.map) == 0 and keyframe.free.all()
 
 
@@ -162,9 +178,9 @@ def test_a_right_image_of_something_else_gives_next_to_nothing(texture: Bytes) -
     scene = Scene(texture, STEREO)
     frame = scene.frame(np.eye(4))
     other = np.ascontiguousarray(frame.image0[::-1])
-    frame = replace(frame, image1=other)
+    frame = replace(frame, images=(frame.image0, other))
     keyframe = scene.keyframe(frame, np.eye(4))
-    assert triangulate_stereo(scene.map, keyframe, frame, scene.rig, CONFIG) < 15
+    assert scene.triangulate_stereo(keyframe, frame) < 15
 
 
 def test_new_landmarks_are_found_in_the_keyframe_before(texture: Bytes) -> None:
@@ -172,14 +188,16 @@ def test_new_landmarks_are_found_in_the_keyframe_before(texture: Bytes) -> None:
     first = scene.keyframe(scene.frame(np.eye(4)), np.eye(4))
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
-    count = triangulate_stereo(scene.map, second, frame, scene.rig, CONFIG)
-    look_back(scene.map, second, scene.rig, CONFIG)
+    scene.mapper.extend(second, frame)
+    count = len(scene.map)
     assert len(first.landmark) > 0.5 * count
     rows = scene.map.rows(first.landmark)
-    expected = scene.rig.project(scene.map.xyz[rows])
+    expected = scene.map.rig.project(scene.map.xyz[rows])
     assert np.median(np.linalg.norm(first.xy - expected, axis=1)) < 0.15
     again = len(first.landmark)
-    look_back(scene.map, second, scene.rig, CONFIG)
+    second.free[:] = False  # so that no landmark is new
+    scene.mapper.extend(second, frame)
+    assert len(scene.map) == count
     assert len(np.unique(first.landmark)) == len(first.landmark) == again
 
 
@@ -193,18 +211,18 @@ def test_mono_landmarks_lie_on_the_wall(texture: Bytes) -> None:
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
     before = len(scene.map)
-    count = triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG)
+    count = scene.triangulate_between(second, frame.image0)
     assert count == len(scene.map) - before > 100
     errors = scene.depth_errors()[before:]
     assert np.median(np.abs(errors)) < 0.01
     assert np.mean(np.abs(errors) > 0.05) < 0.05
     assert len(second.landmark) == count
     rows = scene.map.rows(second.landmark)
-    seen = scene.rig.project(transform_points(inverse(SIDEWAYS), scene.map.xyz[rows]))
+    seen = scene.map.rig.project(transform_points(inverse(SIDEWAYS), scene.map.xyz[rows]))
     assert np.linalg.norm(second.xy - seen, axis=1).max() < 2.0
 
 
-def test_a_map_grows_from_a_keyframe_far_behind(texture: Bytes) -> None:
+def test_landmarks_are_added_from_a_keyframe_far_behind(texture: Bytes) -> None:
     scene = Scene(texture, Rig(CAMERA))
     first = scene.keyframe(scene.frame(np.eye(4)), np.eye(4))
     _seed(scene, first)
@@ -212,7 +230,7 @@ def test_a_map_grows_from_a_keyframe_far_behind(texture: Bytes) -> None:
     ahead = make_transform(np.eye(3), np.array([0.2, 0.0, 0.9]))  # depth is 5 and more
     frame = scene.frame(ahead)
     second = scene.keyframe(frame, ahead)
-    assert triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) > 50
+    assert scene.triangulate_between(second, frame.image0) > 50
     assert np.mean(np.abs(scene.depth_errors()[before:]) > 0.05) < 0.05
 
 
@@ -220,8 +238,8 @@ TURNED = make_transform(cv2.Rodrigues(np.array([0.0, 0.3, 0.0]))[0], np.array([0
 NEARBY = make_transform(np.eye(3), np.array([0.05, 0.0, 0.0]))
 
 
-def _grown(texture: Bytes, pose: Floats, known: int) -> tuple[int, Floats]:
-    """New landmarks of a second keyframe that knows some already, and their depth errors."""
+def _added(texture: Bytes, pose: Floats, known: int) -> tuple[int, Floats]:
+    """Number of new landmarks of a second keyframe that observes `known`, and depth errors."""
     scene = Scene(texture, Rig(CAMERA))
     _seed(scene, scene.keyframe(scene.frame(np.eye(4)), np.eye(4)))
     frame = scene.frame(pose)
@@ -229,30 +247,30 @@ def _grown(texture: Bytes, pose: Floats, known: int) -> tuple[int, Floats]:
     if known:
         _seed(scene, second, known)
     before = len(scene.map)
-    added = triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG)
+    added = scene.triangulate_between(second, frame.image0)
     return added, scene.depth_errors()[before:]
 
 
-def test_what_a_turn_shows_with_little_parallax_is_left_alone(texture: Bytes) -> None:
-    """1.6 degrees of parallax, while the image moves by 17: its calibration matters as much."""
-    assert _grown(texture, TURNED, known=150)[0] == 0
+def test_points_with_little_parallax_in_a_turn_are_not_added(texture: Bytes) -> None:
+    """1.6 degrees of parallax while the image moves by 17: calibration errors are as large."""
+    assert _added(texture, TURNED, known=150)[0] == 0
 
 
-def test_but_in_a_thin_map_it_is_better_than_nothing(texture: Bytes) -> None:
-    added, errors = _grown(texture, TURNED, known=0)
+def test_points_with_little_parallax_in_a_turn_are_added_to_few_landmarks(texture: Bytes) -> None:
+    added, errors = _added(texture, TURNED, known=0)
     assert 50 < added <= 150
     assert np.median(np.abs(errors)) < 0.02
 
 
-def test_a_map_about_to_be_lost_takes_what_hardly_shows_its_depth(texture: Bytes) -> None:
+def test_points_of_uncertain_depth_are_added_to_very_few_landmarks(texture: Bytes) -> None:
     """0.6 degrees of parallax: half of what a landmark needs otherwise."""
-    added, errors = _grown(texture, NEARBY, known=0)
+    added, errors = _added(texture, NEARBY, known=0)
     assert 50 < added <= 100
     assert np.median(np.abs(errors)) < 0.05
 
 
-def test_but_not_one_with_a_hundred_landmarks(texture: Bytes) -> None:
-    assert _grown(texture, NEARBY, known=100)[0] == 0
+def test_points_of_uncertain_depth_are_not_added_to_a_hundred_landmarks(texture: Bytes) -> None:
+    assert _added(texture, NEARBY, known=100)[0] == 0
 
 
 def test_no_feature_makes_two_landmarks(texture: Bytes) -> None:
@@ -262,24 +280,22 @@ def test_no_feature_makes_two_landmarks(texture: Bytes) -> None:
     frame = scene.frame(SIDEWAYS)
     second = scene.keyframe(frame, SIDEWAYS)
     for _ in range(3):
-        assert (
-            triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) <= 600
-        )
+        assert scene.triangulate_between(second, frame.image0) <= 600
     for keyframe in (first, second):
         assert len(np.unique(keyframe.landmark)) == len(keyframe.landmark)
         assert len(np.unique(keyframe.xy, axis=0)) == len(keyframe.xy)
     assert np.sum(~first.free) == len(first.landmark)
-    assert triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) < 10
+    assert scene.triangulate_between(second, frame.image0) < 10
 
 
-def test_without_translation_no_mono_landmarks_grow(texture: Bytes) -> None:
+def test_without_translation_no_mono_landmark_is_added(texture: Bytes) -> None:
     scene = Scene(texture, Rig(CAMERA))
     first = scene.keyframe(scene.frame(np.eye(4)), np.eye(4))
     _seed(scene, first)
     turned = make_transform(cv2.Rodrigues(np.array([0.0, 0.05, 0.0]))[0], np.zeros(3))
     frame = scene.frame(turned)
     second = scene.keyframe(frame, turned)
-    assert triangulate_between_keyframes(scene.map, second, frame.image0, scene.rig, CONFIG) == 0
+    assert scene.triangulate_between(second, frame.image0) == 0
 
 
 # Spread

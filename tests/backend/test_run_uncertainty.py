@@ -20,10 +20,10 @@ def _keyframes(folder: Path, mode: Mode) -> tuple[list[KeyframePose], Floats]:
     """Keyframes of a run that was never lost, and their true poses."""
     source = open_source(folder, mode=mode)
     with closing(Odometry(source.rig, load_config("default", ["threads=1"]))) as odometry:
-        for _ in odometry.steps(source.frames()):
+        for _ in odometry.track_all(source.frames()):
             pass
         odometry.finish()
-        keyframes = odometry.history.keyframes()
+        keyframes = odometry.trajectory.keyframes()
     assert {k.segment for k in keyframes} == {0}
     stamps = np.array([k.stamp_ns for k in keyframes])
     found = Trajectory(stamps, np.stack([k.world_from_cam0 for k in keyframes]))

@@ -1,0 +1,61 @@
+"""Why a frame has no pose: reasons as an enum, with the numbers that led to them."""
+
+from __future__ import annotations
+
+from enum import Enum, StrEnum
+from typing import NamedTuple
+
+
+class ImageDefect(StrEnum):
+    """What is wrong with an image in which no features can be found."""
+
+    BLACK = "almost black"
+    WHITE = "almost white"
+    ONE_GREY = "of one grey"
+
+
+class FailureReason(Enum):
+    """Why a frame has no pose; the value is the text with the numbers of a `Failure`."""
+
+    REFERENCE_FRAME = "this is the reference frame"
+    FEW_MATCHES = "{value:.0f} matches with the reference frame, {needed:.0f} needed"
+    LITTLE_MOTION = "the image hardly moves"
+    NO_ESSENTIAL_MATRIX = "no essential matrix fits the matches"
+    PURE_ROTATION = "the camera only turns"
+    AMBIGUOUS_PLANE = "the plane in view allows two motions"
+    FEW_GOOD_POINTS = "{value:.0f} of {needed:.0f} inliers make good points, too few"
+    LITTLE_PARALLAX = "{value:.2f}° of parallax, {needed}° needed"
+    NO_DEPTH = "the right image, or depth, is missing"
+    SWAPPED_CAMERAS = "disparities are negative: left and right images seem to be swapped"
+    FEW_LANDMARKS = "{value:.0f} landmarks with a depth, {needed:.0f} needed"
+    FEW_INLIERS = "too few landmarks agree on a pose"
+    IMAGE_DEFECT = "the {side}image is {defect}"
+
+
+class Failure(NamedTuple):
+    """Why a frame has no pose.
+
+    Attributes:
+        reason: what failed.
+        value: the number found, where the reason has one.
+        needed: the number that it is compared with.
+        defect: of an image, where that is the reason.
+        camera: index of the camera whose image has the defect.
+    """
+
+    reason: FailureReason
+    value: float = 0.0
+    needed: float = 0.0
+    defect: ImageDefect | None = None
+    camera: int = 0
+
+
+def describe(failure: Failure | None) -> str:
+    """The failure as text for people, empty without a failure."""
+    if failure is None:
+        return ""
+    side = "right " if failure.camera == 1 else ""
+    defect = failure.defect.value if failure.defect else ""
+    return failure.reason.value.format(
+        value=failure.value, needed=failure.needed, defect=defect, side=side
+    )

@@ -1,0 +1,109 @@
+"""Optimisation of the local map, with its effects on calibration, trajectory and tracking."""
+
+from __future__ import annotations
+
+from vo.backend.sliding_window import SlidingWindow, WindowUpdate
+from vo.geometry.vertical_disparity_model import VerticalDisparity
+from vo.mapping.keyframe import Keyframe
+from vo.mapping.local_map import LocalMap
+from vo.mapping.local_mapper import LocalMapper
+from vo.refinement.calibration_refiner import CalibrationRefiner, DisparityCorrection
+from vo.stopwatch import Stopwatch, timed
+from vo.tracking.tracker import Tracker
+from vo.trajectory.builder import TrajectoryBuilder
+
+
+class MapOptimiser:
+    """Optimises the newest keyframes after each new one, beside tracking.
+
+    Attributes:
+        vertical_disparity: as estimated so far, None if it is unknown.
+        stopwatch: measures the stage `window`.
+
+    Args:
+        local_map: the map.
+        mapper: removes bad landmarks.
+        tracker: follows the newest keyframe.
+        window: optimises the newest keyframes.
+        refiner: estimates corrections of the calibration.
+        trajectory: follows all keyframes.
+        stopwatch: measures the stages.
+    """
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        mapper: LocalMapper,
+        tracker: Tracker,
+        window: SlidingWindow,
+        refiner: CalibrationRefiner,
+        trajectory: TrajectoryBuilder,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.vertical_disparity: VerticalDisparity | None = None
+        self.stopwatch = stopwatch
+        self._map = local_map
+        self._mapper = mapper
+        self._tracker = tracker
+        self._window = window
+        self._refiner = refiner
+        self._trajectory = trajectory
+
+    def next_frame(self) -> None:
+        """Count a frame; apply the pending result if it is due."""
+        if self._window.next_frame():
+            self.apply()
+
+    def add_keyframe(self, keyframe: Keyframe) -> None:
+        """Submit the window that ends with a new keyframe, after the result before it."""
+        self._trajectory.add_keyframe(keyframe)
+        self.apply()
+        self._submit()
+
+    def optimise_first_pair(self, first: Keyframe) -> None:
+        """Optimise the two keyframes of a new map of a single camera."""
+        self._trajectory.add_keyframe(first)
+        self._submit()
+        self._follow(self._window.apply())
+
+    @timed("window")
+    def apply(self) -> None:
+        """Wait for the pending result, if there is one, and apply it to the map."""
+        update = self._window.apply()
+        if update is None:
+            return
+        self._follow(update)
+        self._refine_calibration(update)
+        self._mapper.cull()
+        self._mapper.estimate_normals(self._map.keyframes[-1])
+        self._tracker.move(update.motion)
+
+    @timed("window")
+    def correct_vertical_disparity(self, before: VerticalDisparity, now: VerticalDisparity) -> None:
+        """Follow a new correction of right images in the disparities measured before."""
+        self.apply()
+        self._map.correct_vertical_disparity(before, now)
+        self._follow(self._window.optimise_map())
+
+    def _submit(self) -> None:
+        weight = self._refiner.window_weight(self._window.submitted)
+        self._window.submit(calibration_weight=weight)
+
+    def _follow(self, update: WindowUpdate | None) -> None:
+        if update is not None:
+            self._trajectory.update(update.moved)
+
+    def _refine_calibration(self, update: WindowUpdate) -> None:
+        """Correct the calibration, and the map with it, once its error is certain."""
+        residual, weight = update.calibration_residual, update.window.calibration_weight
+        if residual is None:
+            return
+        correction = self._refiner.update(residual, weight, self.vertical_disparity)
+        if correction is None:
+            return
+        if isinstance(correction, DisparityCorrection):
+            offset_px, curve_px, is_yaw = correction
+            self._map.correct_disparities(offset_px, curve_px, is_yaw=is_yaw)
+        else:
+            self._map.correct_radial_distortion(correction.k1)
+        self._follow(self._window.optimise_map())

@@ -1,0 +1,61 @@
+"""Contract of what receives the keyframes that leave the local map.
+
+A keyframe is handed over as it leaves: with its features and their descriptors, its observations,
+its covariance, and the landmarks that it observes. Place recognition and loop closure build on it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.mapping.keyframe import Keyframe
+from vo.types import Descriptors, Floats, Ints
+
+
+class StoredLandmarks(NamedTuple):
+    """Landmarks that a keyframe observes; rows belong together.
+
+    Attributes:
+        id: (n,) increasing.
+        xyz: (n, 3) in the world.
+        normal: (n, 3) of the surface, of any length.
+        descriptor: (n, width).
+        octave: (n,).
+        angle: (n,) radians.
+    """
+
+    id: Ints
+    xyz: Floats
+    normal: Floats
+    descriptor: Descriptors
+    octave: NDArray[np.int32]
+    angle: NDArray[np.float32]
+
+
+class KeyframeStore(Protocol):
+    """Receives the keyframes that leave the local map, in the order of their ids."""
+
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
+        """Take over a keyframe and copies of the landmarks that it observes."""
+        ...
+
+
+class MemoryKeyframeStore:
+    """Keeps all keyframes in memory: some 100 kB each, without images.
+
+    Attributes:
+        keyframes: in the order of their ids.
+        landmarks: of each keyframe, by its id.
+    """
+
+    def __init__(self) -> None:
+        self.keyframes: list[Keyframe] = []
+        self.landmarks: dict[int, StoredLandmarks] = {}
+
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
+        """Keep a keyframe."""
+        self.keyframes.append(keyframe)
+        self.landmarks[keyframe.id] = landmarks

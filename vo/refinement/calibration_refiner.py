@@ -1,0 +1,94 @@
+"""Online calibration: corrections of the cameras from the residuals of many windows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from vo.config import RefinementConfig
+from vo.geometry.rectification import RectifiedRig
+from vo.geometry.vertical_disparity_model import VerticalDisparity
+from vo.refinement.disparity_bias import DisparityBiasEstimator, is_from_yaw
+from vo.refinement.radial_distortion import RadialDistortionEstimator
+from vo.types import CalibrationResidual
+
+# Consecutive windows share most of their keyframes: after the first windows of a run only every
+# third one is evaluated, with the weight of three.
+_EVALUATE_ALL, _EVALUATE_EVERY = 10, 3
+
+
+class DisparityCorrection(NamedTuple):
+    """Bias of all disparities, to be subtracted.
+
+    Attributes:
+        offset_px: constant.
+        curve_px: at one focal length from the principal point, growing with the square.
+        is_yaw: whether the cause is a yaw of the right camera.
+    """
+
+    offset_px: float
+    curve_px: float
+    is_yaw: bool
+
+
+class RadialDistortionCorrection(NamedTuple):
+    """Error of a lens.
+
+    Attributes:
+        k1: to be added to its first radial coefficient.
+    """
+
+    k1: float
+
+
+Correction = DisparityCorrection | RadialDistortionCorrection
+
+
+class CalibrationRefiner:
+    """Estimates corrections: of the disparity bias in stereo, of the lens in mono.
+
+    Args:
+        rig: the rectified cameras as calibrated.
+        config: settings.
+        has_depth: whether disparities are those of a depth camera, which has other errors.
+    """
+
+    def __init__(self, rig: RectifiedRig, config: RefinementConfig, *, has_depth: bool) -> None:
+        self._estimator: DisparityBiasEstimator | RadialDistortionEstimator
+        if rig.is_stereo:
+            self._estimator = DisparityBiasEstimator(rig)
+            self._is_enabled = config.disparity_correction and not has_depth
+        else:
+            self._estimator = RadialDistortionEstimator(rig)
+            self._is_enabled = config.lens_correction
+
+    def window_weight(self, number: int) -> int:
+        """How many windows the residual of window `number` stands for; 0 for no evaluation."""
+        if not self._is_enabled:
+            return 0
+        if number < _EVALUATE_ALL:
+            return 1
+        return _EVALUATE_EVERY if number % _EVALUATE_EVERY == 0 else 0
+
+    def update(
+        self,
+        residual: CalibrationResidual,
+        weight: int,
+        vertical_disparity: VerticalDisparity | None,
+    ) -> Correction | None:
+        """Add the residual of a window; the new total correction, None for no change.
+
+        Args:
+            residual: of the window.
+            weight: number of windows that it stands for.
+            vertical_disparity: estimated vertical disparities of the pair, None if unknown.
+        """
+        if isinstance(self._estimator, RadialDistortionEstimator):
+            k1 = self._estimator.update(residual, weight)
+            return None if k1 is None else RadialDistortionCorrection(k1)
+        bias = self._estimator.update(residual, weight)
+        if bias is None:
+            return None
+        offset_px, curve_px = bias.tolist()
+        skew_px = None if vertical_disparity is None else vertical_disparity.skew_px
+        is_yaw = skew_px is not None and is_from_yaw(offset_px, skew_px)
+        return DisparityCorrection(offset_px, curve_px, is_yaw)

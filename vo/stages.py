@@ -1,0 +1,138 @@
+"""The stages of the odometry, built from a rig and the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from subprocess import Popen
+from typing import NamedTuple
+
+from vo.backend.optimizer import WindowOptimizer, make_optimizer
+from vo.backend.sliding_window import SlidingWindow
+from vo.backend.window_problem import FactorSource
+from vo.config import Config
+from vo.frontend.contracts import FeatureExtractor, Matcher
+from vo.frontend.frontend import Frontend, make_frontend
+from vo.frontend.preprocessing import FramePreprocessor
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
+from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.map_optimiser import MapOptimiser
+from vo.mapping.keyframe_store import KeyframeStore
+from vo.mapping.local_map import LocalMap
+from vo.mapping.local_mapper import LocalMapper
+from vo.refinement.calibration_refiner import CalibrationRefiner
+from vo.scheduling import available_cores
+from vo.stopwatch import Stopwatch
+from vo.tracking.keyframe_forecast import KeyframeForecast
+from vo.tracking.keyframe_policy import KeyframePolicy
+from vo.tracking.monocular_initializer import MonocularInitializer
+from vo.tracking.motion_model import ConstantVelocity, MotionModel
+from vo.tracking.stereo_initializer import StereoInitializer
+from vo.tracking.tracker import Tracker
+from vo.trajectory.builder import TrajectoryBuilder
+from vo.types import Rig
+
+
+class Components(NamedTuple):
+    """Exchangeable parts of the odometry; None for the built-in one.
+
+    Attributes:
+        extractor: extracts features; by default ORB.
+        matcher: matches features; by default by Hamming distance.
+        motion: predicts poses; by default with constant velocity.
+        keyframe_store: receives keyframes that leave the local map; by default they are dropped.
+        factor_sources: give factors of the window beside the observations, such as inertial ones.
+    """
+
+    extractor: FeatureExtractor | None = None
+    matcher: Matcher | None = None
+    motion: MotionModel | None = None
+    keyframe_store: KeyframeStore | None = None
+    factor_sources: Sequence[FactorSource] = ()
+
+
+BUILT_IN = Components()
+
+
+class Stages(NamedTuple):
+    """The stages, in the order in which a frame passes them."""
+
+    preprocessor: FramePreprocessor
+    tracker: Tracker
+    stereo_initializer: StereoInitializer
+    monocular_initializer: MonocularInitializer
+    policy: KeyframePolicy
+    forecast: KeyframeForecast
+    local_map: LocalMap
+    mapper: LocalMapper
+    optimiser: MapOptimiser
+    window_optimizer: WindowOptimizer
+    trajectory: TrajectoryBuilder
+
+
+def make_stages(
+    rig: Rig,
+    config: Config,
+    components: Components,
+    stopwatch: Stopwatch,
+    optimizer_process: Popen[bytes] | None = None,
+) -> Stages:
+    """Build all stages.
+
+    Args:
+        rig: the cameras, as recorded.
+        config: all settings.
+        components: parts to be used instead of the built-in ones.
+        stopwatch: measures the stages.
+        optimizer_process: that of `vo.backend.launch`, if it was started already.
+
+    Raises:
+        CalibrationError: the cameras cannot be rectified.
+    """
+    rectified = rectified_rig(rig)
+    threads = config.threads or available_cores()
+    frontend = make_frontend(config, components.extractor, components.matcher)
+    local_map = LocalMap(
+        rectified,
+        config.smoothing.window + config.smoothing.fixed,
+        frontend.extractor.descriptor_format,
+        components.keyframe_store,
+    )
+    mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
+    motion = components.motion or ConstantVelocity()
+    optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
+    keyframes = config.keyframes if rig.is_metric else config.keyframes.in_mono()
+    policy = KeyframePolicy(keyframes, config.tracking.max_landmarks)
+    start, search_ratio = config.start, config.tracking.search_ratio
+    tracker = Tracker(local_map, frontend, motion, config.tracking, start, stopwatch)
+    trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
+    window = SlidingWindow(
+        local_map,
+        optimizer,
+        config.stereo.sigma_disparity_px,
+        config.smoothing,
+        stopwatch,
+        components.factor_sources,
+    )
+    refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
+    return Stages(
+        _preprocessor(rectified, frontend, config, threads),
+        tracker,
+        StereoInitializer(local_map, mapper, frontend.stereo, start.min_points),
+        MonocularInitializer(local_map, mapper, frontend, start, search_ratio),
+        policy,
+        KeyframeForecast(policy),
+        local_map,
+        mapper,
+        MapOptimiser(local_map, mapper, tracker, window, refiner, trajectory, stopwatch),
+        optimizer,
+        trajectory,
+    )
+
+
+def _preprocessor(
+    rig: RectifiedRig, frontend: Frontend, config: Config, threads: int
+) -> FramePreprocessor:
+    vertical_disparity = VerticalDisparityCorrection(
+        rig, frontend.matcher, frontend.patches, config.stereo
+    )
+    return FramePreprocessor(rig, frontend.extractor, vertical_disparity, threads=threads)

@@ -1,0 +1,68 @@
+"""Landmarks that a camera should see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.geometry.patch_prediction import points_in_view, predict_patches
+from vo.mapping.local_map import LocalMap
+from vo.mapping.patch_search import BORDER_PX, MAX_SCALE
+from vo.types import Floats, Ints
+
+_MAX_COUNT = 20  # times found, from which landmarks are ranked alike
+
+
+@dataclass(frozen=True, eq=False)
+class Visible:
+    """Landmarks that should be in the image; rows belong together.
+
+    Attributes:
+        rows: (n,) rows of the map.
+        xy: (n, 2) predicted ideal pixels.
+        image_xy: (n, 2) the same in the rectified image.
+        scale: (n,) size of the patch relative to its reference.
+        reference_from_image: (n, 2, 2) how pixel steps in the image map to the reference image.
+        slope: (n, 2) change of inverse depth from pixel to pixel, relative to it, 1/px.
+    """
+
+    rows: Ints
+    xy: Floats
+    image_xy: Floats
+    scale: Floats
+    reference_from_image: Floats
+    slope: Floats
+
+
+def visible_landmarks(
+    local_map: LocalMap, world_from_cam: Floats, max_count: int | None = None
+) -> Visible:
+    """The landmarks that a camera at a pose (4, 4) should see.
+
+    Of more than `max_count` those found most often, then the newest.
+    """
+    rig, keyframes = local_map.rig, local_map.keyframes
+    poses = np.stack([*(k.world_from_cam for k in keyframes), world_from_cam])
+    first = keyframes[0].id if keyframes else 0
+    reference = local_map.reference - first
+    inside = (BORDER_PX, BORDER_PX, rig.width - BORDER_PX, rig.height - BORDER_PX)
+    everywhere = (-np.inf, -np.inf, np.inf, np.inf)
+    corners = inside if rig.lens is None else everywhere
+    rows, xy = points_in_view(local_map.xyz, reference, poses, rig.intrinsics, MAX_SCALE, corners)
+    image_xy = rig.distort(xy)
+    if rig.lens is not None:
+        u, v = image_xy[:, 0], image_xy[:, 1]
+        left, top, right, bottom = inside
+        kept = np.flatnonzero((u >= left) & (u < right) & (v >= top) & (v < bottom))
+        rows, xy, image_xy = rows.take(kept), xy.take(kept, axis=0), image_xy.take(kept, axis=0)
+    if max_count is not None and len(rows) > max_count:
+        found = np.minimum(local_map.found.take(rows), _MAX_COUNT)
+        rank = found * len(local_map) + rows  # rows are in order of the landmarks' ids
+        kept = np.sort(np.argpartition(rank, len(rank) - max_count)[len(rank) - max_count :])
+        rows, xy, image_xy = rows.take(kept), xy.take(kept, axis=0), image_xy.take(kept, axis=0)
+    here = np.full(len(rows), len(poses) - 1)
+    seen = predict_patches(
+        local_map.xyz, local_map.normal, reference, rows, here, poses, rig.intrinsics
+    )
+    return Visible(rows, xy, image_xy, seen.scale, seen.reference_from_target, seen.slope)

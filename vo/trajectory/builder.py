@@ -1,0 +1,73 @@
+"""The trajectory of a run, built from the keyframes of the local map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vo.frontend.preprocessing import PreprocessedFrame
+from vo.geometry.transforms import adjoint, inverse
+from vo.mapping.keyframe import Keyframe
+from vo.trajectory.store import TrajectoryStore
+from vo.types import Floats, KeyframePose
+
+
+class TrajectoryBuilder:
+    """Converts poses of the rectified camera to poses of the recorded cam0 and stores them.
+
+    The world frame of the result is cam0 at its first pose.
+
+    Attributes:
+        store: the trajectory so far.
+
+    Args:
+        cam0_from_rectified: (4, 4).
+    """
+
+    def __init__(self, cam0_from_rectified: Floats) -> None:
+        self.store = TrajectoryStore()
+        self._cam0_from_rectified = cam0_from_rectified
+        self._rectified_from_cam0 = inverse(cam0_from_rectified)
+        self._adjoint = adjoint(cam0_from_rectified)
+        self._moved: set[int] = set()
+
+    def add_frame(
+        self, frame: PreprocessedFrame, keyframe: Keyframe, world_from_cam: Floats
+    ) -> None:
+        """Add a frame with its pose (4, 4), relative to a keyframe that is stored already."""
+        segment, pose = keyframe.frame.segment, self.world_from_cam0(world_from_cam)
+        self.store.add(frame.index, frame.stamp_ns, segment, keyframe.id, pose)
+
+    def add_keyframe(self, keyframe: Keyframe) -> None:
+        """Store a new keyframe, and add its frame."""
+        self.update([keyframe])
+        frame, pose = keyframe.frame, self.world_from_cam0(keyframe.world_from_cam)
+        self.store.add(frame.index, frame.stamp_ns, frame.segment, keyframe.id, pose)
+
+    def update(self, keyframes: Sequence[Keyframe]) -> None:
+        """Store new poses and covariances of keyframes."""
+        if not keyframes:
+            return
+        poses = self.world_from_cam0(np.stack([k.world_from_cam for k in keyframes]))
+        for keyframe, pose in zip(keyframes, poses, strict=True):
+            covariance = keyframe.covariance
+            if covariance is not None:
+                covariance = self._adjoint @ covariance @ self._adjoint.T
+            frame = keyframe.frame
+            self.store.store(
+                keyframe.id,
+                KeyframePose(frame.index, frame.stamp_ns, frame.segment, pose, covariance),
+            )
+            self._moved.add(keyframe.id)
+
+    def take_moved(self) -> tuple[KeyframePose, ...]:
+        """Keyframes that were added or moved since the last call."""
+        moved, self._moved = sorted(self._moved), set()
+        return tuple(self.store.keyframes_by_id(moved))
+
+    def world_from_cam0(self, world_from_rectified: Floats) -> Floats:
+        """Poses (..., 4, 4) of the recorded cam0."""
+        return np.asarray(
+            self._cam0_from_rectified @ world_from_rectified @ self._rectified_from_cam0
+        )
