@@ -13,7 +13,10 @@ ROOT = Path(__file__).resolve().parents[1]
 
 BASE = {
     f"vo.{name}"
-    for name in ("errors", "types", "failures", "config", "settings", "scheduling", "stopwatch")
+    for name in (
+        *("errors", "types", "failures", "calibration_errors"),
+        *("config", "settings", "scheduling", "stopwatch"),
+    )
 }
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
 OUTER = {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results")}

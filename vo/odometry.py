@@ -12,6 +12,7 @@ from subprocess import Popen
 
 import cv2
 
+from vo.calibration_errors import CalibrationErrors
 from vo.config import Config
 from vo.failures import Failure, FailureReason
 from vo.frontend.exposure import image_failure
@@ -25,15 +26,7 @@ from vo.snapshot import FrameResult, feature_count, make_snapshot
 from vo.stages import BUILT_IN, Components, make_stages
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.store import TrajectoryStore
-from vo.types import (
-    CalibrationErrors,
-    Estimate,
-    Floats,
-    Frame,
-    Rig,
-    Snapshot,
-    State,
-)
+from vo.types import Estimate, Floats, Frame, Rig, Snapshot, State
 from vo.warmup import warm_up
 
 

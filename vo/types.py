@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,81 +208,6 @@ class Keypoints:
             self.response[rows],
             self.descriptor[rows],
         )
-
-
-class RightCameraError(NamedTuple):
-    """How the right camera differs from its calibration, where that was found and corrected.
-
-    Attributes:
-        pitch_deg: it looks up by this.
-        yaw_deg: it looks to the left.
-        roll_deg: it is turned counter-clockwise, seen from behind.
-        zoom_percent: its focal length is longer.
-        rows_px: most that rows of rectified images differed.
-    """
-
-    pitch_deg: float
-    yaw_deg: float
-    roll_deg: float
-    zoom_percent: float
-    rows_px: float
-
-    @property
-    def in_words(self) -> str:
-        """The same for people, without what is next to nothing."""
-        amounts = (
-            (self.pitch_deg, "° pitch"),
-            (self.yaw_deg, "° yaw"),
-            (self.roll_deg, "° roll"),
-            (self.zoom_percent, " % focal length"),
-        )
-        parts = [f"{amount:+.2f}{of_what}" for amount, of_what in amounts if abs(amount) >= 0.01]
-        rows = [f"rows differ by up to {self.rows_px:.1f} px"] if self.rows_px else []
-        return ", ".join(parts + rows)
-
-
-class LensError(NamedTuple):
-    """How a single camera's lens differs from its calibration, where that was found and corrected.
-
-    Attributes:
-        k1: what its first radial coefficient is larger by, that of OpenCV's `radtan` model.
-        edge_px: what that moves points at the image's edges by, outwards.
-    """
-
-    k1: float
-    edge_px: float
-
-
-class CalibrationResidual(NamedTuple):
-    """Remaining error of a calibration, as a window of keyframes shows it.
-
-    Attributes:
-        value: in stereo (2,) pixels: the bias of all disparities, and that which grows with the
-            square of the distance from the image centre on the right, at one focal length. In mono
-            (1,) the error of the radial distortion: ideal points x, in focal lengths, should be at
-            x (1 - value r^2).
-        information: (2, 2) or (1, 1), the inverse of its covariance.
-    """
-
-    value: Floats
-    information: Floats
-
-
-class CalibrationErrors(NamedTuple):
-    """Errors of a calibration that were found and are corrected.
-
-    Attributes:
-        disparity_offset_px: constant bias of disparities.
-        disparity_curve_px: their bias at one focal length from the principal point, growing with
-            the square.
-        right_camera: None without an error.
-        lens_error: None without an error.
-    """
-
-    disparity_offset_px: float
-    disparity_curve_px: float
-    right_camera: RightCameraError | None
-    lens_error: LensError | None
 
 
 class State(StrEnum):

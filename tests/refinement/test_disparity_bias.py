@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vo.calibration_errors import CalibrationResidual
 from vo.geometry.rectification import rectified_rig
 from vo.refinement.disparity_bias import DisparityBiasEstimator
-from vo.types import CalibrationResidual, Camera, Rig
+from vo.types import Camera, Rig
 
 RIG = rectified_rig(Rig(Camera(1240, 376, 720.0, 720.0, 620.0, 188.0)))
 

@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vo.calibration_errors import CalibrationResidual
 from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.refinement.radial_distortion import RadialDistortionEstimator
-from vo.types import CalibrationResidual, Camera, Rig
+from vo.types import Camera, Rig
 
 
 def _rig(focal: float = 460.0) -> RectifiedRig:

@@ -8,20 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from vo.calibration_errors import CalibrationErrors, LensError
 from vo.failures import Failure, FailureReason, ImageDefect
 from vo.results.account import Account
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
 from vo.results.summary import RunFacts, Summary, summarise
-from vo.types import (
-    CalibrationErrors,
-    Estimate,
-    KeyframePose,
-    LensError,
-    PlacedFrames,
-    Skipped,
-    State,
-    Trajectory,
-)
+from vo.types import Estimate, KeyframePose, PlacedFrames, Skipped, State, Trajectory
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
 CALIBRATED = CalibrationErrors(0.0, 0.0, None, None)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.backend.bundle import NormalEquations
-from vo.types import CalibrationResidual
+from vo.calibration_errors import CalibrationResidual
 
 _UNDETERMINED = 1e-10  # eigenvalue, relative to the greatest, below which a direction is fixed
 

@@ -14,13 +14,14 @@ from vo.backend.path_covariance import update_covariances
 from vo.backend.residuals import residuals
 from vo.backend.solution import WindowSolution
 from vo.backend.window_problem import FactorSource, WindowProblem
+from vo.calibration_errors import CalibrationResidual
 from vo.config import SmoothingConfig
 from vo.geometry.points import best_points
 from vo.geometry.transforms import inverse, orthonormalised
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
 from vo.stopwatch import Stopwatch, timed
-from vo.types import Bools, CalibrationResidual, Floats, Ints
+from vo.types import Bools, Floats, Ints
 
 # Frames after which a result is applied, unless a keyframe comes before. The number is fixed, so
 # that the path does not depend on the speed of the optimizer. With one camera the landmarks' depths

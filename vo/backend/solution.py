@@ -13,7 +13,8 @@ from vo.backend.gauge import gauge_of
 from vo.backend.information import pose_information
 from vo.backend.linearisation import linearise
 from vo.backend.window_problem import WindowProblem
-from vo.types import Bools, CalibrationResidual, Floats
+from vo.calibration_errors import CalibrationResidual
+from vo.types import Bools, Floats
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.backend.bundle_adjustment import AdjustedWindow

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.calibration_errors import RightCameraError
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import (
     FittedVerticalDisparity,
     VerticalDisparity,
     vertical_disparity_sigma,
 )
-from vo.types import Floats, RightCameraError
+from vo.types import Floats
 
 _SURE = 2.0  # standard deviations
 # Less is left alone: nothing is lost by it, and images that are used as recorded stay as they are.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vo.types import RightCameraError
+from vo.calibration_errors import RightCameraError
 
 
 @dataclass(frozen=True)

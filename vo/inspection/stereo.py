@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from vo.calibration_errors import RightCameraError
 from vo.errors import CalibrationError
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera_error import is_worth_correcting, right_camera_error
 from vo.geometry.vertical_disparity_model import VerticalDisparityFit
 from vo.inspection.image_records import StereoReport
-from vo.types import Bytes, Floats, Rig, RightCameraError
+from vo.types import Bytes, Floats, Rig
 
 _FEATURES = 1500
 _MIN_MATCHES = 15

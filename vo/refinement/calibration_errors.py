@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from vo.calibration_errors import CalibrationErrors, LensError
 from vo.geometry.k1_error import edge_shift_px
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.right_camera_error import right_camera_error
 from vo.geometry.vertical_disparity_model import VerticalDisparity
-from vo.types import CalibrationErrors, LensError
 
 
 def calibration_errors(rig: RectifiedRig, corrected: VerticalDisparity) -> CalibrationErrors:

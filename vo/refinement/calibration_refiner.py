@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from vo.calibration_errors import CalibrationResidual
 from vo.config import RefinementConfig
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.refinement.disparity_bias import DisparityBiasEstimator, is_from_yaw
 from vo.refinement.radial_distortion import RadialDistortionEstimator
-from vo.types import CalibrationResidual
 
 # Consecutive windows share most of their keyframes: after the first windows of a run only every
 # third one is evaluated, with the weight of three.

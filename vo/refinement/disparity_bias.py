@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.calibration_errors import CalibrationResidual
 from vo.geometry.rectification import RectifiedRig
-from vo.types import CalibrationResidual, Floats
+from vo.types import Floats
 
 # Windows of one recording differ by more than their noise, due to uneven rectification and moving
 # objects: a standard deviation of 0.1 px of the offset, measured on real recordings.

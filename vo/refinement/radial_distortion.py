@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.calibration_errors import CalibrationResidual
 from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig
-from vo.types import CalibrationResidual
 
 # At the image's edges: the effect of patches that are unevenly spread, and the minimum change of
 # a correction.

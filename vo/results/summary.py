@@ -8,21 +8,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.failures import ImageDefect
 from vo.results.account import Account, StageTime
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.profile import Profile
 from vo.results.unplaced import FrameRange, unplaced_ranges
-from vo.types import (
-    CalibrationErrors,
-    Floats,
-    Ints,
-    LensError,
-    PlacedFrames,
-    RightCameraError,
-    Skipped,
-    State,
-)
+from vo.types import Floats, Ints, PlacedFrames, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
