@@ -222,6 +222,18 @@ def test_an_override_by_an_old_name_replaces_the_value_of_a_preset() -> None:
     assert load_config("fast", ["tracking.min_share=0.2"]).tracking.min_inlier_ratio == 0.2
 
 
+def test_an_override_by_a_new_name_replaces_an_old_name_in_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text("tracking: {search_share: 0.03}\n", encoding="utf-8")
+    assert load_config(path, ["tracking.search_ratio=0.05"]).tracking.search_ratio == 0.05
+
+
+def test_the_last_override_counts_by_whichever_name() -> None:
+    old, new = "tracking.search_share=0.03", "tracking.search_ratio=0.05"
+    assert load_config("default", [old, new]).tracking.search_ratio == 0.05
+    assert load_config("default", [new, old]).tracking.search_ratio == 0.03
+
+
 def test_an_old_name_with_a_wrong_value_is_an_error_about_the_new_name() -> None:
     with pytest.raises(ConfigError, match="tracking.search_ratio"):
         load_config("default", ["tracking.search_share=2"])

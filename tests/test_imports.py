@@ -59,7 +59,10 @@ ALLOWED = {
     "vo.inspection": GROUND | {"vo.sources"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.warmup": GROUND | {"vo"},
-    "vo.run": GROUND | OUTER | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts"},
+    "vo.run_session": GROUND
+    | OUTER
+    | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts"},
+    "vo.run": GROUND | OUTER | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session"},
     "vo.cli": GROUND
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}

@@ -274,8 +274,8 @@ def test_a_recording_that_cannot_be_written_is_told_before_any_work(
 def test_the_summary_is_kept_up_to_date(
     synthetic_stereo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vo.run._REFRESH_S", 0.0)
-    monkeypatch.setattr("vo.run._REFRESH_SHARE", 1e9)
+    monkeypatch.setattr("vo.run_session._REFRESH_S", 0.0)
+    monkeypatch.setattr("vo.run_session._REFRESH_RATIO", 1e9)
     seen: list[int] = []
 
     class Reader(Watcher):
@@ -294,7 +294,7 @@ def test_frames_asked_for_that_are_all_damaged(
     source = shutil.copytree(synthetic_stereo, tmp_path / "damaged")
     for image in sorted((source / "mav0" / "cam0" / "data").iterdir())[:4]:
         image.write_bytes(b"damaged")
-    with pytest.raises(SourceError, match="none of the 4 frames asked for can be read; the first"):
+    with pytest.raises(SourceError, match="none of the 4 requested frames can be read; the first"):
         run(source, tmp_path / "out", config=FAST, end=4)
     summary = summary_in(tmp_path / "out")
     assert (summary["status"], len(summary["skipped"])) == ("failed", 4)

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 from vo.backend.process import OptimizerProcess
+from vo.backend.window_problem import WindowProblem
 from vo.config import load_config
 from vo.run import run
-from vo.types import Estimate, WindowProblem
+from vo.types import Estimate
 
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 
@@ -44,21 +45,21 @@ def test_a_busy_machine_makes_no_difference(synthetic_stereo: Path, tmp_path: Pa
             process.wait()
 
 
-def test_a_smoother_killed_in_every_window_makes_no_difference(
+def test_an_optimizer_killed_in_every_window_makes_no_difference(
     synthetic_stereo: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     alone = _run(synthetic_stereo, tmp_path / "alone", 1)
-    ask, killed = OptimizerProcess.ask, []
+    submit, killed = OptimizerProcess.submit, []
 
-    def kill_and_ask(self: OptimizerProcess, problem: WindowProblem) -> None:
+    def kill_and_submit(self: OptimizerProcess, problem: WindowProblem) -> None:
         killed.append(self._child.pid)
         os.kill(killed[-1], signal.SIGKILL)
-        ask(self, problem)
+        submit(self, problem)
 
-    monkeypatch.setattr(OptimizerProcess, "ask", kill_and_ask)
+    monkeypatch.setattr(OptimizerProcess, "submit", kill_and_submit)
     assert _run(synthetic_stereo, tmp_path / "killed", 2) == alone
     assert len(set(killed)) == len(killed) > 1
     assert len([r for r in caplog.records if "died" in r.getMessage()]) == len(killed)

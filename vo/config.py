@@ -261,9 +261,10 @@ def load_config(config: str | Path = "default", overrides: Sequence[str] = ()) -
         ConfigError: unknown preset, file or key, or a value of the wrong type or range.
     """
     merged = read_settings(find_preset(config, preset_folder()))
-    for text in overrides:
-        set_value(merged, text)
     renamed = replace_old_names(merged, _RENAMED)
+    for text in overrides:  # each replaces what comes before it, by whichever name
+        set_value(merged, text)
+        renamed |= replace_old_names(merged, _RENAMED)
     if renamed:
         names = ", ".join(f"{old} is now {new}" for old, new in renamed.items())
         _log.warning("settings in %s have been renamed: %s", config, names)

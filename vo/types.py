@@ -97,7 +97,7 @@ class Frame:
         index: number of the frame in its source, from 0, counting every frame (also those skipped).
         stamp_ns: time of image0 in nanoseconds.
         image0: (H, W) uint8, grey, as recorded (distorted, unrectified); in colour or with
-            16 bits only where `Source.frames` was asked for that.
+            16 bits only where `FrameStream.frames` was asked for that.
         image1: the same of cam1, or None in mono and where the partner is missing.
         depth: (H, W) float32 metres along cam0's axis at the pixels of image0, 0 where unknown; or
             None where there is no depth camera or no depth image at that time.

@@ -148,7 +148,8 @@ def test_a_window_without_further_factors_has_no_further_states() -> None:
 
 def test_factors_give_the_same_bits_in_another_process() -> None:
     window = drive(stereo=True, fixed=2).with_noise(1).with_guess()
-    problem = with_factors(window, relative_pose(window, 1, 4, 0.01)).problem
+    factors = [relative_pose(window, 1, 4, 0.01), *(Velocity(k) for k in range(7))]
+    problem = with_factors(window, *factors).problem
     here = InProcessOptimizer(PRECISE)
     here.submit(problem)
     expected = here.result()
@@ -161,6 +162,9 @@ def test_factors_give_the_same_bits_in_another_process() -> None:
     assert found.converged
     for name in ("world_from_cam", "points", "information"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert set(found.states) == set(expected.states) == {velocity_key(k) for k in range(7)}
+    for key, state in expected.states.items():
+        np.testing.assert_array_equal(found.states[key], state)
 
 
 class Velocities:

@@ -21,12 +21,12 @@ from vo.formats.messages import (
     TransformsMessage,
 )
 from vo.geometry.transforms import inverse
-from vo.sources.source import Source
+from vo.sources.source import Recording
 
 Messages = Iterator[tuple[str, Message]]
 
 
-def messages(source: Source, codec: str = "mono8") -> Messages:
+def messages(source: Recording, codec: str = "mono8") -> Messages:
     """A stereo recording as messages; `codec` is mono8 or png."""
     rig = source.rig
     assert rig.cam1 is not None and rig.cam1_from_cam0 is not None
@@ -54,7 +54,7 @@ def messages(source: Source, codec: str = "mono8") -> Messages:
                 yield f"/{name}/image_raw/compressed", packed
 
 
-def write_glob(path: Path, source: Source) -> Path:
+def write_glob(path: Path, source: Recording) -> Path:
     for frame in source.frames():
         assert frame.image1 is not None
         layouts.write_image(path / f"left_{frame.stamp_ns}.png", frame.image0)
@@ -63,7 +63,7 @@ def write_glob(path: Path, source: Source) -> Path:
     return path / "left_*.png"
 
 
-def write_video(path: Path, source: Source) -> Path:
+def write_video(path: Path, source: Recording) -> Path:
     """The left camera without loss; time begins at 0."""
     unit = Fraction(1, 10**9)
     with av.open(str(path), "w", options={"video_track_timescale": "1000000000"}) as container:

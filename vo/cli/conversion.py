@@ -27,7 +27,7 @@ from vo.geometry.transforms import inverse
 from vo.inspection.opening import OpenedRecording, collected_warnings, right_stamps
 from vo.sources.images import ImageKind, is_in_colour
 from vo.sources.sequence import choose_frames
-from vo.sources.source import Source
+from vo.sources.source import Recording as SourceRecording
 from vo.types import Frame, Ints, Rig, Trajectory
 
 OnFrame = Callable[[int, int], None]
@@ -138,7 +138,7 @@ def convert(
             _find_unreadable(source, plan)
 
 
-def _plan(opened: OpenedRecording, source: Source, settings: Conversion) -> _Plan:
+def _plan(opened: OpenedRecording, source: SourceRecording, settings: Conversion) -> _Plan:
     chosen = choose_frames(len(source), settings.start, settings.end, settings.stride)
     numbers = np.array(chosen, dtype=np.int64)
     right_ns = np.full(len(numbers), -1, dtype=np.int64)
@@ -153,7 +153,7 @@ def _plan(opened: OpenedRecording, source: Source, settings: Conversion) -> _Pla
 
 
 def _recording(
-    source: Source, truth: Trajectory | None, plan: _Plan, settings: Conversion
+    source: SourceRecording, truth: Trajectory | None, plan: _Plan, settings: Conversion
 ) -> Recording:
     """The recording without inertial measurements, with cam0 as its body."""
     rig = scaled_rig(source.rig, settings.size)
@@ -201,7 +201,7 @@ def _check(recording: Recording, settings: Conversion) -> None:
 
 
 def _shots(
-    source: Source, plan: _Plan, settings: Conversion, on_frame: OnFrame | None
+    source: SourceRecording, plan: _Plan, settings: Conversion, on_frame: OnFrame | None
 ) -> Iterator[Shot]:
     """The frames to write, each exactly once and in order."""
     rig = scaled_rig(source.rig, settings.size)
@@ -240,7 +240,7 @@ def _missing(plan: _Plan, row: int, rig: Rig) -> Shot:
     return Shot(row, (None, None) if rig.is_stereo else (None,))
 
 
-def _find_unreadable(source: Source, plan: _Plan) -> None:
+def _find_unreadable(source: SourceRecording, plan: _Plan) -> None:
     """Read all frames and record unreadable images."""
     first, last = int(plan.numbers[0]), int(plan.numbers[-1])
     stride = int(plan.numbers[1] - first) if len(plan.numbers) > 1 else 1

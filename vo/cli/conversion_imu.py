@@ -11,7 +11,7 @@ from vo.errors import VoError
 from vo.geometry.transforms import inverse
 from vo.sources.imu import Imu as SourceImu
 from vo.sources.imu import ImuSamples
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Floats, Ints
 
 _log = logging.getLogger(__name__)
@@ -20,7 +20,7 @@ _FORMATS_WITH_IMU = ("euroc", "mcap", "mcap-ros2")
 _SENSOR = "imu0"
 
 
-def imu_around(source: Source, stamps_ns: Ints, format: str) -> tuple[Imu | None, Floats]:
+def imu_around(source: Recording, stamps_ns: Ints, format: str) -> tuple[Imu | None, Floats]:
     """Measurements of the first inertial sensor, from one sample before the frames to one after.
 
     Args:

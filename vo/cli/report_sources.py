@@ -15,7 +15,7 @@ from vo.report.entry import Thumbnail
 from vo.report.events import choose_events, shrink
 from vo.report.run_folder import RunRecord
 from vo.sources.registry import open_source
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Mode, Trajectory
 
 _NS_PER_S = 1e9
@@ -41,7 +41,7 @@ class EvaluatedRun(NamedTuple):
     causal_ate_m: float | None = None
 
 
-def open_recording(run: RunRecord) -> tuple[Source | None, str]:
+def open_recording(run: RunRecord) -> tuple[Recording | None, str]:
     """The recording of a run, or None; and the reason to report if there is no ground truth."""
     path = Path(str(run.summary["source"]))
     mode: Mode = "mono" if run.summary["mode"] == "mono" else "auto"
@@ -59,7 +59,7 @@ def open_recording(run: RunRecord) -> tuple[Source | None, str]:
 
 
 def evaluate_run(
-    run: RunRecord, truth: Path | None, source: Source | None, why_no_truth: str
+    run: RunRecord, truth: Path | None, source: Recording | None, why_no_truth: str
 ) -> EvaluatedRun:
     """Evaluate a run against the given ground truth, by default that of its recording.
 
@@ -93,7 +93,7 @@ def _inputs_with_given_truth(run: RunRecord, truth: Path) -> Inputs:
     return inputs
 
 
-def _inputs_with_own_truth(run: RunRecord, path: Path, source: Source | None) -> Inputs | None:
+def _inputs_with_own_truth(run: RunRecord, path: Path, source: Recording | None) -> Inputs | None:
     """Inputs from the ground truth file in a recording, or from that of the opened source."""
     if path.is_dir():
         try:
@@ -144,7 +144,7 @@ def _causal_ate_m(run: RunRecord, inputs: Inputs) -> float | None:
     return evaluation.ate.translation.rmse
 
 
-def take_thumbnails(run: RunRecord, source: Source, zero_ns: int) -> tuple[Thumbnail, ...]:
+def take_thumbnails(run: RunRecord, source: Recording, zero_ns: int) -> tuple[Thumbnail, ...]:
     """Small images of frames with events; unreadable frames are left out."""
     if run.frames is None:
         return ()

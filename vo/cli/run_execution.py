@@ -86,5 +86,5 @@ def _run(
         source_name=NAME if given.is_piped else None,
         progress=make_progress(console, quiet=outputs.quiet),
         profile_since=outputs.profile_since,
-        smoother_process=smoother,
+        optimizer_process=smoother,
     )

@@ -24,7 +24,7 @@ from vo.sources.logs.log import Log, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.registry import FORMATS, choose_format, gather, open_container
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Camera, Ints, Mode, Rig, Trajectory
 
 
@@ -70,7 +70,7 @@ class OpenedRecording:
     topics: tuple[Topic, ...] = ()
     unread: tuple[UnreadTopic, ...] = ()
     imus: tuple[Imu, ...] = ()
-    source: Source | None = None
+    source: Recording | None = None
     rig: Rig | None = None
     truth: Trajectory | None = None
     refusal: str = ""

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from vo.errors import SourceError
 from vo.sources.assembly import Gathered, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Mode
 
 if TYPE_CHECKING:
     from vo.sources.logs.log import Log
 
-Opener = Callable[..., Source]
+Opener = Callable[..., Recording]
 """Opens a log: takes path, calibration (Path or None), mode and the chosen topics."""
 
 Gather = Callable[[Path, Path | None, Mode], Gathered]
@@ -89,7 +89,7 @@ def open_source(
     mode: Mode = "auto",
     topics: Sequence[str] = (),
     follow: bool = False,
-) -> Source:
+) -> Recording:
     """Open a recording.
 
     Args:

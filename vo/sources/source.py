@@ -1,26 +1,26 @@
-"""What every kind of recording offers."""
+"""Contracts of frame sources: streams, and recordings, which are streams of known length."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from vo.sources.images import ImageKind
 from vo.sources.imu import Imu
 from vo.types import Frame, Ints, Rig, Skipped, Trajectory
 
 
-class Source(Protocol):
-    """A recording: a rig of cameras and its frames in time order.
+@runtime_checkable
+class FrameStream(Protocol):
+    """Frames of a rig of cameras in time order, without known length or times, such as a camera.
 
     Attributes:
         name: short name for titles and file names.
-        format: name of the format in the registry.
-        rig: the cameras, cam1 only if the frames have an image1.
-        ground_truth: true poses of cam0, or None where the recording has none.
-        skipped: frames that `frames` could not hand out so far, and why.
-        unpaired: frames that `frames` handed out without their image1 so far, in stereo.
-        imus: inertial sensors, the one to use first; they are read when they are asked for.
+        format: name of the format.
+        rig: the cameras; two only if the frames have images of both.
+        ground_truth: true poses of cam0, or None.
+        skipped: frames that `frames` could not read so far.
+        unpaired: number of frames so far whose image of cam1 is missing, in stereo.
     """
 
     name: str
@@ -29,16 +29,6 @@ class Source(Protocol):
     ground_truth: Trajectory | None
     skipped: list[Skipped]
     unpaired: int
-    imus: tuple[Imu, ...]
-
-    def __len__(self) -> int:
-        """Number of frames before slicing."""
-        ...
-
-    @property
-    def stamps_ns(self) -> Ints:
-        """(N,) the time of every frame before slicing, without reading an image."""
-        ...
 
     def frames(
         self,
@@ -47,8 +37,34 @@ class Source(Protocol):
         stride: int = 1,
         images: ImageKind = "grey",
     ) -> Iterator[Frame]:
-        """Read frames start, start + stride, … below end, their images as some kind.
+        """Read frames start, start + stride, ... below end.
 
-        Those that cannot be read are warned of, noted in `skipped` and left out.
+        Unreadable frames are left out, with a warning and an entry in `skipped`.
+
+        Args:
+            start: number of the first frame.
+            end: number to stop before, None for all.
+            stride: step between frames.
+            images: kind of images.
         """
+        ...
+
+
+@runtime_checkable
+class Recording(FrameStream, Protocol):
+    """A stream whose frames are known beforehand; a log that is being written may still grow.
+
+    Attributes:
+        imus: inertial sensors, the preferred one first; their samples are read on request.
+    """
+
+    imus: tuple[Imu, ...]
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        ...
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """(N,) times of all frames, known without reading an image."""
         ...

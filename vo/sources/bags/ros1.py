@@ -31,7 +31,7 @@ from vo.sources.bags.ros1_records import (
 )
 from vo.sources.logs.log import Entry, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Mode
 
 _log = logging.getLogger(__name__)
@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 
 def open_rosbag1(
     path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
-) -> Source:
+) -> Recording:
     """Open a bag; of one that was cut off, what is there.
 
     Raises:

@@ -19,7 +19,7 @@ from vo.sources.listing import natural_key
 from vo.sources.logs.log import Entry, Log, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
 from vo.sources.mcap.file import McapFile
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Mode
 
 _log = logging.getLogger(__name__)
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 def open_rosbag2(
     path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
-) -> Source:
+) -> Recording:
     """Open a bag; without its metadata.yaml, as after a crash, its files tell all that is needed.
 
     Raises:

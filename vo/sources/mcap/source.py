@@ -9,7 +9,7 @@ from vo.sources.logs.choice import choose_topics
 from vo.sources.logs.opening import open_log
 from vo.sources.mcap.file import McapFile
 from vo.sources.mcap.follow import Arrivals, GrowingFile
-from vo.sources.source import Source
+from vo.sources.source import Recording
 from vo.types import Mode
 
 
@@ -19,7 +19,7 @@ def open_mcap(
     mode: Mode,
     topics: Sequence[str] = (),
     follow: bool = False,
-) -> Source:
+) -> Recording:
     """Open an MCAP file.
 
     Args:

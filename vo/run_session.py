@@ -1,0 +1,273 @@
+"""A run from its first frame to its last."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from vo.config import Config
+from vo.errors import OutputError, SourceError
+from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
+from vo.interrupts import interrupts_between_frames
+from vo.odometry import Odometry
+from vo.progress import Progress
+from vo.recording.recorder import Recorder
+from vo.results.account import Account
+from vo.results.covariance import covariance_line
+from vo.results.folder import RunFolder
+from vo.results.frames import frame_line
+from vo.results.poses import pose_lines
+from vo.results.profile import Profile, make_profile
+from vo.results.summary import RunFacts, Status, Summary, summarise
+from vo.sources.source import FrameStream, Recording
+from vo.stopwatch import Stopwatch
+from vo.trajectory.pose_log import PoseLog
+from vo.types import Estimate, Frame
+
+_log = logging.getLogger(__name__)
+_REFRESH_S = 3.0  # minimum time between interim summaries
+_REFRESH_RATIO = 0.02  # maximum ratio of the time that they take
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run was asked for.
+
+    Attributes:
+        path: path of the recording, or the name of a stream.
+        public_name: name of the recording in summaries and messages.
+        config: all settings.
+        start: first frame.
+        end: frame to stop before, None for all.
+        stride: step between frames.
+        calibration: file that replaces the recording's calibration, or None.
+        topics: of a log, as given.
+        profile_since: start of the profile on `time.perf_counter`, None for no profile.
+    """
+
+    path: str
+    public_name: str
+    config: Config
+    start: int = 0
+    end: int | None = None
+    stride: int = 1
+    calibration: Path | None = None
+    topics: tuple[str, ...] = ()
+    profile_since: float | None = None
+
+    def facts(self, stream: FrameStream) -> RunFacts:
+        """Facts about the run; a stream without length has no known number of frames."""
+        end = self.end or 0
+        if isinstance(stream, Recording):
+            length = len(stream)
+            end = length if self.end is None else min(self.end, length)
+        rig = stream.rig
+        return RunFacts(
+            source=self.public_name,
+            format=stream.format,
+            mode="rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono",
+            has_ground_truth=stream.ground_truth is not None,
+            seed=self.config.seed,
+            start=self.start,
+            end=end,
+            stride=self.stride,
+            requested=len(range(self.start, end, self.stride)) if self.stride else 0,
+            every=self.config.tracking.every,
+            calibration=None if self.calibration is None else str(self.calibration),
+            topics=self.topics,
+        )
+
+    def with_public_name(self, text: str) -> str:
+        """A message with the public name in place of the path."""
+        return text if self.path == self.public_name else text.replace(self.path, self.public_name)
+
+
+class RunSession:
+    """A run from its first frame to its last: tracks frames, writes results, records, summarises.
+
+    Args:
+        stream: the recording.
+        request: what was asked for.
+        odometry: tracks the frames.
+        folder: receives the results.
+        recorder: records the run.
+        progress: observes the run.
+    """
+
+    def __init__(
+        self,
+        stream: FrameStream,
+        request: Request,
+        odometry: Odometry,
+        folder: RunFolder,
+        recorder: Recorder,
+        progress: Progress,
+    ) -> None:
+        self._stream = stream
+        self._request = request
+        self._facts = request.facts(stream)
+        self._odometry = odometry
+        self._folder = folder
+        self._recorder = recorder
+        self._progress = progress
+        self._account = Account()
+        self._causal = PoseLog()
+        self._begun = self._refreshed = time.perf_counter()
+        self._refresh_took = 0.0
+        self._start_up_ms = 0.0
+
+    def begin(self) -> None:
+        """Start the progress; write a summary that holds if the process is killed from here on."""
+        self._summarise("interrupted")
+        self._progress.begin(self._stream.name, self._facts.requested)
+
+    def track(self, frames: Iterator[Frame]) -> None:
+        """Track all frames.
+
+        Raises:
+            SourceError: none could be read.
+        """
+        clock = Stopwatch()
+        since = self._request.profile_since
+        self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
+        with interrupts_between_frames() as check:
+            for estimate in self._odometry.track_all(_timed(frames, clock)):
+                self._output(estimate, clock)
+                self._folder.frames.append(frame_line(estimate, clock.stage_ms))
+                self._account.note_time(clock.stage_ms)
+                clock.stage_ms.clear()
+                self._refresh_if_due()
+                check()
+        if not self._account.frames:
+            raise _nothing_readable(self._stream)
+
+    def end(self, status: Status, error: str | None = None) -> Summary:
+        """Finish the files, the recording and, last, the summary."""
+        self._progress.finish()
+        self._account.note_time(self._odometry.finish())
+        clock = Stopwatch()
+        with clock.stage("write"):
+            self._finish_files()
+        with clock.stage("record"):
+            self._finish_recording()
+        self._account.note_time(clock.stage_ms)
+        return self._summarise(status, error)
+
+    def end_early(self, error: BaseException) -> None:
+        """Save the results so far before an error is raised again."""
+        status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        reason = None if status == "interrupted" else _one_line(error)
+        try:
+            with interrupts_between_frames():  # a second Ctrl-C must not cost results
+                self._progress.finish()
+                if status == "interrupted":
+                    self._odometry.finish()
+                self._save(self._finish_files)
+                self._save(lambda: self._summarise(status, reason))
+            self._save(self._finish_recording)
+        finally:
+            self._folder.close()
+
+    def _save(self, part: Callable[[], object]) -> None:
+        """Save one part; an error, such as a full disk, does not affect the others."""
+        try:
+            part()
+        except OutputError as error:
+            _log.warning("results are incomplete: %s", error)
+
+    def _finish_files(self) -> None:
+        self._write_changed()
+        self._folder.finish()
+
+    def _finish_recording(self) -> None:
+        self._recorder.finish(self._causal.trajectory(), self._odometry.trajectory.trajectory())
+
+    def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
+        self._account.note(estimate)
+        clock.stage_ms.update(estimate.stage_ms)
+        with clock.stage("write"):
+            self._write(estimate)
+        with clock.stage("record"):
+            self._recorder.record(estimate, self._odometry.snapshot)
+        done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1
+        self._progress.step(done, estimate)
+
+    def _write(self, estimate: Estimate) -> None:
+        """Append a frame, and rewrite the poses that optimisation has moved."""
+        if estimate.world_from_cam0 is not None:
+            self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
+            self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.world_from_cam0))
+        self._write_changed()
+
+    def _write_changed(self) -> None:
+        trajectory = self._odometry.trajectory
+        row, keyframe_row = trajectory.take_changes()
+        path = trajectory.path(row)
+        fields = [pose_fields(pose) for pose in path.trajectory.world_from_cam]
+        stamps_ns = path.trajectory.stamps_ns.tolist()
+        self._folder.trajectory.replace_from(row, map(tum_line_of_fields, stamps_ns, fields))
+        self._folder.poses.replace_from(row, pose_lines(path, fields))
+        keyframes = trajectory.keyframes(keyframe_row)
+        self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
+
+    def _refresh_if_due(self) -> None:
+        """Update the summary every few seconds, less often if that takes long."""
+        now = time.perf_counter()
+        if now - self._refreshed < max(_REFRESH_S, self._refresh_took / _REFRESH_RATIO):
+            return
+        self._summarise("interrupted")
+        self._refreshed = time.perf_counter()
+        self._refresh_took = self._refreshed - now
+
+    def _summarise(self, status: Status, error: str | None = None) -> Summary:
+        self._facts = self._request.facts(self._stream)  # a growing log has more frames now
+        named = self._request.with_public_name
+        summary = summarise(
+            self._facts,
+            status,
+            self._account,
+            self._odometry.trajectory.path(),
+            keyframes=self._odometry.trajectory.keyframe_count,
+            skipped=[replace(s, reason=named(s.reason)) for s in self._stream.skipped],
+            unpaired=self._stream.unpaired,
+            wall_s=time.perf_counter() - self._begun,
+            calibration=self._odometry.calibration_errors,
+            error=None if error is None else named(error),
+            profile=self._profile(),
+        )
+        self._folder.write_summary(summary.to_dict())
+        return summary
+
+    def _profile(self) -> Profile | None:
+        """Profile of the run until now."""
+        since = self._request.profile_since
+        if since is None:
+            return None
+        wall_ms = (time.perf_counter() - since) * 1e3
+        return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._account.total_ms()})
+
+
+def _timed(frames: Iterator[Frame], clock: Stopwatch) -> Iterator[Frame]:
+    """The same frames; the time to read them counts towards stage `read`."""
+    while True:
+        with clock.stage("read"):
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
+
+
+def _nothing_readable(stream: FrameStream) -> SourceError:
+    if not stream.skipped:
+        return SourceError(f"{stream.name}: it ended before the first frame")
+    count, first = len(stream.skipped), stream.skipped[0].reason
+    return SourceError(
+        f"{stream.name}: none of the {count} requested frames can be read; the first: {first}"
+    )
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
