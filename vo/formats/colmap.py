@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,34 @@ from vo.types import Bytes, Camera, Floats, Ints
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 _CENTRE_TO_CORNER_PX = 0.5
 _FEW, _SOME = 4, 5  # coefficients of radtan without and with k3
+
+
+class ModelPoints(NamedTuple):
+    """Points of a model; rows belong together.
+
+    Attributes:
+        xyz: (M, 3) in the world.
+        grey: (M,) grey levels.
+        error_px: (M,) mean reprojection errors.
+    """
+
+    xyz: Floats
+    grey: Bytes
+    error_px: Floats
+
+
+class ModelObservations(NamedTuple):
+    """Observations of a model; rows belong together.
+
+    Attributes:
+        image: (N,) rows of the images, increasing.
+        point: (N,) rows of the points.
+        xy: (N, 2) pixels, the centre of the top-left one at (0, 0).
+    """
+
+    image: Ints
+    point: Ints
+    xy: Floats
 
 
 def knows_lens(camera: Camera) -> bool:
@@ -44,41 +73,33 @@ def camera_line(camera: Camera) -> str:
 
 def write_model(
     folder: Path,
-    *,
     camera: Camera,
     names: Sequence[str],
     world_from_cam: Floats,
-    xyz: Floats,
-    grey: Bytes,
-    error_px: Floats,
-    image: Ints,
-    point: Ints,
-    xy: Floats,
+    points: ModelPoints,
+    observations: ModelObservations,
 ) -> None:
     """Write a model of K images, M points and N observations.
 
     Args:
-        folder: made if it is missing; its model is replaced.
+        folder: created if it is missing; its model is replaced.
         camera: of all images.
         names: of the K image files, without white space.
         world_from_cam: (K, 4, 4).
-        xyz: (M, 3).
-        grey: (M,).
-        error_px: (M,) mean reprojection errors.
-        image: (N,) rows in names, increasing.
-        point: (N,) rows in xyz.
-        xy: (N, 2) pixels, the centre of the top-left one at (0, 0).
+        points: the M points.
+        observations: the N observations.
 
     Raises:
         OSError: the files cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    image, point, xy = observations
     first = np.searchsorted(image, np.arange(len(names) + 1))
     place = np.arange(len(image)) - first[image]  # of each observation in its image
     corner_xy = xy + _CENTRE_TO_CORNER_PX
     _write(folder / "cameras.txt", iter([camera_line(camera)]))
     _write(folder / "images.txt", _image_lines(names, world_from_cam, first, corner_xy, point))
-    _write(folder / "points3D.txt", _point_lines(xyz, grey, error_px, image, point, place))
+    _write(folder / "points3D.txt", _point_lines(points, image, point, place))
 
 
 def _write(path: Path, lines: Iterator[str]) -> None:
@@ -98,9 +119,8 @@ def _image_lines(
         yield " ".join(f"{u:.3f} {v:.3f} {number + 1}" for (u, v), number in pairs)
 
 
-def _point_lines(
-    xyz: Floats, grey: Bytes, error_px: Floats, image: Ints, point: Ints, place: Ints
-) -> Iterator[str]:
+def _point_lines(points: ModelPoints, image: Ints, point: Ints, place: Ints) -> Iterator[str]:
+    xyz, grey, error_px = points
     order = np.argsort(point, kind="stable")
     tracks = np.column_stack([image[order] + 1, place[order]])
     first = np.searchsorted(point[order], np.arange(len(xyz) + 1))

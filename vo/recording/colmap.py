@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.errors import OutputError
-from vo.formats.colmap import MODEL_FILES, knows_lens, write_model
+from vo.formats.colmap import MODEL_FILES, ModelObservations, ModelPoints, knows_lens, write_model
 from vo.geometry import cameras
 from vo.geometry.rectification import rectified_rig
 from vo.recording.image_folder import ImageFolder
@@ -96,18 +96,15 @@ class ColmapRecorder:
     def _write(self, folder: Path, model: Model) -> None:
         assert self._camera is not None
         is_pinhole = self._maps is not None
+        xy = _undistorted(model.camera, self._camera, model.xy) if is_pinhole else model.xy
         write_model(
             folder,
             # Of images as recorded, with what was found to be wrong with their lens on the way.
             camera=self._camera if is_pinhole else model.camera,
             names=[self._names[int(frame)] for frame in model.frame_index],
             world_from_cam=model.world_from_image0,
-            xyz=model.xyz,
-            grey=model.grey,
-            error_px=model.error_px,
-            image=model.keyframe,
-            point=model.point,
-            xy=_undistorted(model.camera, self._camera, model.xy) if is_pinhole else model.xy,
+            points=ModelPoints(model.xyz, model.grey, model.error_px),
+            observations=ModelObservations(model.keyframe, model.point, xy),
         )
 
 

@@ -20,7 +20,7 @@ from vo.sources.images import Pixels, StoredImage, depth_bits_of
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
-from vo.sources.sequence import ImageSequence
+from vo.sources.sequence import ImageSequence, ListedImages
 from vo.types import Camera, Mode, Rig, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -74,10 +74,12 @@ def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
         format=gathered.format,
         rig=rig if partners else Rig(rig.cam0, has_depth=depth is not None),
         ground_truth=_truth(gathered, calibration),
-        left=gathered.left,
-        right=partners,
-        depth_bits=8 if first.dtype == np.uint8 else depth_bits_of(images),
-        depth=depth,
+        images=ListedImages(
+            gathered.left,
+            partners,
+            8 if first.dtype == np.uint8 else depth_bits_of(images),
+            depth,
+        ),
         close=gathered.close,
         imus=gathered.find_imus(calibration),
     )

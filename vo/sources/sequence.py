@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -34,6 +34,22 @@ FrameImages = tuple[Shot, StoredImage | None]
 """The left image of a frame and the right one, if there is one."""
 
 
+class ListedImages(NamedTuple):
+    """The images of a recording.
+
+    Attributes:
+        left: images of cam0 in time order.
+        right: the partner of each, None where it is missing; None in mono.
+        depth_bits: number of bits that the camera uses, of images with 16 bits per pixel.
+        depth: the depth of each image of cam0, None without a depth camera.
+    """
+
+    left: Sequence[Shot]
+    right: Sequence[StoredImage | None] | None = None
+    depth_bits: int = 16
+    depth: DepthImages | None = None
+
+
 class ImageSequence:
     """The `Source` of every format whose images can be listed beforehand.
 
@@ -49,31 +65,25 @@ class ImageSequence:
 
     def __init__(
         self,
-        *,
         name: str,
         format: str,
         rig: Rig,
+        images: ListedImages,
+        *,
         ground_truth: Trajectory | None,
-        left: Sequence[Shot],
-        right: Sequence[StoredImage | None] | None = None,
-        depth_bits: int = 16,
-        depth: DepthImages | None = None,
         close: Callable[[], None] | None = None,
         imus: Sequence[Imu] = (),
     ) -> None:
-        """Take the lists that a format has gathered.
+        """Take the images that a format has listed.
 
         Args:
             name: short name for titles and file names.
             format: name of the format in the registry.
             rig: the cameras.
+            images: the images of all cameras.
             ground_truth: true poses of cam0.
-            left: the images of cam0 in time order.
-            right: the partner of each, None where it is missing; None altogether in mono.
-            depth_bits: how many bits the camera uses, for images with 16 bits per pixel.
-            depth: the depth of each image of cam0, or None where there is no depth camera.
-            close: closes what images keep open between reads; they may be read again afterwards.
-            imus: inertial sensors, the one to use first.
+            close: closes files that images keep open between reads; they may be read again.
+            imus: inertial sensors, the preferred one first.
         """
         self.name = name
         self.format = format
@@ -82,10 +92,10 @@ class ImageSequence:
         self.skipped: list[Skipped] = []
         self.unpaired = 0
         self.imus = tuple(imus)
-        self._left = list(left)
-        self._right = None if right is None else list(right)
-        self._depth_bits = depth_bits
-        self._depth = depth
+        self._left = list(images.left)
+        self._right = None if images.right is None else list(images.right)
+        self._depth_bits = images.depth_bits
+        self._depth = images.depth
         self._close = close
         self._more: Callable[[], list[FrameImages] | None] | None = None
 
