@@ -51,7 +51,7 @@ def test_a_disparity_offset_is_told(synthetic_stereo: Path, tmp_path: Path) -> N
     assert summary["tracked"] == FRAMES
     assert summary["disparity_offset_px"] == pytest.approx(SHIFT_PX, abs=0.15)
     (sentence,) = _told(summary)
-    assert f"off by {summary['disparity_offset_px']:+.2f} px and have been corrected" in sentence
+    assert f"wrong by {summary['disparity_offset_px']:+.2f} px and have been corrected" in sentence
 
 
 def test_without_a_disparity_offset_nothing_is_told(synthetic_stereo: Path, tmp_path: Path) -> None:

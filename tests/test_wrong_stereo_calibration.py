@@ -75,7 +75,7 @@ def test_lengths_stay_right_and_the_fault_is_told(
     assert _scale(tmp_path / "out", source) == pytest.approx(1.0, abs=0.01)
     assert summary["right_camera"][found] == pytest.approx(amount, abs=0.03)
     (sentence,) = summary["warnings"]
-    assert "the right camera is not as calibrated" in sentence
+    assert "the right camera differs from its calibration" in sentence
     assert "vo calibrate" in sentence
 
 
@@ -92,7 +92,7 @@ def test_a_camera_that_looks_sideways_behind_a_centre_that_makes_up_for_it(
     assert summary["disparity_offset_px"] == 0.0
     assert summary["disparity_curve_px"] == pytest.approx(-yaw_px, rel=0.03)
     (sentence,) = summary["warnings"]
-    assert "towards left and right disparities were off" in sentence
+    assert "disparities on the left and right were wrong" in sentence
     assert _scale(tmp_path / "out", source) == pytest.approx(1.0, abs=0.003)
     _summary(source, tmp_path / "uncorrected", "refinement.disparity_correction=false")
     assert _scale(tmp_path / "uncorrected", source) > 1.03

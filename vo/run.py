@@ -14,8 +14,9 @@ from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
 from vo.recording.recorder import ImageChoice, NullRecorder, Recorder
-from vo.results.claim import claimed, refuse_to_collide, refuse_to_overwrite
 from vo.results.folder import RunFolder
+from vo.results.output_lock import locked_folder
+from vo.results.output_paths import refuse_to_collide, refuse_to_overwrite
 from vo.results.summary import Summary
 from vo.run_session import Request, RunSession
 from vo.sources.registry import open_source
@@ -101,7 +102,7 @@ def run(
     frames = stream.frames(request.start, request.end, request.stride * every)
     process = options.get("optimizer_process")
     with (
-        claimed(Path(output)),
+        locked_folder(Path(output)),
         closing(Odometry(stream.rig, config, optimizer_process=process)) as odometry,
     ):
         if every > 1 and isinstance(stream, Recording):

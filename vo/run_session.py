@@ -15,13 +15,13 @@ from vo.interrupts import interrupts_between_frames
 from vo.odometry import Odometry
 from vo.progress import Progress
 from vo.recording.recorder import Recorder
-from vo.results.account import Account
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
 from vo.results.poses import pose_lines
 from vo.results.profile import Profile, make_profile
-from vo.results.summary import RunFacts, Status, Summary, summarise
+from vo.results.run_statistics import RunStatistics
+from vo.results.summary import RunFacts, RunState, Status, Summary, summarise
 from vo.sources.source import FrameStream, Recording
 from vo.stopwatch import Stopwatch
 from vo.trajectory.pose_log import PoseLog
@@ -113,7 +113,7 @@ class RunSession:
         self._folder = folder
         self._recorder = recorder
         self._progress = progress
-        self._account = Account()
+        self._statistics = RunStatistics()
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
@@ -137,23 +137,23 @@ class RunSession:
             for estimate in self._odometry.track_all(_timed(frames, clock)):
                 self._output(estimate, clock)
                 self._folder.frames.append(frame_line(estimate, clock.stage_ms))
-                self._account.note_time(clock.stage_ms)
+                self._statistics.add_times(clock.stage_ms)
                 clock.stage_ms.clear()
                 self._refresh_if_due()
                 check()
-        if not self._account.frames:
+        if not self._statistics.frames:
             raise _nothing_readable(self._stream)
 
     def end(self, status: Status, error: str | None = None) -> Summary:
         """Finish the files, the recording and, last, the summary."""
         self._progress.finish()
-        self._account.note_time(self._odometry.finish())
+        self._statistics.add_times(self._odometry.finish())
         clock = Stopwatch()
         with clock.stage("write"):
             self._finish_files()
         with clock.stage("record"):
             self._finish_recording()
-        self._account.note_time(clock.stage_ms)
+        self._statistics.add_times(clock.stage_ms)
         return self._summarise(status, error)
 
     def end_early(self, error: BaseException) -> None:
@@ -186,7 +186,7 @@ class RunSession:
         self._recorder.finish(self._causal.trajectory(), self._odometry.trajectory.trajectory())
 
     def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
-        self._account.note(estimate)
+        self._statistics.add(estimate)
         clock.stage_ms.update(estimate.stage_ms)
         with clock.stage("write"):
             self._write(estimate)
@@ -225,10 +225,10 @@ class RunSession:
     def _summarise(self, status: Status, error: str | None = None) -> Summary:
         self._facts = self._request.facts(self._stream)  # a growing log has more frames now
         named = self._request.with_public_name
-        summary = summarise(
+        state = RunState(
             self._facts,
             status,
-            self._account,
+            self._statistics,
             self._odometry.trajectory.path(),
             keyframes=self._odometry.trajectory.keyframe_count,
             skipped=[replace(s, reason=named(s.reason)) for s in self._stream.skipped],
@@ -238,6 +238,7 @@ class RunSession:
             error=None if error is None else named(error),
             profile=self._profile(),
         )
+        summary = summarise(state)
         self._folder.write_summary(summary.to_dict())
         return summary
 
@@ -247,7 +248,7 @@ class RunSession:
         if since is None:
             return None
         wall_ms = (time.perf_counter() - since) * 1e3
-        return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._account.total_ms()})
+        return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._statistics.total_ms()})
 
 
 def _timed(frames: Iterator[Frame], clock: Stopwatch) -> Iterator[Frame]:

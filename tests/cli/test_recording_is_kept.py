@@ -29,7 +29,7 @@ def assert_refused(path: Path, *words: str | Path) -> None:
     before = path.read_bytes()
     result = CliRunner().invoke(app, list(map(str, words)))
     assert result.exit_code == 1
-    assert "belongs to what is read; choose another file to write" in result.stderr
+    assert "is an input and would be replaced; choose another file" in result.stderr
     assert result.stderr.count("\n") == 1
     assert path.read_bytes() == before
 

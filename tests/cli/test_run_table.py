@@ -9,8 +9,8 @@ import pytest
 
 from vo.cli.advice import advice, verdict
 from vo.config import load_config
+from vo.results.frames_without_pose import FrameRange
 from vo.results.summary import Summary
-from vo.results.unplaced import FrameRange
 from vo.run import run
 
 

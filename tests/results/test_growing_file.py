@@ -17,7 +17,7 @@ def partial(path: Path) -> str:
     return path.with_name("a.txt.partial").read_text(encoding="utf-8")
 
 
-def test_each_line_is_on_disk_at_once(path: Path) -> None:
+def test_each_line_is_written_immediately(path: Path) -> None:
     file = GrowingFile(path, "heading")
     assert partial(path) == "heading\n"
     file.append("one")
@@ -31,7 +31,7 @@ def test_each_line_is_on_disk_at_once(path: Path) -> None:
 @pytest.mark.parametrize("new", [[], ["longer than before"], ["x"], ["x", "y", "z", "ü"]])
 @pytest.mark.parametrize("row", [0, 1, 2, 3])
 @pytest.mark.parametrize("heading", ["", "heading"])
-def test_replaces_the_end(path: Path, new: list[str], row: int, heading: str) -> None:
+def test_replaces_the_last_rows(path: Path, new: list[str], row: int, heading: str) -> None:
     file = GrowingFile(path, heading)
     old = ["one", "two", "three"]
     for line in old:
@@ -44,7 +44,7 @@ def test_replaces_the_end(path: Path, new: list[str], row: int, heading: str) ->
     file.close()
 
 
-def test_takes_its_name_when_finished(path: Path) -> None:
+def test_finish_gives_the_final_name(path: Path) -> None:
     file = GrowingFile(path)
     file.append("one")
     file.finish()
@@ -52,7 +52,7 @@ def test_takes_its_name_when_finished(path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
 
 
-def test_says_what_cannot_be_written(path: Path) -> None:
+def test_the_error_contains_the_path_and_the_reason(path: Path) -> None:
     with pytest.raises(OutputError, match="missing/a.txt cannot be written: No such file"):
         GrowingFile(path.parent / "missing" / "a.txt")
 

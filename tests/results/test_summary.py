@@ -10,13 +10,12 @@ import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError
 from vo.failures import Failure, FailureReason, ImageDefect
-from vo.results.account import Account
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
-from vo.results.summary import RunFacts, Summary, summarise
+from vo.results.run_statistics import RunStatistics
+from vo.results.summary import RunFacts, RunState, Summary, summarise
 from vo.types import Estimate, KeyframePose, PlacedFrames, Skipped, State, Trajectory
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
-CALIBRATED = CalibrationErrors(0.0, 0.0, None, None)
 
 
 def few_matches(count: int) -> Failure:
@@ -54,7 +53,7 @@ def facts(mode: str = "stereo") -> RunFacts:
     return RunFacts("data", "kitti", mode, True, 0, 0, 100, 1, 100)  # type: ignore[arg-type]
 
 
-def placed(frames: Sequence[int], segments: Sequence[int] | None = None) -> PlacedFrames:
+def path_of(frames: Sequence[int], segments: Sequence[int] | None = None) -> PlacedFrames:
     """A camera that moves 2 a frame along x."""
     poses = np.tile(np.eye(4), (len(frames), 1, 1))
     poses[:, 0, 3] = 2.0 * np.array(frames)
@@ -74,14 +73,14 @@ def summary_of(
     curve_px: float = 0.0,
     lens: LensError | None = None,
 ) -> Summary:
-    account = Account()
+    statistics = RunStatistics()
     for each in estimates:
-        account.note(each)
-        account.note_time({"read": 1.0 + each.frame_index})
-    return summarise(
+        statistics.add(each)
+        statistics.add_times({"read": 1.0 + each.frame_index})
+    state = RunState(
         facts(mode),
         "finished",
-        account,
+        statistics,
         poses,
         keyframes=2,
         skipped=skipped,
@@ -89,14 +88,15 @@ def summary_of(
         wall_s=2.0,
         calibration=CalibrationErrors(offset_px, curve_px, None, lens),
     )
+    return summarise(state)
 
 
-def test_every_frame_is_placed_or_listed_once() -> None:
+def test_every_frame_has_a_pose_or_is_listed_once() -> None:
     states = [State.STARTING] * 3 + [State.TRACKING] * 3 + [State.LOST] * 2 + [State.TRACKING] * 2
     frames = [f for f in range(11) if f != 4]
     estimates = [estimate(f, s, few_matches(f)) for f, s in zip(frames, states, strict=True)]
-    # Frame 2, the first of the mono pair, has got its pose afterwards.
-    poses = placed([2, 3, 5, 6, 9, 10])
+    # Frame 2, the first of the monocular initial pair, gets its pose later.
+    poses = path_of([2, 3, 5, 6, 9, 10])
     summary = summary_of(estimates, poses, [Skipped(4, 4 * 10**8, "cut off")])
     assert summary.frames == 11
     assert (summary.tracked, summary.starting, summary.lost) == (6, 2, 2)
@@ -110,98 +110,98 @@ def test_every_frame_is_placed_or_listed_once() -> None:
 
 def test_frames_with_a_stride_make_one_range() -> None:
     estimates = [estimate(f, State.LOST, dark()) for f in (10, 15, 20)]
-    (only,) = summary_of(estimates, placed([])).without_pose
+    (only,) = summary_of(estimates, path_of([])).without_pose
     assert (only.first, only.last, only.frames) == (10, 20, 3)
 
 
-def test_a_pose_given_up_later_is_listed_as_lost() -> None:
-    summary = summary_of([estimate(0), estimate(1)], placed([0]))
+def test_a_discarded_pose_is_listed_as_lost() -> None:
+    summary = summary_of([estimate(0), estimate(1)], path_of([0]))
     assert (summary.frames, summary.lost) == (2, 1)
-    assert summary.without_pose[0].reason == "its pose was given up later"
+    assert summary.without_pose[0].reason == "its pose was discarded later"
 
 
-def test_gaps_between_segments_are_no_path() -> None:
+def test_the_path_length_excludes_gaps_between_segments() -> None:
     frames, segments = [0, 1, 2, 50, 51], [0, 0, 0, 1, 1]
-    summary = summary_of([estimate(f) for f in frames], placed(frames, segments))
+    summary = summary_of([estimate(f) for f in frames], path_of(frames, segments))
     assert [(s.frames, s.path_m) for s in summary.segments] == [(3, 4.0), (2, 2.0)]
     assert (summary.segments[1].first_frame, summary.segments[1].last_frame) == (50, 51)
     assert summary.segments[1].first_stamp_ns == 50 * 10**8
     assert summary.path_m == 6.0
-    assert "2 segments, each in a world of its own" in summary.warnings
+    assert "2 segments, each in its own world frame" in summary.warnings
 
 
-def test_warns_of_what_a_reader_must_know() -> None:
+def test_incomplete_runs_have_warnings() -> None:
     lost = summary_of(
-        [estimate(0), estimate(1, State.LOST, dark())], placed([0]), [Skipped(2, 0, "cut off")]
+        [estimate(0), estimate(1, State.LOST, dark())], path_of([0]), [Skipped(2, 0, "cut off")]
     )
     assert "lost in 1 of 3 frames (33%)" in lost.warnings
     assert any("1 frames skipped" in w for w in lost.warnings)
-    mono = summary_of([estimate(0)], placed([0]), mode="mono")
+    mono = summary_of([estimate(0)], path_of([0]), mode="mono")
     assert mono.length_unit == "map units"
     assert any("the scale is unknown" in w for w in mono.warnings)
-    long = summary_of([estimate(0, State.STARTING), estimate(1)], placed([1]))
-    assert long.warnings == ("1 of 2 frames while there was no map",)
-    none = summary_of([estimate(0, State.STARTING, few_matches(3))], placed([]))
+    long = summary_of([estimate(0, State.STARTING), estimate(1)], path_of([1]))
+    assert long.warnings == ("1 of 2 frames before the first map",)
+    none = summary_of([estimate(0, State.STARTING, few_matches(3))], path_of([]))
     assert none.warnings == (
         "no frame was tracked (3 matches with the reference frame, 80 needed)",
     )
-    assert summary_of([estimate(0)], placed([0])).warnings == ()
+    assert summary_of([estimate(0)], path_of([0])).warnings == ()
 
 
-def test_an_offset_of_many_pixels_is_called_a_wrong_calibration() -> None:
-    (slight,) = summary_of([estimate(0)], placed([0]), offset_px=-0.26).warnings
+def test_a_large_disparity_offset_is_reported_as_a_wrong_calibration() -> None:
+    (slight,) = summary_of([estimate(0)], path_of([0]), offset_px=-0.26).warnings
     assert "-0.26 px and have been corrected" in slight
-    (wrong,) = summary_of([estimate(0)], placed([0]), offset_px=13.8).warnings
+    (wrong,) = summary_of([estimate(0)], path_of([0]), offset_px=13.8).warnings
     assert "calibration is wrong" in wrong
     assert "corrected" not in wrong
 
 
-def test_a_lens_that_is_not_as_calibrated_is_told_with_what_to_do() -> None:
+def test_a_lens_error_is_reported_with_advice() -> None:
     summary = summary_of(
-        [estimate(0)], placed([0]), mode="mono", lens=LensError(0.012345678, 6.4567)
+        [estimate(0)], path_of([0]), mode="mono", lens=LensError(0.012345678, 6.4567)
     )
     assert summary.to_dict()["lens_error"] == {"k1": 0.01235, "edge_px": 6.4567}
-    told = summary.warnings[0]
-    assert "k1 off by +0.0123, +6.5 px at the image's edges" in told
-    assert "has been corrected" in told
-    assert "vo calibrate" in told
-    wrong = summary_of([estimate(0)], placed([0]), mode="mono", lens=LensError(-0.22, -116.0))
-    assert "the path is off: calibrate anew" in wrong.warnings[0]
-    right = summary_of([estimate(0)], placed([0]), mode="mono")
+    warning = summary.warnings[0]
+    assert "k1 by +0.0123, +6.5 px at the image's edges" in warning
+    assert "has been corrected" in warning
+    assert "vo calibrate" in warning
+    wrong = summary_of([estimate(0)], path_of([0]), mode="mono", lens=LensError(-0.22, -116.0))
+    assert "the path is inaccurate: calibrate again" in wrong.warnings[0]
+    right = summary_of([estimate(0)], path_of([0]), mode="mono")
     assert right.to_dict()["lens_error"] is None
     assert not any("lens" in sentence for sentence in right.warnings)
 
 
-def test_disparities_that_err_towards_the_sides_are_told() -> None:
-    summary = summary_of([estimate(0)], placed([0]), curve_px=-1.23456)
+def test_a_disparity_error_that_grows_to_the_sides_is_reported() -> None:
+    summary = summary_of([estimate(0)], path_of([0]), curve_px=-1.23456)
     assert summary.to_dict()["disparity_curve_px"] == -1.2346
-    (told,) = summary.warnings
-    assert "off by up to -1.23 px (at one focal length" in told
+    (warning,) = summary.warnings
+    assert "wrong by up to -1.23 px (at one focal length" in warning
 
 
-def test_a_scene_that_is_far_for_the_baseline_is_said_to_be() -> None:
+def test_a_scene_that_is_far_for_the_baseline_is_reported() -> None:
     estimates = [replace(estimate(f), median_disparity_px=1.2 + 0.05 * f) for f in range(3)]
-    far = summary_of(estimates, placed([0, 1, 2]))
+    far = summary_of(estimates, path_of([0, 1, 2]))
     assert far.median_disparity_px == 1.25
-    assert "far away" in far.warnings[0] and "lengths 8% wrong" in far.warnings[0]
-    near = summary_of([replace(estimate(0), median_disparity_px=2.1)], placed([0]))
+    assert "far away" in far.warnings[0] and "lengths by 8%" in far.warnings[0]
+    near = summary_of([replace(estimate(0), median_disparity_px=2.1)], path_of([0]))
     assert near.warnings == ()
-    assert summary_of(estimates, placed([0, 1, 2]), mode="mono").median_disparity_px is None
+    assert summary_of(estimates, path_of([0, 1, 2]), mode="mono").median_disparity_px is None
 
 
 def test_landmarks_are_counted_once() -> None:
     estimates = [estimate(0, ids=[0, 1, 2]), estimate(1, ids=[]), estimate(2, ids=[1, 2, 7])]
-    assert summary_of(estimates, placed([0, 1, 2])).landmarks == 4
+    assert summary_of(estimates, path_of([0, 1, 2])).landmarks == 4
 
 
 def test_stages_have_median_and_95th_percentile() -> None:
     estimates = [estimate(f) for f in range(101)]
-    stage = summary_of(estimates, placed(list(range(101)))).stages["read"]
+    stage = summary_of(estimates, path_of(list(range(101)))).stages["read"]
     assert (stage.median_ms, stage.p95_ms) == (51.0, 96.0)
 
 
 def test_every_key_is_documented_and_plain() -> None:
-    summary = summary_of([estimate(0), estimate(1, State.LOST, few_matches(3))], placed([0]))
+    summary = summary_of([estimate(0), estimate(1, State.LOST, few_matches(3))], path_of([0]))
     keys = summary.to_dict()
     assert json.loads(json.dumps(keys, allow_nan=False)) == keys
     documented = set(re.findall(r"`(\w+)`", DOCS.read_text(encoding="utf-8")))
@@ -230,21 +230,9 @@ def test_unknown_covariance_leaves_fields_empty() -> None:
 
 
 def test_images_without_light_are_listed_by_their_numbers() -> None:
-    account = Account()
-    for frame in range(12):
-        failure = dark(camera=1) if frame in (0, 1, 2, 7) else few_matches(3)
-        account.note(estimate(frame, State.STARTING, failure))
-    summary = summarise(
-        facts(),
-        "finished",
-        account,
-        placed([]),
-        keyframes=0,
-        skipped=(),
-        unpaired=0,
-        wall_s=1.0,
-        calibration=CALIBRATED,
-    )
+    failures = [dark(camera=1) if f in (0, 1, 2, 7) else few_matches(3) for f in range(12)]
+    estimates = [estimate(f, State.STARTING, failures[f]) for f in range(12)]
+    summary = summary_of(estimates, path_of([]))
     spans = [(r.first, r.last) for r in summary.without_pose]
     assert spans == [(0, 2), (3, 6), (7, 7), (8, 11)]
     assert "images 0 to 2, 7 are almost black" in summary.warnings

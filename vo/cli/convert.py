@@ -105,7 +105,7 @@ def convert_command(
     from vo.cli.conversion import Conversion
     from vo.cli.progress import warnings_on
     from vo.inspection.opening import open_leniently
-    from vo.results.claim import refuse_to_overwrite
+    from vo.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (output,))
     console = Console(stderr=True, highlight=False, quiet=quiet)

@@ -56,7 +56,7 @@ def info_command(
 
     from vo.inspection.opening import open_leniently
     from vo.inspection.report import DEFAULT_IMAGES, inspect
-    from vo.results.claim import refuse_to_overwrite
+    from vo.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (contact_sheet,))
 

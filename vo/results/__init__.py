@@ -1,1 +1,1 @@
-"""The folder of a run: its files, its counts and its summary."""
+"""The output folder of a run: its files, statistics and summary."""

@@ -16,7 +16,7 @@ COVARIANCE_HEADING = ",".join(
 
 
 def covariance_line(keyframe: KeyframePose) -> str:
-    """`stamp_ns,frame,segment` and the upper triangle row by row, empty fields if it is unknown."""
+    """`stamp_ns,frame,segment` and the upper triangle row by row; empty fields if unknown."""
     place = f"{keyframe.stamp_ns},{keyframe.frame_index},{keyframe.segment}"
     if keyframe.covariance is None:
         return place + "," * len(_ROWS)

@@ -1,4 +1,4 @@
-"""What a run ran on: versions of what it depends on, and the memory that it took."""
+"""Environment of a run: versions of its dependencies, its memory and age."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _PACKAGES = {
 
 
 def peak_rss_mb() -> float:
-    """Largest memory of this process so far.
+    """Peak memory of this process so far.
 
-    Linux keeps the peak of whoever started this process in `ru_maxrss`; its own stands in
-    /proc. Elsewhere the system counts KiB, on macOS bytes.
+    On Linux, `ru_maxrss` includes the peak of the parent process, so it is read from /proc.
+    Elsewhere `ru_maxrss` is in KiB, on macOS in bytes.
     """
     status = Path("/proc/self/status")
     if status.is_file():
@@ -35,17 +35,17 @@ def peak_rss_mb() -> float:
 
 
 def process_age_s() -> float | None:
-    """Seconds since this process was started, to a hundredth; None where /proc does not tell."""
+    """Seconds since this process was started, to a hundredth; None without /proc."""
     stat = Path("/proc/self/stat")
     if not stat.is_file():
         return None
-    fields = stat.read_text("utf-8").rpartition(")")[2].split()  # the name may hold anything
+    fields = stat.read_text("utf-8").rpartition(")")[2].split()  # the name may contain spaces
     started_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")
     return time.clock_gettime(time.CLOCK_BOOTTIME) - started_s
 
 
 def versions() -> dict[str, str]:
-    """Of Python, this package and the libraries that a result depends on."""
+    """Versions of Python, this package and the libraries that affect results."""
     found = {"python": ".".join(map(str, sys.version_info[:3]))}
     for name, package in _PACKAGES.items():
         try:

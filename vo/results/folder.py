@@ -1,4 +1,4 @@
-"""The folder of a run: which files are in it, and that they are all of the same run."""
+"""The output folder of a run and its files."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 
 class RunFolder:
-    """The files that a run writes as it goes.
+    """The files that a run writes while it goes on.
 
     Attributes:
         path: the folder.
-        trajectory: smoothed poses, a line a frame.
-        causal: poses as they were known when their frame was tracked.
-        poses: the smoothed poses again, with what is known of their frame.
-        covariance: a line a keyframe.
-        frames: a line a frame, as it was known then.
+        trajectory: smoothed poses, one line per frame.
+        causal: poses as known when their frame was tracked.
+        poses: smoothed poses, with number, segment and kind of their frame.
+        covariance: one line per keyframe.
+        frames: one line per frame, as known when it was processed.
 
     Args:
-        path: the folder; made if it is missing, cleared of an earlier run's files.
+        path: the folder; created if it is missing; files of an earlier run are removed.
         config: the merged settings as YAML.
 
     Raises:
-        OutputError: from here and every method, something cannot be written.
+        OutputError: here and in every method: a file cannot be written.
     """
 
     def __init__(self, path: Path, config: str) -> None:
@@ -53,9 +53,9 @@ class RunFolder:
                 (path / name).unlink(missing_ok=True)
         except OSError as error:
             raise OutputError(
-                f"cannot write to folder {path}: {error.strerror or error}; give another --output"
+                f"cannot write to folder {path}: {error.strerror or error}; choose another --output"
             ) from error
-        _write_whole(path / CONFIG, config)
+        _write_atomically(path / CONFIG, config)
         self.trajectory = GrowingFile(path / TRAJECTORY)
         self.causal = GrowingFile(path / CAUSAL)
         self.poses = GrowingFile(path / POSES, POSES_HEADING)
@@ -67,26 +67,26 @@ class RunFolder:
         return self.trajectory, self.causal, self.poses, self.covariance, self.frames
 
     def write_summary(self, summary: dict[str, Any]) -> None:
-        """Replace the summary, at once or not at all."""
+        """Replace the summary atomically."""
         text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
-        _write_whole(self.path / SUMMARY, f"{text}\n")
+        _write_atomically(self.path / SUMMARY, f"{text}\n")
 
     def finish(self) -> None:
-        """Give the growing files their names."""
+        """Close the files and give them their final names."""
         for file in self._growing:
             file.finish()
 
     def close(self) -> None:
-        """Let go of the files, finished or not."""
+        """Close the files, finished or not."""
         for file in self._growing:
             file.close()
 
 
-def _write_whole(path: Path, text: str) -> None:
-    """Write beside and rename, so that a reader never sees half a file."""
+def _write_atomically(path: Path, text: str) -> None:
+    """Write to a temporary file and rename it, so that readers never see a partial file."""
     partial = path.with_name(path.name + PARTIAL_SUFFIX)
     try:
-        # A file name may hold bytes that are no UTF-8; in JSON this form is read back.
+        # File names may contain bytes that are not UTF-8; JSON reads this form back.
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")
         os.replace(partial, path)
     except OSError as error:

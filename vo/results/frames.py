@@ -1,4 +1,4 @@
-"""Frames as they were known when they were taken in, as lines of CSV."""
+"""Frames as known when they were processed, as lines of CSV."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from vo.types import Estimate
 
-# In the order of a frame's way; wall time that belongs to none of them is in the total only.
+# In the order of processing; other wall time is in the total only.
 STAGES = (
     "read",
     "features",
@@ -30,7 +30,7 @@ FRAMES_HEADING = ",".join(
 
 
 def frame_line(estimate: Estimate, stage_ms: Mapping[str, float]) -> str:
-    """One frame with the wall time of its stages; a stage that it did not need has 0."""
+    """One frame with its wall time by stage, 0 for a stage that was not run."""
     counts = (estimate.features, estimate.matches, estimate.inliers)
     place = (estimate.frame_index, estimate.stamp_ns, estimate.state.value, estimate.segment)
     spent = (sum(stage_ms.values()), *(stage_ms.get(stage, 0.0) for stage in STAGES))

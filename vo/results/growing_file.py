@@ -1,4 +1,4 @@
-"""A text file that grows line by line under a name of its own and takes its real one when whole."""
+"""A text file that is written line by line under a temporary name, and renamed when complete."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ PARTIAL_SUFFIX = ".partial"
 
 
 class GrowingFile:
-    """Lines on disk at `<path>.partial` after each call, at `path` after `finish`.
+    """Lines of a file, at `<path>.partial` until `finish`, then at `path`.
 
-    What was written outlives the process, however it ends.
+    Every line is on disk when a method returns, so that it survives a killed process.
 
     Args:
-        path: the name it takes at the end.
-        heading: first line, not counted as a row.
+        path: the final name.
+        heading: first line, not counted as a row; empty for none.
 
     Raises:
-        OutputError: from here and every method, the file cannot be written.
+        OutputError: here and in every method: the file cannot be written.
     """
 
     def __init__(self, path: Path, heading: str = "") -> None:
         self._path = path
         self._partial = path.with_name(path.name + PARTIAL_SUFFIX)
-        self._offsets = array("q", [0])  # where each row begins, and the end
+        self._offsets = array("q", [0])  # of the beginning of each row, and of the end
         try:
-            # Unbuffered: one call to the system for each of ours, so that no line is torn.
+            # Unbuffered: one system call per method call, so that no line is split.
             self._file = self._partial.open("wb", buffering=0)
             if heading:
                 self._offsets[0] = self._file.write(f"{heading}\n".encode())
@@ -46,9 +46,9 @@ class GrowingFile:
         self.replace_from(len(self), (line,))
 
     def replace_from(self, row: int, lines: Iterable[str]) -> None:
-        """Put lines in the place of a row and all that follow it."""
+        """Replace a row and all rows after it."""
         encoded = [f"{line}\n".encode() for line in lines]
-        had = self._offsets[-1]
+        old_end = self._offsets[-1]
         del self._offsets[row + 1 :]
         begin = self._offsets[-1]
         for line in encoded:
@@ -56,13 +56,13 @@ class GrowingFile:
         try:
             self._file.seek(begin)
             self._write(b"".join(encoded))
-            if self._offsets[-1] < had:
+            if self._offsets[-1] < old_end:
                 self._file.truncate(self._offsets[-1])
         except OSError as error:
             raise self._error(error) from error
 
     def finish(self) -> None:
-        """Close the file and give it its name."""
+        """Close the file and give it its final name."""
         try:
             os.fsync(self._file.fileno())
             self._file.close()
@@ -71,12 +71,12 @@ class GrowingFile:
             raise self._error(error) from error
 
     def close(self) -> None:
-        """Close the file and leave it partial."""
+        """Close the file under its temporary name."""
         self._file.close()
 
     def _write(self, data: bytes) -> None:
         rest = memoryview(data)
-        while rest:  # an almost full disk takes less than it is given
+        while rest:  # on an almost full disk, a call may write a part only
             rest = rest[self._file.write(rest) :]
 
     def _error(self, error: OSError) -> OutputError:

@@ -1,4 +1,4 @@
-"""Poses frame by frame as lines of CSV."""
+"""Smoothed poses as lines of CSV."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterato
 
     Args:
         placed: the frames.
-        fields: of each pose, the digits as in a line of TUM (`vo.formats.trajectory.pose_fields`).
+        fields: numbers of each pose as in a TUM file (`vo.formats.trajectory.pose_fields`).
     """
     columns = (
         placed.frame_index.tolist(),
@@ -23,5 +23,5 @@ def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterato
         placed.is_keyframe.astype(int).tolist(),
         placed.interpolated.astype(int).tolist(),
     )
-    for *marks, digits in zip(*columns, fields, strict=True):
-        yield ",".join((*map(str, marks), *digits))
+    for *columns_of_row, numbers in zip(*columns, fields, strict=True):
+        yield ",".join((*map(str, columns_of_row), *numbers))

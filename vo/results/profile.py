@@ -1,4 +1,4 @@
-"""Where the time of a run went, from its start to its end, with nothing left out."""
+"""Wall time of a run by stage; the stages add up to the whole."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ class Profile(NamedTuple):
     """Wall time of the main thread.
 
     Attributes:
-        wall_ms: all of it.
-        stages_ms: by stage, together `wall_ms`; what belongs to none is `other`.
+        wall_ms: the whole run.
+        stages_ms: by stage, adding up to `wall_ms`; time outside of all stages is `other`.
     """
 
     wall_ms: float
@@ -19,7 +19,7 @@ class Profile(NamedTuple):
 
 
 def make_profile(wall_ms: float, stages_ms: Mapping[str, float]) -> Profile:
-    """Round to microseconds, and name what no stage accounts for."""
+    """Round to microseconds, and add the stage `other`."""
     rounded = {stage: round(spent, 3) for stage, spent in stages_ms.items()}
     wall_ms = round(wall_ms, 3)
     return Profile(wall_ms, {**rounded, "other": round(wall_ms - sum(rounded.values()), 3)})
