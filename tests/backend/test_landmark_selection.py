@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from vo.backend.landmark_selection import choose_landmarks
 from vo.backend.window_problem import WindowProblem
+from vo.geometry.projection import Intrinsics
 from vo.types import Bools
 
 
@@ -17,7 +18,7 @@ def _problem(seen: Bools, fixed: list[bool]) -> WindowProblem:
     nothing = np.zeros(len(point))
     return WindowProblem(
         sigma_disparity_px=0.4,
-        intrinsics=(1.0, 1.0, 0.0, 0.0),
+        intrinsics=Intrinsics(1.0, 1.0, 0.0, 0.0),
         baseline_m=0.0,
         world_from_cam=np.tile(np.eye(4), (len(seen), 1, 1)),
         fixed=np.array(fixed),

@@ -9,10 +9,11 @@ import numpy as np
 from vo.backend.covariance import propagated
 from vo.backend.solution import WindowSolution
 from vo.backend.window_problem import WindowProblem
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import inverse, se3_exp, se3_log, transform_points
 from vo.types import Floats
 
-INTRINSICS = (500.0, 500.0, 320.0, 200.0)
+INTRINSICS = Intrinsics(500.0, 500.0, 320.0, 200.0)
 BASELINE_M = 0.25
 SIGMA_PX, SIGMA_DISPARITY_PX = 0.5, 0.4
 

@@ -7,10 +7,12 @@ import pytest
 from feature_scenes import Waves, as_image, pixels
 
 from vo.frontend.camera_alignment import align_sparse, half_size_pyramid
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import se3_exp, transform_points
 from vo.types import Bytes, Floats
 
 F, CX, CY, HEIGHT, WIDTH = 300.0, 159.5, 119.5, 240, 320
+INTRINSICS = Intrinsics(F, F, CX, CY)
 MATRIX = np.array([[F, 0.0, CX], [0.0, F, CY], [0.0, 0.0, 1.0]])
 NORMAL, DISTANCE = np.array([-0.3, 0.2, 1.0]), 5.0  # of the plane: normal . p = distance
 TEXTURE = Waves(seed=3, shortest_px=8.0, longest_px=120.0)
@@ -43,7 +45,7 @@ def aligned(target: Bytes, start: Floats, xy: Floats) -> tuple[float, Floats]:
             half_size_pyramid(target),
             points,
         ),
-        *(start, np.tile(np.eye(2, 3), (len(xy), 1, 1)), (F, F, CX, CY)),
+        *(start, np.tile(np.eye(2, 3), (len(xy), 1, 1)), INTRINSICS),
     )
     return error_px(found.target_from_reference, points), found.score
 
@@ -89,7 +91,7 @@ def test_lens_is_undone_on_the_way_to_the_image(xy: Floats) -> None:
         half_size_pyramid(np.ascontiguousarray(reference)),
         (WIDTH - 1, HEIGHT - 1) - xy,
         half_size_pyramid(np.ascontiguousarray(as_image(seen_after(MOTION))[::-1, ::-1])),
-        *(points, np.eye(4), turned, (F, F, CX, CY)),
+        *(points, np.eye(4), turned, INTRINSICS),
     )
     assert error_px(found.target_from_reference, points) < 0.1
 
@@ -97,7 +99,7 @@ def test_lens_is_undone_on_the_way_to_the_image(xy: Floats) -> None:
 def test_images_without_texture_move_nothing(xy: Floats) -> None:
     grey = half_size_pyramid(np.full((HEIGHT, WIDTH), 90, np.uint8))
     maps = np.tile(np.eye(2, 3), (len(xy), 1, 1))
-    found = align_sparse(grey, xy, grey, points_at(xy), MOTION, maps, (F, F, CX, CY))
+    found = align_sparse(grey, xy, grey, points_at(xy), MOTION, maps, INTRINSICS)
     assert (found.score == -1.0).all()
     np.testing.assert_allclose(found.target_from_reference, MOTION, atol=1e-12)
 
@@ -109,7 +111,7 @@ def test_points_behind_the_camera_and_outside_are_left_out(xy: Floats) -> None:
     images = half_size_pyramid(as_image(seen_after(MOTION)))
     found = align_sparse(
         *(half_size_pyramid(as_image(seen_after(np.eye(4)))), far, images, points, np.eye(4)),
-        *(np.tile(np.eye(2, 3), (len(xy), 1, 1)), (F, F, CX, CY)),
+        *(np.tile(np.eye(2, 3), (len(xy), 1, 1)), INTRINSICS),
     )
     assert (found.score[:60] == -1.0).all()
     assert error_px(found.target_from_reference, points[60:]) < 0.1

@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 
 from vo.geometry.epipolar_segments import epipolar_segments
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import se3_exp, transform_points
 
-INTRINSICS = 500.0, 480.0, 320.0, 200.0
+INTRINSICS = Intrinsics(500.0, 480.0, 320.0, 200.0)
 MOTION = se3_exp(np.array([0.02, -0.1, 0.01, 0.3, -0.1, -2.0]))  # 2 m ahead
 XY = np.random.default_rng(0).uniform((0, 0), (640, 400), (50, 2))
 

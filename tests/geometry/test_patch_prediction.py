@@ -5,10 +5,11 @@ import numpy as np
 
 from vo.geometry.neighbours import median_of_nearest
 from vo.geometry.patch_prediction import PatchPrediction, points_in_view, predict_patches
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import inverse, make_transform, transform_points
 from vo.types import Floats
 
-FX, FY, CX, CY = 400.0, 410.0, 320.0, 240.0
+FX, FY, CX, CY = INTRINSICS = Intrinsics(400.0, 410.0, 320.0, 240.0)
 
 
 def _pose(rotvec: tuple[float, float, float], centre: tuple[float, float, float]) -> Floats:
@@ -32,7 +33,7 @@ def _predict(
         np.arange(count),
         np.ones(count, np.int64),
         np.stack([reference, target]),
-        (FX, FY, CX, CY),
+        INTRINSICS,
     )
 
 
@@ -60,7 +61,7 @@ def test_points_in_view_are_those_inside_the_corners_at_a_size_like_their_patch_
         points,
         np.zeros(len(points), np.int64),
         np.stack([reference, target]),
-        (FX, FY, CX, CY),
+        INTRINSICS,
         most_scale,
         corners,
     )

@@ -7,6 +7,7 @@ import pytest
 
 from vo.geometry.point_uncertainty import position_sigma
 from vo.geometry.points import best_points, point_views
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import make_transform
 
 FOCAL, BASELINE, SIGMA_PX, SIGMA_DISPARITY = 500.0, 0.2, 0.5, 0.3
@@ -35,7 +36,7 @@ def test_spread_is_that_of_many_noisy_trials(stereo: bool) -> None:
         disparity.ravel(),
         sigma_px,
         SIGMA_DISPARITY,
-        (FOCAL, FOCAL, 0.0, 0.0),
+        Intrinsics(FOCAL, FOCAL, 0.0, 0.0),
         focal_baseline,
         huber=1e9,
     )

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from vo.geometry.points import best_points, point_views
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import se3_exp, transform_points
 from vo.types import Bools, Floats, Ints
 
-FX, FY, CX, CY = INTRINSICS = (520.0, 510.0, 320.0, 240.0)
+FX, FY, CX, CY = INTRINSICS = Intrinsics(520.0, 510.0, 320.0, 240.0)
 BASELINE = 0.2
 SIGMA, SIGMA_DISPARITY = 0.5, 0.4
 VIEWS = 5

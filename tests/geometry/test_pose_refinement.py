@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from vo.geometry.pnp import PoseFit, refine_pose
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp, se3_log, transform_points
 from vo.types import Floats
 
-FX, FY, CX, CY = INTRINSICS = (520.0, 510.0, 320.0, 240.0)
+FX, FY, CX, CY = INTRINSICS = Intrinsics(520.0, 510.0, 320.0, 240.0)
 BASELINE = 0.2
 SIGMA, SIGMA_DISPARITY = 0.5, 0.4
 

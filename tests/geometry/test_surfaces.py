@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from vo.geometry.projection import Intrinsics
 from vo.geometry.surfaces import inverse_depth_slopes, left_from_right, surface_normals
 from vo.geometry.transforms import make_transform
 from vo.types import Floats
 
-FX, FY, CX, CY = 700.0, 710.0, 600.0, 180.0
+FX, FY, CX, CY = INTRINSICS = Intrinsics(700.0, 710.0, 600.0, 180.0)
 HEIGHT_M = 1.65  # of a camera above a road
 
 
@@ -69,7 +70,7 @@ def test_normals_stand_on_the_plane_in_the_world() -> None:
     in_cam = np.array([0.15, 0.05, 0.9]) / 6.0
     xy = np.random.default_rng(2).uniform((300, 50), (900, 310), (300, 2))
     rays = np.column_stack([(xy - (CX, CY)) / (FX, FY), np.ones(len(xy))])
-    normals = surface_normals(xy, 1.0 / (rays @ in_cam), np.arange(len(xy)), pose, (FX, FY, CX, CY))
+    normals = surface_normals(xy, 1.0 / (rays @ in_cam), np.arange(len(xy)), pose, INTRINSICS)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     expected = pose[:3, :3] @ in_cam
     cosine = normals @ (expected / np.linalg.norm(expected))

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import make_transform, se3_exp, transform_points
 from vo.geometry.triangulation import in_front, sound_points, triangulate
 from vo.types import Floats
@@ -88,7 +89,7 @@ def test_few_points_keep_their_shapes(count: int) -> None:
     assert found.shape == (count, 3) and angle.shape == (count,)
 
 
-INTRINSICS = (500.0, 480.0, 320.0, 200.0)
+INTRINSICS = Intrinsics(500.0, 480.0, 320.0, 200.0)
 
 
 def _pixels(points: np.ndarray) -> np.ndarray:

@@ -8,10 +8,17 @@ from __future__ import annotations
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
+from vo.geometry.projection import (
+    MIN_DEPTH,
+    by_world_axis,
+    by_world_from_cam,
+    pixel,
+    point_derivatives,
+    to_camera,
+)
 
 _LANES = 8
 _UNSEEN = 1e-12  # information on a point in every direction, against all it has
-_NEAREST = 1e-6  # depth from which on a point is in front
 _SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below which it is dropped
 
 # Of one observation or point: derivatives by a pose, by a point, and errors; of a pair: a block.
@@ -114,23 +121,22 @@ def _differentiate(  # type: ignore[no-untyped-def]
 ):
     """Fill derivatives and errors of a point's observations, weighted, and the point's share."""
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     p0, p1, p2 = points[m, 0], points[m, 1], points[m, 2]
     n00 = n01 = n02 = n11 = n12 = n22 = 0.0
     r0 = r1 = r2 = 0.0
     for a in range(count):
         n, j, i, e = first + a, _ROWS * a, _POINT * a, _ERRORS * a
         k = keyframe[n]
-        x = poses[k, 0, 0] * p0 + poses[k, 0, 1] * p1 + poses[k, 0, 2] * p2 + poses[k, 0, 3]
-        y = poses[k, 1, 0] * p0 + poses[k, 1, 1] * p1 + poses[k, 1, 2] * p2 + poses[k, 1, 3]
-        z = poses[k, 2, 0] * p0 + poses[k, 2, 1] * p1 + poses[k, 2, 2] * p2 + poses[k, 2, 3]
-        if z < _NEAREST:
+        pose = poses[k]
+        x, y, z = to_camera(pose, p0, p1, p2)
+        if z < MIN_DEPTH:
             by_pose[j : j + _ROWS], by_rest[j : j + _ROWS] = 0.0, 0.0
             by_point[i : i + _POINT], error[e : e + _ERRORS] = 0.0, 0.0
             continue
         s, near = inverse_sigma[n], 1.0 / z  # one division serves all
         x, y = x * near, y * near
-        eu, ev = s * (fx * x + cx - xy[n, 0]), s * (fy * y + cy - xy[n, 1])
+        u, v = pixel(intrinsics, x, y, 1.0)
+        eu, ev = s * (u - xy[n, 0]), s * (v - xy[n, 1])
         measured = fb > 0.0 and not np.isnan(disparity[n])
         ed = inverse_d * (fb * near - disparity[n]) if measured else 0.0
         t = inverse_d if measured else 0.0
@@ -140,25 +146,24 @@ def _differentiate(  # type: ignore[no-untyped-def]
         error[e], error[e + 1], error[e + 2] = eu, ev, ed
         ju, jv, jd = j, j + _LANES, j + 2 * _LANES
         if fb > 0.0:
-            right_x = x - fb / fx * near
+            right_x = x - fb / intrinsics.fx * near
             by_rest[jd], by_rest[jd + 1] = t, t * right_x * right_x
         else:  # taken where the point should be: what depends on the error itself would not average
             stretch = s * (x * x + y * y)
-            by_rest[ju], by_rest[jv] = stretch * fx * x, stretch * fy * y
-        du, dv = s * fx * near, s * fy * near
-        cu, cv, cd = -du * x, -dv * y, -t * fb * near * near
-        # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
-        x, y = x * z, y * z
-        by_pose[ju], by_pose[ju + 1], by_pose[ju + 2] = -cu * y, cu * x - du * z, du * y
-        by_pose[ju + 3], by_pose[ju + 4], by_pose[ju + 5] = -du, 0.0, -cu
-        by_pose[jv], by_pose[jv + 1], by_pose[jv + 2] = dv * z - cv * y, cv * x, -dv * x
-        by_pose[jv + 3], by_pose[jv + 4], by_pose[jv + 5] = 0.0, -dv, -cv
-        by_pose[jd], by_pose[jd + 1], by_pose[jd + 2] = -cd * y, cd * x, 0.0
-        by_pose[jd + 3], by_pose[jd + 4], by_pose[jd + 5] = 0.0, 0.0, -cd
-        c0, c1, c2 = poses[k, 2, 0], poses[k, 2, 1], poses[k, 2, 2]
-        u0, v0, d0 = du * poses[k, 0, 0] + cu * c0, dv * poses[k, 1, 0] + cv * c0, cd * c0
-        u1, v1, d1 = du * poses[k, 0, 1] + cu * c1, dv * poses[k, 1, 1] + cv * c1, cd * c1
-        u2, v2, d2 = du * poses[k, 0, 2] + cu * c2, dv * poses[k, 1, 2] + cv * c2, cd * c2
+            by_rest[ju], by_rest[jv] = stretch * intrinsics.fx * x, stretch * intrinsics.fy * y
+        in_cam = point_derivatives(s * intrinsics.fx, s * intrinsics.fy, t * fb, x, y, 1.0, near)
+        by_u, by_v, by_d = by_world_from_cam(in_cam, x * z, y * z, z)
+        by_pose[ju], by_pose[ju + 1], by_pose[ju + 2] = by_u[0], by_u[1], by_u[2]
+        by_pose[ju + 3], by_pose[ju + 4], by_pose[ju + 5] = by_u[3], by_u[4], by_u[5]
+        by_pose[jv], by_pose[jv + 1], by_pose[jv + 2] = by_v[0], by_v[1], by_v[2]
+        by_pose[jv + 3], by_pose[jv + 4], by_pose[jv + 5] = by_v[3], by_v[4], by_v[5]
+        by_pose[jd], by_pose[jd + 1], by_pose[jd + 2] = by_d[0], by_d[1], by_d[2]
+        by_pose[jd + 3], by_pose[jd + 4], by_pose[jd + 5] = by_d[3], by_d[4], by_d[5]
+        # Loaded first: otherwise LLVM fuses other products with sums, and results differ in bits.
+        z0, z1, z2 = pose[2, 0], pose[2, 1], pose[2, 2]
+        u0, v0, d0 = by_world_axis(in_cam, pose[0, 0], pose[1, 0], z0)
+        u1, v1, d1 = by_world_axis(in_cam, pose[0, 1], pose[1, 1], z1)
+        u2, v2, d2 = by_world_axis(in_cam, pose[0, 2], pose[1, 2], z2)
         by_point[i], by_point[i + 1], by_point[i + 2] = u0, u1, u2
         by_point[i + 3], by_point[i + 4], by_point[i + 5] = v0, v1, v2
         by_point[i + 6], by_point[i + 7], by_point[i + 8] = d0, d1, d2

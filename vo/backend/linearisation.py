@@ -9,6 +9,13 @@ import numpy as np
 from vo.backend.residuals import residuals
 from vo.backend.window_problem import WindowProblem
 from vo.compiling.function import compiled
+from vo.geometry.projection import (
+    by_world_axis,
+    by_world_from_cam,
+    from_world,
+    pixel,
+    point_derivatives,
+)
 from vo.types import Bools, Floats, Ints
 
 if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.backend.process`
@@ -65,7 +72,7 @@ def linearise(
         problem.sigma_px,
         problem.sigma_disparity_px,
         np.sqrt(config.huber / np.maximum(residual, config.huber)),
-        np.array(problem.intrinsics),
+        problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
     )
     starts = np.searchsorted(problem.point[order], np.arange(len(points) + 1))
@@ -78,38 +85,25 @@ def linearise(
 def _linearised(  # type: ignore[no-untyped-def]
     poses, points, order, keyframe, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
 ):
-    fx, fy, cx, cy = intrinsics
     count = len(order)
     by_pose, by_point = np.zeros((count, 3, 6)), np.zeros((count, 3, 3))
     error = np.zeros((count, 3))
     for n in range(count):
         i = order[n]
         j, m = keyframe[i], point[i]
-        d0, d1, d2 = (
-            points[m, 0] - poses[j, 0, 3],
-            points[m, 1] - poses[j, 1, 3],
-            points[m, 2] - poses[j, 2, 3],
-        )
-        x = poses[j, 0, 0] * d0 + poses[j, 1, 0] * d1 + poses[j, 2, 0] * d2
-        y = poses[j, 0, 1] * d0 + poses[j, 1, 1] * d1 + poses[j, 2, 1] * d2
-        z = poses[j, 0, 2] * d0 + poses[j, 1, 2] * d1 + poses[j, 2, 2] * d2
+        pose = poses[j]
+        x, y, z = from_world(pose, points[m, 0], points[m, 1], points[m, 2])
         s, near = weight[i] / sigma[i], 1.0 / z  # one division serves all
         measured = fb > 0.0 and not np.isnan(disparity[i])
         t = weight[i] / sigma_d if measured else 0.0
-        error[n, 0] = s * (fx * x * near + cx - xy[i, 0])
-        error[n, 1] = s * (fy * y * near + cy - xy[i, 1])
+        u, v = pixel(intrinsics, x, y, near)
+        error[n, 0], error[n, 1] = s * (u - xy[i, 0]), s * (v - xy[i, 1])
         error[n, 2] = t * (fb * near - disparity[i]) if measured else 0.0
-        du, dv = s * fx * near, s * fy * near
-        cu, cv, cd = -du * x * near, -dv * y * near, -t * fb * near * near
+        in_cam = point_derivatives(s * intrinsics.fx, s * intrinsics.fy, t * fb, x, y, near, near)
         for k in range(3):
-            by_point[n, 0, k] = du * poses[j, k, 0] + cu * poses[j, k, 2]
-            by_point[n, 1, k] = dv * poses[j, k, 1] + cv * poses[j, k, 2]
-            by_point[n, 2, k] = cd * poses[j, k, 2]
-        # A motion exp(xi) of the camera's own frame moves a point in it by -(rho + phi x p).
-        by_pose[n, 0, 0], by_pose[n, 0, 1], by_pose[n, 0, 2] = -cu * y, cu * x - du * z, du * y
-        by_pose[n, 1, 0], by_pose[n, 1, 1], by_pose[n, 1, 2] = dv * z - cv * y, cv * x, -dv * x
-        by_pose[n, 2, 0], by_pose[n, 2, 1] = -cd * y, cd * x
-        by_pose[n, 0, 3], by_pose[n, 0, 5] = -du, -cu
-        by_pose[n, 1, 4], by_pose[n, 1, 5] = -dv, -cv
-        by_pose[n, 2, 5] = -cd
+            of_axis = by_world_axis(in_cam, pose[k, 0], pose[k, 1], pose[k, 2])
+            by_point[n, 0, k], by_point[n, 1, k], by_point[n, 2, k] = of_axis
+        by_u, by_v, by_d = by_world_from_cam(in_cam, x, y, z)
+        for k in range(6):
+            by_pose[n, 0, k], by_pose[n, 1, k], by_pose[n, 2, k] = by_u[k], by_v[k], by_d[k]
     return by_pose, by_point, error

@@ -6,6 +6,7 @@ import numpy as np
 
 from vo.backend.window_problem import WindowProblem
 from vo.compiling.function import compiled
+from vo.geometry.projection import from_world, pixel
 from vo.types import Floats
 
 
@@ -25,7 +26,7 @@ def residuals(
         problem.disparity,
         problem.sigma_px,
         problem.sigma_disparity_px,
-        np.array(problem.intrinsics),
+        problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
     )
     return residual, depth
@@ -38,19 +39,12 @@ def _residuals(  # type: ignore[no-untyped-def]
     residual, depth = np.empty(len(xy)), np.empty(len(xy))
     for n in range(len(xy)):
         k, m = keyframe[n], point[n]
-        d0, d1, d2 = (
-            points[m, 0] - poses[k, 0, 3],
-            points[m, 1] - poses[k, 1, 3],
-            points[m, 2] - poses[k, 2, 3],
-        )
-        x = poses[k, 0, 0] * d0 + poses[k, 1, 0] * d1 + poses[k, 2, 0] * d2
-        y = poses[k, 0, 1] * d0 + poses[k, 1, 1] * d1 + poses[k, 2, 1] * d2
-        z = poses[k, 0, 2] * d0 + poses[k, 1, 2] * d1 + poses[k, 2, 2] * d2
+        x, y, z = from_world(poses[k], points[m, 0], points[m, 1], points[m, 2])
         depth[n], residual[n] = z, np.inf
         if z > 0.0:
             near = 1.0 / z
-            u = (intrinsics[0] * x * near + intrinsics[2] - xy[n, 0]) / sigma[n]
-            v = (intrinsics[1] * y * near + intrinsics[3] - xy[n, 1]) / sigma[n]
-            d = 0.0 if np.isnan(disparity[n]) else (fb * near - disparity[n]) / sigma_d
-            residual[n] = np.sqrt(u * u + v * v + d * d)
+            u, v = pixel(intrinsics, x, y, near)
+            eu, ev = (u - xy[n, 0]) / sigma[n], (v - xy[n, 1]) / sigma[n]
+            ed = 0.0 if np.isnan(disparity[n]) else (fb * near - disparity[n]) / sigma_d
+            residual[n] = np.sqrt(eu * eu + ev * ev + ed * ed)
     return residual, depth

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from vo.geometry.projection import Intrinsics
 from vo.types import Bools, Floats, Ints
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class WindowProblem:
     """A window of K poses, M points, N observations and further factors.
 
     Attributes:
-        intrinsics: fx, fy, cx, cy of the rectified camera in pixels.
+        intrinsics: of the rectified camera.
         baseline_m: distance to the right camera, 0 in mono.
         sigma_disparity_px: standard deviation of a disparity.
         world_from_cam: (K, 4, 4) first guess.
@@ -69,7 +70,7 @@ class WindowProblem:
         factors: factors beside the observations.
     """
 
-    intrinsics: tuple[float, float, float, float]
+    intrinsics: Intrinsics
     baseline_m: float
     sigma_disparity_px: float
     world_from_cam: Floats

@@ -13,6 +13,7 @@ import numpy as np
 from vo.backend.messages import receive, send
 from vo.backend.solution import WindowSolution, solve
 from vo.backend.window_problem import WindowProblem
+from vo.geometry.projection import Intrinsics
 from vo.scheduling import give_way
 
 
@@ -39,7 +40,7 @@ def warm_up() -> None:
     poses[1, 0, 3] = 0.1
     in_cam = np.concatenate([points - pose[:3, 3] for pose in poses])
     problem = WindowProblem(
-        intrinsics=(500.0, 500.0, 320.0, 240.0),
+        intrinsics=Intrinsics(500.0, 500.0, 320.0, 240.0),
         baseline_m=0.1,
         sigma_disparity_px=0.4,
         world_from_cam=poses,

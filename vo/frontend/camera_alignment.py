@@ -9,6 +9,7 @@ import numpy as np
 
 from vo.frontend import patch_kernels
 from vo.geometry.pnp import take_step
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bytes, Floats
 
@@ -53,7 +54,7 @@ def align_sparse(
     points: Floats,
     start: Floats,
     distort: Floats,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
 ) -> CameraAlignment:
     """Motion of a camera at which the points' patches look as in a reference image.
 
@@ -65,7 +66,7 @@ def align_sparse(
         start: (4, 4) target_from_reference to start from.
         distort: (N, 2, 3) affine maps from ideal pixels near each point to pixels of the target
             image.
-        intrinsics: fx, fy, cx, cy of the ideal pinhole.
+        intrinsics: of the ideal pinhole.
 
     Source: Forster et al., SVO, 2014, sec. IV-A (sparse image alignment, inverse compositional,
         coarse to fine), on patches of equal mean and contrast.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
+from vo.geometry.projection import MIN_DEPTH, by_cam_from_world, pixel, to_camera
 
 _LANES = 16
 # A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
@@ -300,7 +301,7 @@ def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
 
 @compiled
 def step_together(  # type: ignore[no-untyped-def]
-    templates, sums, image, points, pixel_from_ideal, camera, t, half, noise
+    templates, sums, image, points, pixel_from_ideal, intrinsics, t, half, noise
 ):
     """Normal equations of one step of the camera that all patches take part in.
 
@@ -312,16 +313,14 @@ def step_together(  # type: ignore[no-untyped-def]
     flat = image.reshape(-1)
     h, b, per_pixel, j = np.zeros((6, 6)), np.zeros(6), 1e-12, np.empty((2, 6))
     score = np.full(len(points), -1.0)
-    fx, fy, cx, cy = camera
     for n in range(len(points)):
         p, a = points[n], pixel_from_ideal[n]
-        z = t[2, 0] * p[0] + t[2, 1] * p[1] + t[2, 2] * p[2] + t[2, 3]
-        if sums[n, 4] == 0.0 or z < 1e-6:
+        x, y, z = to_camera(t, p[0], p[1], p[2])
+        if sums[n, 4] == 0.0 or z < MIN_DEPTH:
             continue
         iz = 1.0 / z
-        x = (t[0, 0] * p[0] + t[0, 1] * p[1] + t[0, 2] * p[2] + t[0, 3]) * iz
-        y = (t[1, 0] * p[0] + t[1, 1] * p[1] + t[1, 2] * p[2] + t[1, 3]) * iz
-        u, v = fx * x + cx, fy * y + cy
+        x, y = x * iz, y * iz
+        u, v = pixel(intrinsics, x, y, 1.0)
         left = a[0, 0] * u + a[0, 1] * v + a[0, 2] - half
         top = a[1, 0] * u + a[1, 1] * v + a[1, 2] - half
         height, width = image.shape
@@ -340,15 +339,10 @@ def step_together(  # type: ignore[no-untyped-def]
         score[n] = cross / np.sqrt(variance * variance_now)
         # Cauchy: what is left of the patch, per pixel, against the noise.
         weight = 1.0 / (noise * noise + 2.0 * variance * (1.0 - score[n]) / area)
-        # Derivative of the ideal pixel by a motion of the camera's own frame: p' = exp(xi) p.
-        j[0, 0], j[0, 1], j[0, 2] = -fx * x * y, fx * (1.0 + x * x), -fx * y
-        j[1, 0], j[1, 1], j[1, 2] = -fy * (1.0 + y * y), fy * x * y, fy * x
-        j[0, 3], j[0, 4], j[0, 5] = fx * iz, 0.0, -fx * x * iz
-        j[1, 3], j[1, 4], j[1, 5] = 0.0, fy * iz, -fy * y * iz
+        by_u, by_v = by_cam_from_world(intrinsics.fx, intrinsics.fy, x, y, iz)
         for m in range(6):
-            du = a[0, 0] * j[0, m] + a[0, 1] * j[1, m]
-            dv = a[1, 0] * j[0, m] + a[1, 1] * j[1, m]
-            j[0, m], j[1, m] = du, dv
+            j[0, m] = a[0, 0] * by_u[m] + a[0, 1] * by_v[m]
+            j[1, m] = a[1, 0] * by_u[m] + a[1, 1] * by_v[m]
         for m in range(6):
             gu = weight * (j[0, m] * hxx + j[1, m] * hxy)
             gv = weight * (j[0, m] * hxy + j[1, m] * hyy)

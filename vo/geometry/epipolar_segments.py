@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.compiling.function import compiled
+from vo.geometry.projection import Intrinsics, pixel
 from vo.types import Bools, Floats
 
 _LEAST_MARGIN = 0.05  # below it all depths would do, or none
@@ -17,7 +18,7 @@ def epipolar_segments(
     nearest: float,
     farthest: float,
     smallest: float,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
 ) -> tuple[Floats, Floats, Bools]:
     """Ideal pixels (n, 2) in the second view for the nearest and the farthest depth, and a mask.
 
@@ -56,8 +57,8 @@ def _segments(xy, motion, least, farthest, smallest, intrinsics):  # type: ignor
         far_z = rz * farthest + motion[2, 3]
         possible[n] = min(near_z, far_z) > _LEAST_DEPTH * farthest
         if possible[n]:
-            ends[0, n, 0] = (rx * nearest + motion[0, 3]) / near_z * fx + cx
-            ends[0, n, 1] = (ry * nearest + motion[1, 3]) / near_z * fy + cy
-            ends[1, n, 0] = (rx * farthest + motion[0, 3]) / far_z * fx + cx
-            ends[1, n, 1] = (ry * farthest + motion[1, 3]) / far_z * fy + cy
+            x, y = (rx * nearest + motion[0, 3]) / near_z, (ry * nearest + motion[1, 3]) / near_z
+            ends[0, n] = pixel(intrinsics, x, y, 1.0)
+            x, y = (rx * farthest + motion[0, 3]) / far_z, (ry * farthest + motion[1, 3]) / far_z
+            ends[1, n] = pixel(intrinsics, x, y, 1.0)
     return ends[0], ends[1], possible

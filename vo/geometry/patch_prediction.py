@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, compiled
+from vo.geometry.projection import Intrinsics, from_world, project
 from vo.types import Floats, Ints
 
 _NEAREST = 1e-3  # depth in distances of the reference camera below which nothing is predicted
@@ -35,7 +36,7 @@ def predict_patches(
     point: Ints,
     camera: Ints,
     world_from_cam: Floats,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
 ) -> PatchPrediction:
     """Project points into cameras, together with the neighbourhood that their patch shows.
 
@@ -49,7 +50,7 @@ def predict_patches(
         point: (N,) row in points of each pair.
         camera: (N,) row in world_from_cam of each pair.
         world_from_cam: (K, 4, 4).
-        intrinsics: fx, fy, cx, cy.
+        intrinsics: of all cameras.
 
     Source: Forster et al., SVO, 2014, sec. IV-B, whose patches all face their reference camera.
     """
@@ -82,7 +83,7 @@ def points_in_view(
     points: Floats,
     reference: Ints,
     world_from_cam: Floats,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
     most_scale: float,
     corners: tuple[float, float, float, float],
 ) -> PointsInView:
@@ -92,7 +93,7 @@ def points_in_view(
         points: (M, 3) in the world.
         reference: (M,) row in world_from_cam of the camera that holds each point's patch.
         world_from_cam: (K, 4, 4).
-        intrinsics: fx, fy, cx, cy.
+        intrinsics: of all cameras.
         most_scale: times that a patch may be larger or smaller than its reference, less than that.
         corners: least u, least v (inclusive), and what u and v are below, in ideal pixels.
     """
@@ -118,16 +119,16 @@ def _in_view(points, reference, poses, intrinsics, most_scale, corners):  # type
 @compiled(**NO_REFCOUNT)
 def _add_in_view(points, reference, poses, intrinsics, most_scale, corners, rows, xy):  # type: ignore[no-untyped-def]
     count = 0
-    fx, fy, cx, cy = intrinsics
     left, top, right, bottom = corners
     here = poses[-1]
     for n in range(len(points)):
         at, there = points[n], poses[reference[n]]
-        x, y, z = _seen_from(here, at[0], at[1], at[2])
+        x, y, z = from_world(here, at[0], at[1], at[2])
         then, now = _distance(there, at), _distance(here, at)
         if not z > _NEAREST * then:
             continue
-        u, v, scale = fx * x / z + cx, fy * y / z + cy, then / now
+        u, v = project(intrinsics, x, y, z)
+        scale = then / now
         if left <= u < right and top <= v < bottom and 1.0 / most_scale < scale < most_scale:
             rows[count], xy[count, 0], xy[count, 1] = n, u, v
             count += 1
@@ -149,25 +150,24 @@ def _predict(points, normals, reference, point, camera, poses, intrinsics):  # t
 @compiled(**NO_REFCOUNT)
 def _predict_each(points, normals, reference, point, camera, poses, intrinsics, found):  # type: ignore[no-untyped-def]
     xy, scale, back, slope = found
-    fx, fy, cx, cy = intrinsics
     for n in range(len(point)):
         at, normal = points[point[n]], normals[point[n]]
         there, here = poses[reference[point[n]]], poses[camera[n]]
-        x, y, z = _seen_from(here, at[0], at[1], at[2])
+        x, y, z = from_world(here, at[0], at[1], at[2])
         then, now = _distance(there, at), _distance(here, at)
         if not z > _NEAREST * then:
             continue
-        u, v = fx * x / z + cx, fy * y / z + cy
+        u, v = project(intrinsics, x, y, z)
         xy[n, 0], xy[n, 1], scale[n] = u, v, then / now
         ahead = _along(normal, here, at)
         if abs(ahead) > 1e-9 * now:
-            slope[n, 0] = _dot(normal, here[:3, 0]) * z / (fx * ahead)
-            slope[n, 1] = _dot(normal, here[:3, 1]) * z / (fy * ahead)
-        depth = _seen_from(there, at[0], at[1], at[2])[2]
-        a, c = _moved(at, normal, there, 0, depth / fx, here, fx, fy)
-        b, d = _moved(at, normal, there, 1, depth / fy, here, fx, fy)
-        a, c = a + cx - u, c + cy - v
-        b, d = b + cx - u, d + cy - v
+            slope[n, 0] = _dot(normal, here[:3, 0]) * z / (intrinsics.fx * ahead)
+            slope[n, 1] = _dot(normal, here[:3, 1]) * z / (intrinsics.fy * ahead)
+        depth = from_world(there, at[0], at[1], at[2])[2]
+        a, c = _moved(at, normal, there, 0, depth / intrinsics.fx, here, intrinsics)
+        b, d = _moved(at, normal, there, 1, depth / intrinsics.fy, here, intrinsics)
+        a, c = a - u, c - v
+        b, d = b - u, d - v
         determinant = a * d - b * c
         if 0.1 <= abs(determinant) <= 10.0:
             back[n, 0, 0], back[n, 0, 1] = d / determinant, -b / determinant
@@ -177,32 +177,21 @@ def _predict_each(points, normals, reference, point, camera, poses, intrinsics, 
 
 
 @compiled(**NO_REFCOUNT)
-def _seen_from(pose, x, y, z):  # type: ignore[no-untyped-def]
-    """A point of the world in a camera's frame."""
-    x, y, z = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
-    return (
-        pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z,
-        pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z,
-        pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z,
-    )
-
-
-@compiled(**NO_REFCOUNT)
 def _distance(pose, at):  # type: ignore[no-untyped-def]
     x, y, z = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
     return np.sqrt(x * x + y * y + z * z)
 
 
 @compiled(**NO_REFCOUNT)
-def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-untyped-def]
-    """Pixel, less the principal point, of a point moved along its surface.
+def _moved(at, normal, there, axis, step, here, intrinsics):  # type: ignore[no-untyped-def]
+    """Pixel of a point moved along its surface.
 
     It is moved by a step along an axis of another camera, then to the surface along its ray.
     """
     ahead = _along(normal, there, at)
     moved = ahead + step * _dot(normal, there[:3, axis])
     nearer = ahead / moved if 0.5 * abs(ahead) < moved * np.sign(ahead) < 2.0 * abs(ahead) else 1.0
-    x, y, z = _seen_from(
+    x, y, z = from_world(
         here,
         there[0, 3] + nearer * (at[0] + step * there[0, axis] - there[0, 3]),
         there[1, 3] + nearer * (at[1] + step * there[1, axis] - there[1, 3]),
@@ -210,7 +199,7 @@ def _moved(at, normal, there, axis, step, here, fx, fy):  # type: ignore[no-unty
     )
     if z == 0.0:
         return np.nan, np.nan
-    return fx * x / z, fy * y / z
+    return project(intrinsics, x, y, z)
 
 
 @compiled(**NO_REFCOUNT)

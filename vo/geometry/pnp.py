@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, compiled
+from vo.geometry.projection import MIN_DEPTH, Intrinsics, by_cam_from_world, pixel, to_camera
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bools, Floats
 
@@ -37,7 +38,7 @@ def refine_pose(
     disparity: Floats,
     sigma_px: Floats,
     sigma_disparity_px: float,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
     focal_baseline: float,
     *,
     huber: float = 2.0,
@@ -53,7 +54,7 @@ def refine_pose(
         disparity: (N,) u_left - u_right in pixels, NaN where there is no right match.
         sigma_px: (N,) standard deviation of xy.
         sigma_disparity_px: standard deviation of disparity.
-        intrinsics: fx, fy, cx, cy.
+        intrinsics: of the camera.
         focal_baseline: fx * baseline, 0 in mono.
         huber: residual, in standard deviations, from which a match counts less.
         gate: residual from which a match is an outlier; it counts nothing once the pose has settled
@@ -69,7 +70,7 @@ def refine_pose(
         np.ascontiguousarray(disparity, dtype=np.float64),
         np.ascontiguousarray(sigma_px, dtype=np.float64),
         sigma_disparity_px,
-        np.array(intrinsics),
+        intrinsics,
         focal_baseline,
         huber,
         gate,
@@ -127,14 +128,10 @@ def _weigh(  # type: ignore[no-untyped-def]
     t, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, limit, rows, residual
 ):
     """Fill rows (7, 3 N): derivatives by the six of the tangent, then the error, weighted."""
-    fx, fy, cx, cy = intrinsics
     for i in range(len(points)):
-        p = points[i]
-        x = t[0, 0] * p[0] + t[0, 1] * p[1] + t[0, 2] * p[2] + t[0, 3]
-        y = t[1, 0] * p[0] + t[1, 1] * p[1] + t[1, 2] * p[2] + t[1, 3]
-        z = t[2, 0] * p[0] + t[2, 1] * p[1] + t[2, 2] * p[2] + t[2, 3]
+        x, y, z = to_camera(t, points[i, 0], points[i, 1], points[i, 2])
         k = 3 * i
-        if z < 1e-6:
+        if z < MIN_DEPTH:
             residual[i] = np.inf
             for m in range(7):
                 rows[m, k], rows[m, k + 1], rows[m, k + 2] = 0.0, 0.0, 0.0
@@ -143,8 +140,9 @@ def _weigh(  # type: ignore[no-untyped-def]
         x *= iz
         y *= iz
         iu = 1.0 / sigma[i]
-        ex, ey, ed = (fx * x + cx - xy[i, 0]) * iu, (fy * y + cy - xy[i, 1]) * iu, 0.0
-        su, sv, sd = fx * iu, fy * iu, 0.0
+        u, v = pixel(intrinsics, x, y, 1.0)
+        ex, ey, ed = (u - xy[i, 0]) * iu, (v - xy[i, 1]) * iu, 0.0
+        su, sv, sd = intrinsics.fx * iu, intrinsics.fy * iu, 0.0
         if fb > 0.0 and not np.isnan(disparity[i]):
             ed = (fb * iz - disparity[i]) / sigma_d
             sd = -fb * iz / sigma_d
@@ -152,13 +150,10 @@ def _weigh(  # type: ignore[no-untyped-def]
         residual[i] = r
         weight = 0.0 if r >= limit else 1.0 if r < huber else np.sqrt(huber / r)
         su, sv, sd = su * weight, sv * weight, sd * weight
-        # Derivative by a motion of the camera's own frame: p' = exp(xi) p.
-        rows[0, k], rows[0, k + 1], rows[0, k + 2] = -su * x * y, -sv * (1.0 + y * y), sd * y
-        rows[1, k], rows[1, k + 1], rows[1, k + 2] = su * (1.0 + x * x), sv * x * y, -sd * x
-        rows[2, k], rows[2, k + 1] = -su * y, sv * x
-        rows[3, k] = su * iz
-        rows[4, k + 1] = sv * iz
-        rows[5, k], rows[5, k + 1], rows[5, k + 2] = -su * x * iz, -sv * y * iz, sd * iz
+        by_u, by_v = by_cam_from_world(su, sv, x, y, iz)
+        for m in range(6):
+            rows[m, k], rows[m, k + 1] = by_u[m], by_v[m]
+        rows[0, k + 2], rows[1, k + 2], rows[5, k + 2] = sd * y, -sd * x, sd * iz
         rows[6, k], rows[6, k + 1], rows[6, k + 2] = ex * weight, ey * weight, ed * weight
 
 

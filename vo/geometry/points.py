@@ -7,13 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, compiled
+from vo.geometry.projection import (
+    MIN_DEPTH,
+    Intrinsics,
+    by_world_axis,
+    pixel,
+    point_derivatives,
+    to_camera,
+)
 from vo.types import Bools, Floats, Ints
 
 _SINGULAR = 1e-13  # determinant of a point's normal matrix against its trace cubed
 _DAMPING = 1e-6  # of a point's step at first, against that trace
 _LESS_BOLD = 30.0  # times the damping after a step that went too far
 _BEHIND = 1e3  # what a point behind one of its cameras costs
-_NEAREST = 1e-6  # depth from which on a point is in front
 
 
 class PointViews(NamedTuple):
@@ -25,7 +32,7 @@ class PointViews(NamedTuple):
         xy: (N, 2) ideal pixels.
         disparity: (N,) pixels, NaN where there is none.
         inverse_sigma: (N,) 1 over the standard deviation of xy.
-        intrinsics: (4,) fx, fy, cx, cy.
+        intrinsics: of all cameras.
         focal_baseline: fx * baseline, 0 in mono.
         inverse_sigma_disparity: 1 over the standard deviation of a disparity.
         huber: residual, in standard deviations, from which an observation counts less.
@@ -36,7 +43,7 @@ class PointViews(NamedTuple):
     xy: Floats
     disparity: Floats
     inverse_sigma: Floats
-    intrinsics: Floats
+    intrinsics: Intrinsics
     focal_baseline: float
     inverse_sigma_disparity: float
     huber: float
@@ -50,7 +57,7 @@ def point_views(
     disparity: Floats,
     sigma_px: Floats,
     sigma_disparity_px: float,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
     focal_baseline: float,
     huber: float = 1.5,
 ) -> PointViews:
@@ -64,7 +71,7 @@ def point_views(
         disparity: (N,) pixels, NaN where there is none.
         sigma_px: (N,) standard deviation of xy.
         sigma_disparity_px: standard deviation of disparity.
-        intrinsics: fx, fy, cx, cy.
+        intrinsics: of all cameras.
         focal_baseline: fx * baseline, 0 in mono.
         huber: residual, in standard deviations, from which an observation counts less.
     """
@@ -75,7 +82,7 @@ def point_views(
         xy.take(order, axis=0),
         disparity.take(order),
         1.0 / sigma_px.take(order),
-        np.array(intrinsics),
+        intrinsics,
         focal_baseline,
         1.0 / sigma_disparity_px,
         huber,
@@ -181,24 +188,19 @@ def _refined(  # type: ignore[no-untyped-def]
 def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     """A point's robust cost, inf if behind, its normal matrix (00 11 22 10 20 21) and gradient."""
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     cost = 0.0
     n00 = n11 = n22 = n10 = n20 = n21 = 0.0
     r0 = r1 = r2 = 0.0
     for a in range(first, last):
         pose = poses[keyframe[a]]
-        p00, p01, p02 = pose[0, 0], pose[0, 1], pose[0, 2]
-        p10, p11, p12 = pose[1, 0], pose[1, 1], pose[1, 2]
-        p20, p21, p22 = pose[2, 0], pose[2, 1], pose[2, 2]
-        x = p00 * at[0] + p01 * at[1] + p02 * at[2] + pose[0, 3]
-        y = p10 * at[0] + p11 * at[1] + p12 * at[2] + pose[1, 3]
-        z = p20 * at[0] + p21 * at[1] + p22 * at[2] + pose[2, 3]
-        if z < _NEAREST:
+        x, y, z = to_camera(pose, at[0], at[1], at[2])
+        if z < MIN_DEPTH:
             return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         # Predicted - measured u, v, disparity in standard deviations. One division serves all.
         s, t, ed, near = inverse_sigma[a], 0.0, 0.0, 1.0 / z
         x, y = x * near, y * near
-        eu, ev = s * (fx * x + cx - xy[a, 0]), s * (fy * y + cy - xy[a, 1])
+        u, v = pixel(intrinsics, x, y, 1.0)
+        eu, ev = s * (u - xy[a, 0]), s * (v - xy[a, 1])
         if fb > 0.0 and not np.isnan(disparity[a]):
             t, ed = inverse_d, inverse_d * (fb * near - disparity[a])
         length = np.sqrt(eu * eu + ev * ev + ed * ed)
@@ -208,20 +210,19 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
         else:
             cost += huber * (length - 0.5 * huber)
             weight = huber / length
-        du, dv = s * fx * near, s * fy * near
-        cu, cv, cd = -du * x, -dv * y, -t * fb * near * near
-        u0, v0, d0 = du * p00 + cu * p20, dv * p10 + cv * p20, cd * p20
-        u1, v1, d1 = du * p01 + cu * p21, dv * p11 + cv * p21, cd * p21
-        u2, v2, d2 = du * p02 + cu * p22, dv * p12 + cv * p22, cd * p22
+        by_point = point_derivatives(s * intrinsics.fx, s * intrinsics.fy, t * fb, x, y, 1.0, near)
+        u0, v0, d0 = by_world_axis(by_point, pose[0, 0], pose[1, 0], pose[2, 0])
+        u1, v1, d1 = by_world_axis(by_point, pose[0, 1], pose[1, 1], pose[2, 1])
+        u2, v2, d2 = by_world_axis(by_point, pose[0, 2], pose[1, 2], pose[2, 2])
         r0 += weight * (u0 * eu + v0 * ev + d0 * ed)
         r1 += weight * (u1 * eu + v1 * ev + d1 * ed)
         r2 += weight * (u2 * eu + v2 * ev + d2 * ed)
-        n00 += weight * (u0 * u0 + v0 * v0 + d0 * cd * p20)
-        n11 += weight * (u1 * u1 + v1 * v1 + d1 * cd * p21)
-        n22 += weight * (u2 * u2 + v2 * v2 + d2 * cd * p22)
-        n10 += weight * (u1 * u0 + v1 * v0 + d1 * cd * p20)
-        n20 += weight * (u2 * u0 + v2 * v0 + d2 * cd * p20)
-        n21 += weight * (u2 * u1 + v2 * v1 + d2 * cd * p21)
+        n00 += weight * (u0 * u0 + v0 * v0 + d0 * by_point[4] * pose[2, 0])
+        n11 += weight * (u1 * u1 + v1 * v1 + d1 * by_point[4] * pose[2, 1])
+        n22 += weight * (u2 * u2 + v2 * v2 + d2 * by_point[4] * pose[2, 2])
+        n10 += weight * (u1 * u0 + v1 * v0 + d1 * by_point[4] * pose[2, 0])
+        n20 += weight * (u2 * u0 + v2 * v0 + d2 * by_point[4] * pose[2, 0])
+        n21 += weight * (u2 * u1 + v2 * v1 + d2 * by_point[4] * pose[2, 1])
     return cost, (n00, n11, n22, n10, n20, n21), (r0, r1, r2)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from vo.errors import CalibrationError
 from vo.geometry import cameras
 from vo.geometry.distortion import centre_scale
+from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import inverse, make_transform
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.types import Bytes, Camera, Floats, Floats32, Rig
@@ -76,9 +77,9 @@ class RectifiedRig:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
-    def intrinsics(self) -> tuple[float, float, float, float]:
+    def intrinsics(self) -> Intrinsics:
         """fx, fy, cx, cy of both rectified cameras."""
-        return self.fx, self.fy, self.cx, self.cy
+        return Intrinsics(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def is_stereo(self) -> bool:
@@ -117,8 +118,8 @@ class RectifiedRig:
     @property
     def lens_or_pinhole(self) -> Camera:
         """The lens; one that distorts nothing where there is none."""
-        size, intrinsics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
-        ideal = Camera(*size, *intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
+        size = self.width, self.height
+        ideal = Camera(*size, *self.intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
         return self.lens or ideal
 
     def disparity_error(self, right_u: Floats) -> Floats:

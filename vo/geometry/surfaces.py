@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, compiled
+from vo.geometry.projection import Intrinsics
 from vo.types import Floats, Ints
 
 _REACH_PX = 100.0  # points farther away tell nothing
@@ -39,7 +40,7 @@ def surface_normals(
     depth: Floats,
     of: Ints,
     world_from_cam: Floats,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
 ) -> Floats:
     """Normals (n, 3), of any length, in the world, of the surfaces at some points.
 
@@ -48,7 +49,7 @@ def surface_normals(
         depth: (N,) their depths, above 0.
         of: (n,) rows of the points that are asked for.
         world_from_cam: (4, 4) of the camera that sees them.
-        intrinsics: fx, fy, cx, cy.
+        intrinsics: of that camera.
     """
     fx, fy, cx, cy = intrinsics
     slope, at = inverse_depth_slopes(xy, 1.0 / depth, of), xy[of] - (cx, cy)

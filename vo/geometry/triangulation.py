@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.compiling.function import compiled
+from vo.geometry.projection import Intrinsics, project, to_camera
 from vo.types import Bools, Floats
 
 
@@ -91,7 +92,7 @@ def sound_points(
     second_from_first: Floats,
     xy_first: Floats,
     xy_second: Floats,
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
     *,
     least_rad: float,
     share: float,
@@ -129,21 +130,20 @@ def sound_points(
 
 @compiled
 def _sound(motion, points, angle, first, second, intrinsics, least_rad, share, limit):  # type: ignore[no-untyped-def]
-    fx, fy, cx, cy = intrinsics
     sound = np.zeros(len(points), dtype=np.bool_)
     for n in range(len(points)):
         x, y, z = points[n]
-        moved_rad = np.hypot((second[n, 0] - first[n, 0]) / fx, (second[n, 1] - first[n, 1]) / fy)
+        moved_rad = np.hypot(
+            (second[n, 0] - first[n, 0]) / intrinsics.fx,
+            (second[n, 1] - first[n, 1]) / intrinsics.fy,
+        )
         if not (0.0 < z < np.inf and angle[n] >= max(least_rad, share * moved_rad)):
             continue
-        if np.hypot(fx * x / z + cx - first[n, 0], fy * y / z + cy - first[n, 1]) >= limit:
+        u, v = project(intrinsics, x, y, z)
+        if np.hypot(u - first[n, 0], v - first[n, 1]) >= limit:
             continue
-        x, y, z = (
-            motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3],
-            motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3],
-            motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3],
-        )
+        x, y, z = to_camera(motion, x, y, z)
         if z > 0.0:
-            off = np.hypot(fx * x / z + cx - second[n, 0], fy * y / z + cy - second[n, 1])
-            sound[n] = off < limit
+            u, v = project(intrinsics, x, y, z)
+            sound[n] = np.hypot(u - second[n, 0], v - second[n, 1]) < limit
     return sound

@@ -15,6 +15,7 @@ from vo.config import StartConfig
 from vo.failures import Failure, FailureReason
 from vo.geometry import epipolar
 from vo.geometry.pnp import refine_pose
+from vo.geometry.projection import Intrinsics
 from vo.geometry.quantiles import median
 from vo.geometry.triangulation import in_front, triangulate
 from vo.types import Bools, Floats, Ints
@@ -171,8 +172,7 @@ def _squared_error(trial: _Trial, views: MatchedViews) -> float:
     Each view is placed by the points themselves.
     """
     pose, errors = np.eye(4), []
-    m = views.matrix
-    intrinsics = float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2])
+    intrinsics = Intrinsics.from_matrix(views.matrix)
     for view in views.between:
         usable = trial.good[view.rows]
         rows, xy = view.rows[usable], view.xy[usable]
