@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.projection import MIN_DEPTH, by_cam_from_world, pixel, to_camera
 
 _LANES = 16
@@ -19,10 +19,6 @@ _HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
 # steps. Taking what settles slowly raised mono's ATE on kitti07 by 8 % and lowered it on others
 # (docs/accuracy.md).
 _SETTLED, _NEARLY = 4e-6, 1e-4
-
-_blend_16 = Intrinsic("vo.frontend.instructions", "blend_16")
-_pair = Intrinsic("vo.frontend.instructions", "pair")
-_prefetch = Intrinsic("vo.frontend.instructions", "prefetch")
 
 
 @compiled
@@ -53,11 +49,6 @@ def _align_each(patches, looked_in, half, iterations, stride, work, pixels, foun
     xy, score, converged, nearly, sigma = found
     count, side = len(reference_xy), 2 * half + 1
     for n in range(count):
-        if n + 1 < count:
-            x, y = reference_xy[n + 1, 0], reference_xy[n + 1, 1]
-            _prefetch_patch(references[reference[n + 1]], x, y, half + 2)
-            x, y = start_xy[n + 1, 0], start_xy[n + 1, 1]
-            _prefetch_patch(targets[target[n + 1]], x, y, half + 2)
         image = references[reference[n]]
         x, y = reference_xy[n, 0], reference_xy[n, 1]
         if len(inverses) == 0:
@@ -79,16 +70,6 @@ def _align_each(patches, looked_in, half, iterations, stride, work, pixels, foun
         xy[n, 0], xy[n, 1] = x, y
         left_over = 2.0 * variance * max(1.0 - score[n], 0.0) / (side * side)
         sigma[n] = np.sqrt(left_over * 0.5 * (hxx + hyy) / determinant)
-
-
-@compiled(**NO_REFCOUNT)
-def _prefetch_patch(image, x, y, reach):  # type: ignore[no-untyped-def]
-    """Ask for the rows of the next patch: a third of the time went into waiting for them."""
-    height, width = image.shape
-    flat = image.reshape(-1)
-    left = max(min(int(x), width - 1) - reach, 0)
-    for row in range(max(int(y) - reach, 0), min(int(y) + reach, height - 1) + 1):
-        _prefetch(flat, row * width + left)
 
 
 @compiled
@@ -143,13 +124,14 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
     return True
 
 
-@compiled(**NO_REFCOUNT)
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
-    rows = work[4]
+    rows, one = work[4], np.uintp(1)
     for i in range(count):
-        for j in range(0, stride, _LANES):
-            first, to = at + i * width + j, i * stride + j
-            _blend_16(flat, first, ax, shift, rows, to)
+        first, to = np.uintp(at + i * width), np.uintp(i * stride)
+        for j in range(np.uintp(stride)):
+            left, right = np.float32(flat[first + j]), np.float32(flat[first + j + one])
+            rows[to + j] = (left - shift) + ax * (right - left)
 
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
@@ -168,7 +150,7 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
     """
     wide, share_x, share_y, across, down = work[0], work[2], work[3], work[6], work[7]
     place, above, below = pixels[0], pixels[1], pixels[2]
-    count, row = np.uintp(size), np.int32(width)
+    count, row, one = np.uintp(size), np.int32(width), np.uintp(1)
     x, y = np.float32(x), np.float32(y)
     right, bottom = np.int32(farthest[0]), np.int32(farthest[1])
     xx, xy = np.float32(inverse[0, 0]), np.float32(inverse[0, 1])
@@ -180,8 +162,10 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
         share_x[k], share_y[k] = px - np.float32(x0), py - np.float32(y0)
         place[k] = y0 * row + x0
     for k in range(count):
-        above[k] = _pair(flat, place[k])
-        below[k] = _pair(flat, place[k] + width)
+        at = np.uintp(place[k])
+        above[k] = np.int32(flat[at]) | np.int32(np.int32(flat[at + one]) << np.int32(8))
+        at += np.uintp(width)
+        below[k] = np.int32(flat[at]) | np.int32(np.int32(flat[at + one]) << np.int32(8))
     for k in range(count):
         a, b = np.float32(above[k] & 255), np.float32(above[k] >> 8)
         c, d = np.float32(below[k] & 255), np.float32(below[k] >> 8)
