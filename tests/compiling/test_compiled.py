@@ -38,7 +38,7 @@ from vo.compiling.fingerprint import fingerprint
 from vo.compiling.function import Intrinsic, compiled
 from vo_helper import SHIFT, half
 
-_bits = Intrinsic("vo.frontend.instructions", "population_count")
+_add_row = Intrinsic("vo.backend.intrinsics", "add_row")
 
 @compiled
 def moved(values, by):
@@ -49,7 +49,13 @@ def moved(values, by):
 
 @compiled(error_model="python")
 def divided(a, b):
-    return a / b, _bits(np.uint64(7))
+    return a / b
+
+@compiled
+def summed(left, right):
+    block = np.zeros(8)
+    _add_row(block, 0, left, 0, 1, right, 0)
+    return block[7]
 
 if __name__ == "__main__":
     import vo_module
@@ -59,11 +65,11 @@ if __name__ == "__main__":
         vo_module.divided(1.0, 0.0)
     except ZeroDivisionError:
         zero = "refused"
-    quotient = vo_module.divided(1.0, 4.0)
+    numbers = vo_module.divided(1.0, 4.0), vo_module.summed(np.arange(3.0), np.arange(24.0))
     print("numba" in sys.modules and "numba.core.dispatcher" in sys.modules)
-    print(result.tolist(), count, more, quotient, zero)
+    print(result.tolist(), count, more, numbers, zero)
 """
-RESULT = "[20.0, 20.5, 21.0] 3 (10, True) (0.25, 3) refused"
+RESULT = "[20.0, 20.5, 21.0] 3 (10, True) (0.25, 61.0) refused"
 
 
 @pytest.fixture
@@ -108,7 +114,11 @@ def test_the_second_process_does_without_numba(tmp_path: Path) -> None:
     assert program(tmp_path) == ["True", RESULT]
     files = set((tmp_path / "vo").iterdir())
     assert program(tmp_path)[-1] == RESULT
-    assert {f.name.partition("-")[0] for f in files} == {"vo_module.moved", "vo_module.divided"}
+    assert {f.name.partition("-")[0] for f in files} == {
+        "vo_module.moved",
+        "vo_module.divided",
+        "vo_module.summed",
+    }
     # Only the exception, of which the text is kept by numba, has it loaded.
     quiet = MODULE.replace("vo_module.divided(1.0, 0.0)", "raise ZeroDivisionError")
     assert program(tmp_path, quiet) == ["False", RESULT]
@@ -255,9 +265,9 @@ def test_arguments_go_by_position() -> None:
         compiled(area)(np.arange(3.0), b=2.0)
 
 
-def test_instructions_are_for_compiled_functions() -> None:
-    with pytest.raises(TypeError, match="blend can be called in compiled functions only"):
-        Intrinsic("vo.frontend.instructions", "blend")(1)
+def test_intrinsics_are_for_compiled_functions() -> None:
+    with pytest.raises(TypeError, match="add_row can be called in compiled functions only"):
+        Intrinsic("vo.backend.intrinsics", "add_row")(1)
 
 
 def test_threads_that_need_it_at_once_get_the_same(kept: Path) -> None:

@@ -24,11 +24,11 @@ _SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below 
 # Of one observation or point: derivatives by a pose, by a point, and errors; of a pair: a block.
 _ROWS, _POINT, _ERRORS, _BLOCK = 3 * _LANES, 9, 3, 6 * _LANES
 
-_set_product = Intrinsic("vo.backend.instructions", "set_product")
-_add_product = Intrinsic("vo.backend.instructions", "add_product")
-_subtract_product = Intrinsic("vo.backend.instructions", "subtract_product")
-_add_row = Intrinsic("vo.backend.instructions", "add_row")
-_subtract_row = Intrinsic("vo.backend.instructions", "subtract_row")
+_set_product = Intrinsic("vo.backend.intrinsics", "set_product")
+_add_product = Intrinsic("vo.backend.intrinsics", "add_product")
+_subtract_product = Intrinsic("vo.backend.intrinsics", "subtract_product")
+_add_row = Intrinsic("vo.backend.intrinsics", "add_row")
+_subtract_row = Intrinsic("vo.backend.intrinsics", "subtract_row")
 
 
 @compiled(fastmath={"contract"})
