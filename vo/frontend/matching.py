@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +27,7 @@ _1, _2, _4, _56 = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
 
 
 @compiled(**NO_REFCOUNT)
-def hamming(a: Any, b: Any) -> Any:
+def hamming(a, b):  # type: ignore[no-untyped-def]
     """Number of bits in which two rows of four uint64 words differ."""
     return (
         _population_count(a[0] ^ b[0])
@@ -40,7 +38,7 @@ def hamming(a: Any, b: Any) -> Any:
 
 
 @compiled(**NO_REFCOUNT)
-def _population_count(word: Any) -> Any:
+def _population_count(word):  # type: ignore[no-untyped-def]
     """Number of bits that are set in a uint64; LLVM turns these lines into one instruction.
 
     Source: Warren, "Hacker's Delight", 2nd edition, 2012, figure 5-2.
