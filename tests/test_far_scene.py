@@ -26,7 +26,7 @@ def test_a_pair_high_above_the_ground_keeps_its_scale() -> None:
         for index, shot in enumerate(film(plan, pool, FRAMES)):
             left, right = shot.images
             assert left is not None
-            estimate = odometry.track(Frame(index, round(index / recipe.fps * 1e9), left, right))
+            estimate = odometry.track(Frame(index, round(index / recipe.fps * 1e9), (left, right)))
             assert estimate.world_from_cam0 is not None, estimate.failure
             disparities_px.append(estimate.median_disparity_px)
     odometry.finish()

@@ -90,7 +90,7 @@ def _recording() -> Recording:
             index = len(frames)
             left, right = shot.images
             assert left is not None
-            frames.append(Frame(index, round(index / FPS * 1e9), left, right))
+            frames.append(Frame(index, round(index / FPS * 1e9), (left, right)))
     poses = plan.recording.cam0_truth.world_from_cam[FIRST : FIRST + COUNT]
     return Recording(plan.recording.rig, tuple(frames), poses)
 
@@ -134,7 +134,7 @@ def _change(frames: Iterable[Frame], numbers: Iterable[int], change: Change) -> 
 
 def _black(frame: Frame) -> Frame:
     dark = np.zeros_like(frame.image0)
-    return replace(frame, image0=dark, image1=None if frame.image1 is None else dark)
+    return replace(frame, images=(dark, None if frame.image1 is None else dark))
 
 
 # A stereo walk
@@ -284,7 +284,7 @@ def _with_shifted_right(frames: Iterable[Frame], shift_px: float) -> list[Frame]
             flags=cv2.INTER_CUBIC,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        result.append(replace(frame, image1=np.asarray(image1, dtype=np.uint8)))
+        result.append(replace(frame, images=(frame.image0, np.asarray(image1, dtype=np.uint8))))
     return result
 
 
@@ -429,7 +429,8 @@ def test_standing_still_in_mono_never_makes_a_map(recording: Recording) -> None:
     frames = []
     for index in range(25):
         noisy = still + np.round(rng.normal(0, 3, still.shape)).astype(np.int16)
-        frames.append(Frame(index, index * 66_000_000, np.clip(noisy, 0, 255).astype(np.uint8)))
+        image = np.clip(noisy, 0, 255).astype(np.uint8)
+        frames.append(Frame(index, index * 66_000_000, (image,)))
     run = _run(recording.mono_rig, frames)
     assert set(run.states) == {State.STARTING}
     assert run.numbers == []
@@ -443,7 +444,7 @@ def test_turning_on_the_spot_in_mono_never_makes_a_map(recording: Recording) -> 
         turn = cv2.Rodrigues(np.array([0.0, 0.012 * index, 0.0]))[0]
         move = matrix @ turn @ np.linalg.inv(matrix)
         image = cv2.warpPerspective(recording.frames[0].image0, move, (480, 300))
-        frames.append(Frame(index, index * 66_000_000, np.asarray(image, dtype=np.uint8)))
+        frames.append(Frame(index, index * 66_000_000, (np.asarray(image, dtype=np.uint8),)))
     assert _run(recording.mono_rig, frames).numbers == []
 
 
@@ -526,7 +527,7 @@ def test_frames_that_were_lost_are_tracked_in_the_new_segment(
     def mirrored(frame: Frame) -> Frame:
         assert frame.image1 is not None
         pair = [np.ascontiguousarray(i[:, ::-1]) for i in (frame.image1, frame.image0)]
-        return replace(frame, image0=pair[0], image1=pair[1])
+        return replace(frame, images=tuple(pair))
 
     frames = _change(recording.frames, range(14, COUNT), mirrored)
     rig = recording.rig
@@ -555,7 +556,7 @@ def test_a_change_of_exposure_is_survived(recording: Recording) -> None:
     def darker(frame: Frame) -> Frame:
         assert frame.image1 is not None
         pair = [np.round(0.6 * i + 15.0).astype(np.uint8) for i in (frame.image0, frame.image1)]
-        return replace(frame, image0=pair[0], image1=pair[1])
+        return replace(frame, images=tuple(pair))
 
     run = _run(recording.rig, _change(recording.frames[:28], range(14, 28), darker))
     assert set(run.states) == {State.TRACKING}

@@ -73,7 +73,7 @@ def test_swapped_cameras_never_start_and_the_reason_says_so(recording: Recording
     swapped = []
     for frame in recording.frames[:4]:
         assert frame.image1 is not None
-        swapped.append(replace(frame, image0=frame.image1, image1=frame.image0))
+        swapped.append(replace(frame, images=frame.images[::-1]))
     run = _run(recording.rig, swapped)
     assert {e.state for e in run.estimates} == {State.STARTING}
     assert all("swapped" in describe(e.failure) for e in run.estimates)

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from vo.config import Config
+from vo.frontend.frontend import make_frontend
 from vo.frontend.preprocessing import FramePreprocessor
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import rectified_rig
 from vo.scheduling import give_way
 from vo.types import Camera, Frame, Rig
@@ -29,15 +31,20 @@ def test_frames_are_preprocessed_by_threads_that_give_way(monkeypatch: pytest.Mo
     policies: list[int] = []
     rig = rectified_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
     image = np.random.default_rng(0).integers(0, 255, (120, 200), dtype=np.uint8)
-    preparation = FramePreprocessor(Config(), threads=2)
+    config = Config()
+    frontend = make_frontend(config)
+    vertical_disparity = VerticalDisparityCorrection(
+        rig, frontend.matcher, frontend.patches, config.stereo
+    )
+    preprocessor = FramePreprocessor(rig, frontend.extractor, vertical_disparity, threads=2)
     monkeypatch.setattr(
         "vo.frontend.preprocessing.half_size_pyramid",
         lambda image: policies.append(os.sched_getscheduler(0)) or (),
     )
     try:
-        preparation.later(Frame(0, 0, image), rig).result()
+        preprocessor.submit(Frame(0, 0, (image,))).result()
     finally:
-        preparation.close()
+        preprocessor.close()
     assert policies == [os.SCHED_BATCH]
 
 

@@ -79,9 +79,14 @@ class Rig:
     has_depth: bool = False
 
     @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras by index."""
+        return (self.cam0,) if self.cam1 is None else (self.cam0, self.cam1)
+
+    @property
     def is_stereo(self) -> bool:
         """Whether there are two cameras."""
-        return self.cam1 is not None
+        return len(self.cameras) > 1
 
     @property
     def is_metric(self) -> bool:
@@ -91,25 +96,35 @@ class Rig:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What the cameras saw at one moment.
+    """Images of all cameras at one time.
 
     Attributes:
-        index: number of the frame in its source, from 0, counting every frame (also those skipped).
-        stamp_ns: time of image0 in nanoseconds.
-        image0: (H, W) uint8, grey, as recorded (distorted, unrectified); in colour or with
-            16 bits only where `FrameStream.frames` was asked for that.
-        image1: the same of cam1, or None in mono and where the partner is missing.
-        depth: (H, W) float32 metres along cam0's axis at the pixels of image0, 0 where unknown; or
-            None where there is no depth camera or no depth image at that time.
-        path: the file that holds image0 as recorded, perhaps in colour; None if none does.
+        index: number of the frame in its source, from 0, counting skipped frames too.
+        stamp_ns: time of the image of camera 0 in nanoseconds.
+        images: (H, W) uint8 grey by camera, as recorded (distorted, unrectified), None where one is
+            missing; in colour or with 16 bits only if `FrameStream.frames` was asked for that.
+        depth: (H, W) float32 metres along the axis of camera 0 at its pixels, 0 where unknown; None
+            without a depth camera or image.
+        path: the file with the image of camera 0 as recorded, perhaps in colour; None without one.
     """
 
     index: int
     stamp_ns: int
-    image0: Bytes
-    image1: Bytes | None = None
+    images: tuple[Bytes | None, ...]
     depth: Floats32 | None = None
     path: Path | None = None
+
+    @property
+    def image0(self) -> Bytes:
+        """The image of camera 0, which is never missing."""
+        image = self.images[0]
+        assert image is not None
+        return image
+
+    @property
+    def image1(self) -> Bytes | None:
+        """The image of camera 1, None where it is missing and with a single camera."""
+        return self.images[1] if len(self.images) > 1 else None
 
 
 @dataclass(frozen=True)

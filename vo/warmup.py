@@ -96,7 +96,7 @@ def _frames(stereo: bool) -> Iterator[Frame]:
     texture = _texture()
     for index in range(_FRAMES):
         images = [_image(texture, (index + 2 * right) / 2) for right in range(2)]
-        yield Frame(index, index * 100_000_000, images[0], images[1] if stereo else None)
+        yield Frame(index, index * 100_000_000, tuple(images if stereo else images[:1]))
 
 
 def _texture() -> Bytes:

@@ -180,7 +180,7 @@ def test_the_frame_with_the_least_motion_of_each_group_is_chosen() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (64, 128), dtype=np.uint8)
     smooth = cv2.GaussianBlur(noise, (0, 0), 8.0) * 4
     shifts = [0, 8, 9, 10, 20, 30, 40, 40, 50, 51]
-    frames = [Frame(i, i, np.roll(smooth, shift, axis=1)) for i, shift in enumerate(shifts)]
+    frames = [Frame(i, i, (np.roll(smooth, shift, axis=1),)) for i, shift in enumerate(shifts)]
     # Frame 7 is a copy of frame 6, which is in motion.
     assert [frame.index for frame in least_motion_frames(frames, 5)] == [2, 9]
     assert [frame.index for frame in least_motion_frames(frames, 1)] == list(range(10))

@@ -36,8 +36,10 @@ def recorded(board: Board, cameras: Sequence[Camera], poses: Sequence[Floats]) -
         Frame(
             i,
             i * 10**8,
-            render(board, cameras[0], pose),
-            render(board, cameras[1], CAM1_FROM_CAM0 @ pose) if len(cameras) == 2 else None,
+            (
+                render(board, cameras[0], pose),
+                *(render(board, camera, CAM1_FROM_CAM0 @ pose) for camera in cameras[1:]),
+            ),
         )
         for i, pose in enumerate(poses)
     ]
@@ -128,7 +130,7 @@ def test_an_outlier_view_is_dropped() -> None:
     stretched = np.repeat(frames[5].image0, 2, axis=1)[:, : 2 * SIZE[0] : 2]
     bent = np.roll(stretched, 1, axis=0)
     bent[:, SIZE[0] // 2 :] = np.roll(bent[:, SIZE[0] // 2 :], 3, axis=0)
-    frames[5] = replace(frames[5], image0=bent)
+    frames[5] = replace(frames[5], images=(bent, *frames[5].images[1:]))
     result = calibrate(CHARUCO, detect_views(CHARUCO, frames, 1, 2), SIZE, "radtan")
     assert 5 in {frame for frame, _ in result.fit.dropped}
     assert result.rig.cam0.fx == pytest.approx(RADTAN.fx, rel=0.004)
@@ -167,7 +169,7 @@ def test_a_pair_that_is_not_synchronised_is_refused() -> None:
     rng = np.random.default_rng(1)
     later = [make_transform(np.eye(3), rng.uniform(-0.02, 0.02, 3)) @ pose for pose in poses]
     late = [
-        replace(frame, image1=render(CHARUCO, RADTAN, CAM1_FROM_CAM0 @ pose))
+        replace(frame, images=(frame.image0, render(CHARUCO, RADTAN, CAM1_FROM_CAM0 @ pose)))
         for frame, pose in zip(frames, later, strict=True)
     ]
     found = detect_views(CHARUCO, late, 2, threads=2)

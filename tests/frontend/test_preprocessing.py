@@ -23,7 +23,7 @@ RIG = rectified_rig(Rig(Camera(200, 120, 150.0, 150.0, 100.0, 60.0)))
 def _frames(count: int, error: Exception | None = None) -> Iterator[Frame]:
     for index in range(count):
         image = np.random.default_rng(index).integers(0, 255, (120, 200), dtype=np.uint8)
-        yield Frame(index, index, image)
+        yield Frame(index, index, (image,))
     if error is not None:
         raise error
 

@@ -176,7 +176,7 @@ def _black(frame: Frame) -> Frame:
     if frame.index not in BLACK:
         return frame
     dark = np.zeros_like(frame.image0)
-    return replace(frame, image0=dark, image1=None if frame.image1 is None else dark)
+    return replace(frame, images=(dark, None if frame.image1 is None else dark))
 
 
 def test_at_the_start_of_a_new_segment_all_keyframes_of_the_old_map_arrive(

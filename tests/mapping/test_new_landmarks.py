@@ -88,7 +88,7 @@ class Scene:
             )
         number = len(self.map.keyframes)
         image0 = _view(self.texture, world_from_cam)
-        frame = Frame(number, number, image0, image1)
+        frame = Frame(number, number, (image0, image1))
         return self.preprocessor.submit(frame).result()
 
     def keyframe(self, frame: PreprocessedFrame, world_from_cam: Floats) -> Keyframe:

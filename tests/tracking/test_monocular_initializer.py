@@ -70,7 +70,7 @@ def _first_pair(
     initializer = MonocularInitializer(local_map, mapper, frontend, config.start, search_ratio)
     failures: list[Failure] = []
     for index, image in enumerate(images):
-        frame = preprocessor.submit(Frame(index, index, image)).result()
+        frame = preprocessor.submit(Frame(index, index, (image,))).result()
         found = initializer.attempt(frame)
         if isinstance(found, InitialPair):
             return found, failures

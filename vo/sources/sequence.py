@@ -183,7 +183,7 @@ class ImageSequence:
                     self.unpaired += 1
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
                 pair = cast("tuple[Bytes, Bytes | None]", (left, right))  # 16 bits if asked for
-                yield Frame(index, shot.stamp_ns, *pair, depth, path)
+                yield Frame(index, shot.stamp_ns, pair, depth, path)
 
     def _ahead(
         self,
