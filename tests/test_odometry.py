@@ -40,7 +40,7 @@ class Recording:
         return Rig(self.rig.cam0)
 
     def mono(self) -> list[Frame]:
-        return [replace(f, image1=None) for f in self.frames]
+        return [replace(f, images=f.images[:1]) for f in self.frames]
 
     @property
     def path_m(self) -> float:
@@ -491,7 +491,7 @@ def test_only_black_frames_end_without_a_path(recording: Recording) -> None:
 
 def test_frames_without_a_right_image_are_tracked_all_the_same(recording: Recording) -> None:
     left_only = range(10, 22)
-    frames = _change(recording.frames[:28], left_only, lambda f: replace(f, image1=None))
+    frames = _change(recording.frames[:28], left_only, lambda f: replace(f, images=f.images[:1]))
     run = _run(recording.rig, frames, takes_snapshots=True)
     assert set(run.states) == {State.TRACKING}
     assert run.numbers == list(range(28))
@@ -502,7 +502,7 @@ def test_frames_without_a_right_image_are_tracked_all_the_same(recording: Record
 
 
 def test_stereo_waits_for_a_right_image_to_start(recording: Recording) -> None:
-    frames = _change(recording.frames[:6], range(3), lambda f: replace(f, image1=None))
+    frames = _change(recording.frames[:6], range(3), lambda f: replace(f, images=f.images[:1]))
     run = _run(recording.rig, frames)
     assert run.states == [State.STARTING] * 3 + [State.TRACKING] * 3
     assert run.numbers == [3, 4, 5]
@@ -532,7 +532,7 @@ def test_frames_that_were_lost_are_tracked_in_the_new_segment(
     frames = _change(recording.frames, range(14, COUNT), mirrored)
     rig = recording.rig
     if kind == "mono":
-        rig, frames = recording.mono_rig, [replace(f, image1=None) for f in frames]
+        rig, frames = recording.mono_rig, [replace(f, images=f.images[:1]) for f in frames]
     patience = CONFIG.tracking.model_copy(update={"recover_frames": 5})
     run = _run(rig, frames, CONFIG.model_copy(update={"tracking": patience}))
     assert run.states[14:19] == [State.LOST] * 5

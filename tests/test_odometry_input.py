@@ -85,7 +85,8 @@ def test_swapped_cameras_never_start_and_the_reason_says_so(recording: Recording
 
 def test_right_images_of_something_else_are_not_said_to_be_swapped(recording: Recording) -> None:
     upside_down = [
-        replace(f, image1=np.ascontiguousarray(f.image0[::-1])) for f in recording.frames[:2]
+        replace(f, images=(f.image0, np.ascontiguousarray(f.image0[::-1])))
+        for f in recording.frames[:2]
     ]
     run = _run(recording.rig, upside_down)
     assert {e.state for e in run.estimates} == {State.STARTING}
@@ -94,7 +95,9 @@ def test_right_images_of_something_else_are_not_said_to_be_swapped(recording: Re
 
 def test_a_stretch_without_right_images_is_tracked_in_one_segment(recording: Recording) -> None:
     left_only = range(10, 20)
-    frames = [replace(f, image1=None) if f.index in left_only else f for f in recording.frames]
+    frames = [
+        replace(f, images=f.images[:1]) if f.index in left_only else f for f in recording.frames
+    ]
     run = _run(recording.rig, frames)
     assert {e.state for e in run.estimates} == {State.TRACKING}
     assert run.numbers == list(range(COUNT))
@@ -123,7 +126,7 @@ def test_every_second_frame_is_enough(recording: Recording) -> None:
 
 @pytest.fixture(scope="module")
 def mono(recording: Recording) -> Run:
-    frames = [replace(f, image1=None) for f in recording.frames[:15]]
+    frames = [replace(f, images=f.images[:1]) for f in recording.frames[:15]]
     return _run(Rig(recording.rig.cam0), frames)
 
 
@@ -151,7 +154,7 @@ def test_frames_that_waited_are_as_exact_as_the_others(mono: Run, recording: Rec
 
 
 def test_a_blind_frame_that_waited_is_not_given_a_pose(recording: Recording) -> None:
-    frames = [replace(f, image1=None) for f in recording.frames[:15]]
-    frames[0] = replace(frames[0], image0=np.zeros_like(frames[0].image0))
+    frames = [replace(f, images=f.images[:1]) for f in recording.frames[:15]]
+    frames[0] = replace(frames[0], images=(np.zeros_like(frames[0].image0),))
     run = _run(Rig(recording.rig.cam0), frames)
     assert run.numbers == list(range(1, 15))

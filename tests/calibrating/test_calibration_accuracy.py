@@ -179,7 +179,7 @@ def test_a_pair_that_is_not_synchronised_is_refused() -> None:
 
 def test_swapped_cameras_are_a_warning() -> None:
     frames = recorded(CHARUCO, [RADTAN, RADTAN], poses_around(CHARUCO, RADTAN, 12))
-    swapped = [replace(f, image0=f.image1, image1=f.image0) for f in frames if f.image1 is not None]
+    swapped = [replace(f, images=f.images[::-1]) for f in frames if f.image1 is not None]
     result = calibrate(CHARUCO, detect_views(CHARUCO, swapped, 2, threads=2), SIZE, "radtan")
     assert any("left and right are swapped" in line for line in warnings_of(result))
 
