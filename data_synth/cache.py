@@ -1,4 +1,4 @@
-"""Recordings that are made once and found again."""
+"""A cache of recordings, by a digest of what they are made from."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def cached_sequence(
     name: str,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """The recording of a recipe, made only if it is not in the folder yet.
+    """Path of the recording of a recipe; it is made if it is not in the folder yet.
 
-    Its name holds a digest of the recipe, the camera and the generator itself, so that one made by
-    other settings or older code is never taken for it. As recordings appear when they are whole,
-    one that is there is good.
+    Its name contains a digest of the recipe, the camera file and the source code of the generator,
+    so that recordings of other settings or of older code are not reused. An existing recording is
+    complete, because `make_sequence` renames it into place at the end.
 
     Args:
         recipe: what to make.
@@ -32,7 +32,7 @@ def cached_sequence(
         on_frame: called with the frames done and their total, if it is made.
 
     Raises:
-        ConfigError: the recipe asks for what cannot be.
+        ConfigError: the recipe is not feasible.
         OutputError: the folder cannot be written.
     """
     path = folder / f"{name}-{_digest(recipe)}"
@@ -41,7 +41,7 @@ def cached_sequence(
     try:
         make_sequence(path, recipe, on_frame=on_frame)
     except OutputError:
-        if not path.exists():  # else somebody else was faster
+        if not path.exists():  # otherwise another process has made it
             raise
     return path
 

@@ -1,4 +1,4 @@
-"""The cameras that a recording can be made with: presets, or any calibration file."""
+"""Cameras of a recording: presets, or any calibration file."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from vo.types import Camera, Rig
 
 
 def camera_folder() -> Path:
-    """The cameras that come with the package, as calibration files."""
+    """Folder of the camera presets, which are calibration files."""
     return preset_folder() / "synth" / "cameras"
 
 
 def camera_names() -> list[str]:
-    """Names of these cameras."""
+    """Names of the camera presets."""
     return names_in(camera_folder())
 
 
 def camera_file(camera: str | Path) -> Path:
-    """The calibration file of a preset by its name, or one by its path.
+    """Path of a calibration file, given the name of a preset or the path itself.
 
     Raises:
         ConfigError: there is no such preset or file.
@@ -31,16 +31,16 @@ def camera_file(camera: str | Path) -> Path:
 
 
 def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> Rig:
-    """The cameras of a preset or of a calibration file of any kind that `vo run` reads.
+    """Read the cameras of a preset or of a calibration file in any format of `vo run`.
 
     Args:
         camera: name of a preset, or path of a file.
-        scale: of the images' size; the field of view stays.
-        mono: leave the second camera out.
+        scale: of the image size; the field of view does not change.
+        mono: without the second camera.
 
     Raises:
         ConfigError: there is no such preset or file.
-        CalibrationError: the file makes no sense.
+        CalibrationError: the file is not a valid calibration.
     """
     rig = read_calibration(camera_file(camera)).rig
     cam0 = _scaled(rig.cam0, scale)
@@ -50,7 +50,7 @@ def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> R
 
 
 def _scaled(camera: Camera, scale: float) -> Camera:
-    """The same lens on other pixels; the corners of the image stay where they are."""
+    """The same lens with another resolution; the corners of the image keep their rays."""
     width, height = (max(16, round(side * scale)) for side in (camera.width, camera.height))
     su, sv = width / camera.width, height / camera.height
     return replace(

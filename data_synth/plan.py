@@ -1,4 +1,4 @@
-"""From a recipe to everything that is known before the first image is rendered."""
+"""From a recipe to all that is needed before the first image is rendered."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _OUT_OF_SIGHT_M = -1e4
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What will be filmed, and how.
+    """All inputs of the renderer and the writers.
 
     Attributes:
         recipe: the settings.
         scene: the world.
         path: of the body.
-        timing: when each frame is taken.
+        timing: times of the frames.
         mover_poses: (F, B, 4, 4) world_from_mover by frame.
         mover_velocities: (F, B, 3) in the world, m/s.
-        recording: what the writers need to know.
+        recording: input of the writers.
     """
 
     recipe: Recipe
@@ -50,11 +50,11 @@ class Plan:
 
 
 def make_plan(recipe: Recipe) -> Plan:
-    """Build the world, lay the path through it, and work out all that is true.
+    """Build the world, the path through it and the ground truth.
 
     Raises:
-        ConfigError: the recipe asks for what cannot be.
-        CalibrationError: the camera's calibration makes no sense.
+        ConfigError: the recipe is not feasible.
+        CalibrationError: the calibration of the camera is invalid.
     """
     rig = load_rig(recipe.camera, scale=recipe.scale, mono=recipe.mono)
     check(recipe, rig)
@@ -96,7 +96,7 @@ def make_plan(recipe: Recipe) -> Plan:
 
 
 def _movers(scene: Scene, times_s: Floats, world_from_cam0: Floats) -> tuple[Floats, Floats]:
-    """Poses (F, B, 4, 4) and velocities (F, B, 3); who would run into the camera is not there."""
+    """Poses (F, B, 4, 4) and velocities (F, B, 3); bodies that would hit the camera are removed."""
     poses = np.tile(np.eye(4), (len(times_s), len(scene.bodies), 1, 1))
     velocities = np.zeros((*poses.shape[:2], 3))
     camera = world_from_cam0[:, :2, 3]

@@ -1,4 +1,4 @@
-"""What to make: the settings of a synthetic recording.
+"""Settings of a synthetic recording.
 
 Precedence, weakest first: the defaults below, the preset or file, the overrides
 (`section.key=value`).
@@ -30,7 +30,7 @@ CodecName = Literal["png", "jpeg", "raw"]
 
 
 class Effects(Section):
-    """How much a camera falls short of a perfect one; 0 is not at all, 1 is as usual."""
+    """Strengths of camera effects; 0 is a perfect camera, 1 a usual one."""
 
     blur: float = Field(1.0, ge=0, le=10, description="motion blur: longest exposure, 8 ms at 1")
     noise: float = Field(1.0, ge=0, le=20, description="shot and read noise")
@@ -80,7 +80,7 @@ class Recipe(Section):
 
 
 def recipe_folder() -> Path:
-    """The presets that come with the package."""
+    """Folder of the presets."""
     return preset_folder() / "synth"
 
 

@@ -1,4 +1,4 @@
-"""What the parts of the generator hand to each other and to the writers.
+"""Records that the parts of the generator exchange.
 
 Conventions as in `vo.types`. The body frame looks along x with y to the left and z up; it is also
 the frame of the inertial sensor. The world has z up and gravity (0, 0, -9.81) m/s². A frame's stamp
@@ -19,23 +19,23 @@ from vo.types import Bools, Floats, Floats32, ImuNoise, Ints, Rig, Trajectory
 GRAVITY_M_S2 = 9.81
 
 Pixels = NDArray[np.unsignedinteger]
-"""(H, W) grey or (H, W, 3) blue, green, red; uint8 or uint16. What is rendered is grey, uint8."""
+"""(H, W) grey or (H, W, 3) blue, green, red; uint8 or uint16. Rendered images are grey, uint8."""
 
 BODY = "body"
-"""Name of the frame whose poses are the truth."""
+"""Name of the frame of the true poses."""
 
 
 @dataclass(frozen=True, eq=False)
 class Imu:
-    """What the inertial sensor measured, in its own frame.
+    """Measurements of the inertial sensor, in its own frame.
 
     Attributes:
         stamps_ns: (N,).
         gyro: (N, 3) rad/s.
         accel: (N, 3) m/s², specific force: (0, 0, +9.81) at rest.
         rate_hz: samples per second.
-        noise: its noise; None where nobody knows.
-        frame: its name; `BODY`, or another of which nobody knows where on the body it is.
+        noise: its noise; None if unknown.
+        frame: name of that frame; `BODY`, or another one whose pose on the body is unknown.
     """
 
     stamps_ns: Ints
@@ -67,7 +67,7 @@ class BodyTruth:
 
 @dataclass(frozen=True, eq=False)
 class MoverTruth:
-    """True poses of something that moves: (F, 4, 4), at the stamps of the frames."""
+    """True poses (F, 4, 4) of a moving body, at the stamps of the frames."""
 
     name: str
     world_from_mover: Floats
@@ -75,21 +75,21 @@ class MoverTruth:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """All of a recording but its images; known before the first image is rendered.
+    """A recording without its images.
 
     Attributes:
         name: short, for titles.
         rig: the cameras.
         body_from_cam0: (4, 4).
         fps: nominal frames per second.
-        stamps_ns: for each camera, (F,) the stamps as recorded, with their jitter.
-        dropped: for each camera, (F,) bool: frames that were never written.
-        cam0_truth: true poses of cam0 at the F true moments of exposure; its stamps are those that
-            cam0 recorded, also of dropped frames.
+        stamps_ns: for each camera, (F,) the recorded stamps, with jitter.
+        dropped: for each camera, (F,) bool: missing frames.
+        cam0_truth: true poses of cam0 at the F true times of exposure; the stamps are those
+            recorded by cam0, also of dropped frames.
         body_truth: true states of the body.
-        imu: the inertial sensor, or None.
-        movers: what moves in the world.
-        has_depth: whether shots bring the depth of cam0.
+        imu: its measurements, or None.
+        movers: true poses of moving bodies.
+        has_depth: whether shots contain the depth of cam0.
         has_colour: whether their images are in colour.
     """
 
@@ -111,7 +111,7 @@ class Recording:
 
     @property
     def path_m(self) -> float:
-        """Length of the way of cam0."""
+        """Length of the path of cam0."""
         steps = np.diff(self.cam0_truth.positions, axis=0)
         return float(np.linalg.norm(steps, axis=1).sum())
 
@@ -122,7 +122,7 @@ class Shot:
 
     Attributes:
         index: number of the frame, 0…F-1.
-        images: for each camera, None where it was dropped.
+        images: for each camera; None if dropped.
         depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
     """
 
@@ -134,6 +134,6 @@ class Shot:
 Write = Callable[[Path, Recording, Iterator[Shot], str], None]
 """Writes a whole recording to a path that does not exist yet (a folder, or a file for MCAP).
 
-It takes the shots one by one, so that they are rendered while others are encoded; the last argument
-is the codec of the images. The caller gives a path beside the final one and renames it at the end.
+Shots are taken one by one, so that some are rendered while others are encoded; the last argument is
+the codec of the images. The caller passes a temporary path and renames it at the end.
 """

@@ -1,4 +1,4 @@
-"""Makes a whole recording with ground truth, all of it or nothing."""
+"""Render and write a whole recording with ground truth."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def make_sequence(
 ) -> Recording:
     """Write a recording.
 
-    The same recipe gives the same bytes. The recording appears when it is complete: an
-    interruption leaves nothing.
+    The same recipe gives the same bytes. The recording is renamed into place when it is complete,
+    so that nothing is left after an interruption.
 
     Args:
-        output: folder or, for MCAP, file to make; it must be missing or an empty folder.
-        recipe: what to make.
-        force: replace what is there.
-        on_frame: called with the frames done and their total.
+        output: folder or, for MCAP, file to make; it must not exist, or be an empty folder.
+        recipe: the settings.
+        force: replace an existing recording.
+        on_frame: called with the number of frames done and their total.
 
     Raises:
-        ConfigError: the recipe asks for what cannot be.
-        CalibrationError: the camera's calibration makes no sense.
-        OutputError: there is something already, or the place cannot be written.
+        ConfigError: the recipe is not feasible.
+        CalibrationError: the calibration of the camera is invalid.
+        OutputError: the output exists already, or cannot be written.
     """
     path = Path(output)
     _refuse_existing(path, force)  # before the time is spent
@@ -67,19 +67,19 @@ def _refuse_existing(path: Path, force: bool) -> None:
     except OSError as error:
         raise OutputError(f"{path} cannot be read: {error.strerror or error}") from error
     if taken and not force:
-        raise OutputError(f"{path} is there already; give another, or --force to replace it")
+        raise OutputError(f"{path} exists already; choose another path, or --force to replace it")
     if force and path.is_dir() and not _is_ours(path):
-        raise OutputError(f"{path} holds no synthetic recording; it is not replaced")
+        raise OutputError(f"{path} is not a synthetic recording and is not replaced")
 
 
 def _is_ours(folder: Path) -> bool:
-    """Whether a folder may be replaced: empty, or made by us."""
+    """Whether a folder may be replaced: it is empty or a synthetic recording."""
     return (folder / "recipe.yaml").is_file() or not any(folder.iterdir())
 
 
 @contextmanager
 def _whole(path: Path, force: bool) -> Iterator[Path]:
-    """A place beside that takes the name of `path` at the end, or vanishes."""
+    """A temporary path that is renamed to `path` at the end, or removed on an error."""
     partial = path.parent / f".{path.name}.partial-{os.getpid()}"
     try:
         _remove(partial)

@@ -1,1 +1,1 @@
-"""How a body moves: splines, kinds of motion, and what an inertial sensor feels."""
+"""Motion of bodies: splines, kinds of motion, and inertial measurements."""

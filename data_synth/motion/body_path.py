@@ -1,10 +1,10 @@
-"""Where the bodies that move about in a world are."""
+"""Paths of the moving bodies of a world."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from data_synth.motion.way import Way, make_way
+from data_synth.motion.route import Route, make_route
 from data_synth.scene.scene import Body, Heights
 from vo.types import Floats
 
@@ -12,24 +12,24 @@ _SLOPE_STEP_M = 0.05
 
 
 def poses_at(body: Body, times_s: Floats, ground: Heights) -> tuple[Floats, Floats]:
-    """Where a body is: at constant speed along its way, upright, looking along it.
+    """Poses of a body that moves along its route at constant speed, upright, facing ahead.
 
-    It cuts corners by at most its radius. On a way of two places it goes there and back, side by
-    side with itself.
+    It cuts corners by at most its radius. A route of two points becomes a narrow loop there and
+    back.
 
     Args:
         body: the body.
         times_s: (N,).
-        ground: heights that it stands on.
+        ground: heights of the ground.
 
     Returns:
         world_from_body (N, 4, 4), its origin on the ground, and velocities (N, 3) in the world.
     """
-    way = _way(body, ground)
-    along = body.start * way.length_m + body.speed_m_s * np.asarray(times_s, dtype=np.float64)
-    ahead = way.at(along, 1)
+    route = _route(body, ground)
+    along = body.start * route.length_m + body.speed_m_s * np.asarray(times_s, dtype=np.float64)
+    ahead = route.at(along, 1)
     ahead = ahead[:, :2] / np.linalg.norm(ahead[:, :2], axis=1, keepdims=True)
-    xy = way.at(along)[:, :2]
+    xy = route.at(along)[:, :2]
     poses = np.zeros((len(xy), 4, 4))
     poses[:, :2, 0] = ahead
     poses[:, :2, 1] = np.column_stack([-ahead[:, 1], ahead[:, 0]])
@@ -41,15 +41,15 @@ def poses_at(body: Body, times_s: Floats, ground: Heights) -> tuple[Floats, Floa
     return poses, body.speed_m_s * np.column_stack([ahead, slope])
 
 
-def _way(body: Body, ground: Heights) -> Way:
-    corners = np.asarray(body.way, dtype=np.float64)
+def _route(body: Body, ground: Heights) -> Route:
+    corners = np.asarray(body.route, dtype=np.float64)
     if len(corners) == 2:
         ahead = corners[1] - corners[0]
         left = np.array([-ahead[1], ahead[0]]) * body.radius_m / np.linalg.norm(ahead)
         corners = np.array(
             [corners[0] - left, corners[1] - left, corners[1] + left, corners[0] + left]
         )
-    return make_way(
+    return make_route(
         corners,
         ground,
         cut_m=body.radius_m,

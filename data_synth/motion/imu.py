@@ -1,4 +1,4 @@
-"""What an inertial sensor at the body's origin measures along a path."""
+"""Measurements of an inertial sensor at the origin of the body."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from data_synth.motion.spline import PosePath
 from data_synth.records import GRAVITY_M_S2, BodyTruth, Imu
 from vo.types import Floats, ImuNoise, Ints
 
-_AROUND_NS = 100_000_000  # measured before the first frame and after the last
+_MARGIN_NS = 100_000_000  # before the first frame and after the last
 _SEED_GYRO, _SEED_ACCEL = 31, 32
 _WARMED_UP_S = 1000.0
 
@@ -63,13 +63,13 @@ def measure(
 
 
 def _sample_times_ns(frames_ns: Ints, rate_hz: float) -> Ints:
-    first = np.ceil((frames_ns.min() - _AROUND_NS) * rate_hz / 1e9)
-    last = np.floor((frames_ns.max() + _AROUND_NS) * rate_hz / 1e9)
+    first = np.ceil((frames_ns.min() - _MARGIN_NS) * rate_hz / 1e9)
+    last = np.floor((frames_ns.max() + _MARGIN_NS) * rate_hz / 1e9)
     return np.asarray(np.round(np.arange(first, last + 1) * 1e9 / rate_hz), dtype=np.int64)
 
 
 def _bias(rng: np.random.Generator, walk: float, rate_hz: float, shape: tuple[int, ...]) -> Floats:
-    """A random walk (N, 3) that has been under way for a while."""
+    """A random walk (N, 3) that has started _WARMED_UP_S before."""
     steps = walk / np.sqrt(rate_hz) * rng.standard_normal(shape)
     steps[0] = walk * np.sqrt(_WARMED_UP_S) * rng.standard_normal(3)
     return np.cumsum(steps, axis=0)

@@ -1,4 +1,4 @@
-"""How fast each motion may go and turn: one table that plans are made by, one that they keep to."""
+"""Limits of speed and acceleration for planning, and bounds of the finished motions."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from vo.types import Floats
 
 Carrier = Literal["car", "robot", "handheld", "drone", "drone_indoors", "rotate"]
 
-LARGE_M = 200.0  # a way of this length is for cars
-HIGH_M = 20.0  # head room that lets a drone fly high
+LARGE_M = 200.0  # closed routes longer than this are for cars
+HIGH_M = 20.0  # head room above which drones fly high
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the way is driven, walked or flown by.
+    """Limits for the plan of a route and of the speeds along it.
 
     Attributes:
-        speed_m_s: most, at speed 1.
-        lateral_m_s2: across the way, in curves and over the ground's rises and dips.
-        tangential_m_s2: along the way.
+        speed_m_s: maximum, at speed 1.
+        lateral_m_s2: across the route, in curves and over the ground's rises and dips.
+        tangential_m_s2: along the route.
         turn_rad_s: of the heading.
-        cut_m: how far inside a corner it passes, at most.
-        weave_m: amplitude of the deviation to both sides.
-        weave_length_m: usual length of one such wave.
-        level_m: length over which the ground's rises and dips are levelled out.
-        margin_m: least distance from anything solid.
+        cut_m: largest distance by which a corner is cut.
+        weave_m: largest deviation to both sides.
+        weave_length_m: usual wavelength of that deviation.
+        level_m: length over which the heights of the ground are averaged.
+        margin_m: minimum distance to solids.
         ease_s: time over which changes of speed are eased.
     """
 
@@ -48,12 +48,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the finished path of a motion never exceeds, wander, bob and bumps included.
+    """Bounds of a finished path, wander, bob and bumps included.
 
     Attributes:
-        speed_m_s: at speed 1; it grows with the speed asked for.
+        speed_m_s: at speed 1; proportional to the speed setting.
         acceleration_m_s2: of the body's origin, at any speed.
-        turn_rad_s: angular velocity, at speed 1; it grows at most with the speed asked for.
+        turn_rad_s: angular velocity, at speed 1; at most proportional to the speed setting.
     """
 
     speed_m_s: float
@@ -82,7 +82,7 @@ BOUNDS: dict[MotionName, Bounds] = {
 
 
 def carrier_of(motion: MotionName, course: Course, length_m: float) -> Carrier:
-    """What carries the camera: some motions are done by whatever suits the course."""
+    """The carrier of the camera, which for some motions depends on the course."""
     if motion == "drone" and course.head_room_m <= HIGH_M:
         return "drone_indoors"
     if motion == "loop" and course.head_room_m > HIGH_M:
@@ -105,6 +105,6 @@ def height_range_m(carrier: Carrier, head_room_m: float) -> tuple[float, float]:
 
 
 def polygon_length_m(waypoints: Floats) -> float:
-    """Length of a closed way before its corners are rounded."""
+    """Length of a closed route before its corners are rounded."""
     sides = np.roll(waypoints, -1, axis=0) - waypoints
     return float(np.linalg.norm(sides, axis=1).sum())

@@ -1,11 +1,11 @@
-"""Paths through worlds: a way that fits, a pace that it allows, and what carries the camera."""
+"""Paths through worlds: a route, the speeds that it allows, and the carrier of the camera."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from data_synth.motion.carriers import CARRIERS, Manner
-from data_synth.motion.clear import Clearance, Collision, find_collision
+from data_synth.motion.carriers import CARRIERS, Handling
+from data_synth.motion.collisions import Clearance, Collision, find_collision
 from data_synth.motion.limits import (
     LIMITS,
     Carrier,
@@ -14,11 +14,11 @@ from data_synth.motion.limits import (
     height_range_m,
     polygon_length_m,
 )
-from data_synth.motion.pace import Schedule, make_pace
-from data_synth.motion.ride import Ride, make_ride, stay
-from data_synth.motion.schedules import come_round, drive_on, stop_and_go
+from data_synth.motion.motion_profile import MotionProfile, make_profile, stationary_profile
+from data_synth.motion.route import Route, make_route
+from data_synth.motion.schedules import drive_on, loop_in_time, stop_and_go
+from data_synth.motion.speed_profile import Schedule, make_speed_profile
 from data_synth.motion.spline import BODY_FROM_LOOKING_AHEAD, PosePath
-from data_synth.motion.way import Way, make_way
 from data_synth.recipe import MotionName
 from data_synth.scene.scene import Course
 from vo.errors import ConfigError
@@ -26,7 +26,7 @@ from vo.geometry.transforms import make_transform
 from vo.types import Floats
 
 _STEP_S = 0.05
-_LEAD = 14  # 0.6 s to ask for before the start and after the end
+_LEAD = 14  # controls before the start and after the end, for 0.6 s
 _SMOOTHING_STEPS = 60
 
 _FREEDOMS = (1.0, 0.5, 0.25, 0.0)
@@ -35,7 +35,7 @@ _SEED_WAY, _SEED_SCHEDULE, _SEED_WANDER = 21, 22, 23
 
 
 def mount(motion: MotionName, course: Course) -> Floats:
-    """body_from_cam0 (4, 4): looking ahead, drones somewhat down, a few cm off the body's origin.
+    """body_from_cam0 (4, 4): looking ahead (drones: downward), a few cm off the body's origin.
 
     A camera that turns on the spot sits close to the axis.
     """
@@ -56,48 +56,48 @@ def make_path(
     speed: float = 1.0,
     seed: int = 0,
 ) -> PosePath:
-    """Lay a path through a course.
+    """Make a path through a course.
 
-    Where wander and cut corners come too near to something, both shrink until they do not.
+    Wander and the cutting of corners are reduced until the path is free of collisions.
 
     Args:
         motion: its kind.
-        course: the way and the free space about it.
+        course: the route and the free space about it.
         clearance: distances (N,) of points (N, 3) to the nearest solid.
-        seconds: its length.
-        speed: 1 as usual.
+        seconds: duration.
+        speed: 1 is usual.
         seed: of its random choices.
 
     Raises:
-        ConfigError: something solid is in the way, or a loop does not come round in time.
+        ConfigError: no path is free of collisions, or a loop does not fit into the duration.
     """
     carrier = carrier_of(motion, course, polygon_length_m(course.waypoints))
     limits = LIMITS[carrier]
 
     def room(points: Floats) -> Floats:
-        # On slopes the nearest ground is nearer than the ground below.
+        # On slopes, the nearest point of the ground is not the one below.
         above = 0.7 * (points[:, 2] - course.ground(points[:, :2]))
         return np.minimum(clearance(points), above)
 
     collision: Collision | None = None
     for freedom in _FREEDOMS:
-        path = _lay(motion, carrier, course, freedom, seconds, speed, seed)
+        path = _make_path(motion, carrier, course, freedom, seconds, speed, seed)
         collision = find_collision(path, room, limits.margin_m)
         if collision is None:
             return path
-    raise ConfigError(f"{motion}: {_told(collision, limits)}; choose another motion or world")
+    raise ConfigError(f"{motion}: {_describe(collision, limits)}; choose another motion or world")
 
 
-def _told(collision: Collision | None, limits: Limits) -> str:
+def _describe(collision: Collision | None, limits: Limits) -> str:
     assert collision is not None
-    x, y, z = collision.place
+    x, y, z = collision.point
     return (
-        f"at {collision.time_s:.1f} s the way passes {collision.distance_m:.2f} m from something "
-        f"solid, at ({x:.2f}, {y:.2f}, {z:.2f}), where it needs {limits.margin_m:g} m"
+        f"at {collision.time_s:.1f} s the path passes {collision.distance_m:.2f} m from a solid "
+        f"at ({x:.2f}, {y:.2f}, {z:.2f}), but needs {limits.margin_m:g} m"
     )
 
 
-def _lay(
+def _make_path(
     motion: MotionName,
     carrier: Carrier,
     course: Course,
@@ -107,12 +107,12 @@ def _lay(
     seed: int,
 ) -> PosePath:
     limits = LIMITS[carrier]
-    way = _way(course, limits, freedom, seed)
+    route = _route(course, limits, freedom, seed)
     before = _LEAD + _SMOOTHING_STEPS
     count = int(np.ceil(seconds / _STEP_S)) + 2 * before + 1
     times = np.arange(-before, count - before, dtype=np.float64) * _STEP_S
-    ride = _ride(motion, way, limits, times, seconds, speed, seed)
-    manner = Manner(
+    profile = _profile(motion, route, limits, times, seconds, speed, seed)
+    handling = Handling(
         rng=np.random.default_rng([seed, _SEED_WANDER]),
         freedom=freedom,
         heights_m=height_range_m(carrier, course.head_room_m),
@@ -121,13 +121,13 @@ def _lay(
         speed=speed,
         repeats=motion == "loop",
     )
-    controls = CARRIERS[carrier](ride, manner)[_SMOOTHING_STEPS:-_SMOOTHING_STEPS]
+    controls = CARRIERS[carrier](profile, handling)[_SMOOTHING_STEPS:-_SMOOTHING_STEPS]
     return PosePath(controls, _STEP_S, _LEAD, seconds)
 
 
-def _way(course: Course, limits: Limits, freedom: float, seed: int) -> Way:
+def _route(course: Course, limits: Limits, freedom: float, seed: int) -> Route:
     spare = max(0.0, course.half_width_m - limits.margin_m)
-    return make_way(
+    return make_route(
         course.waypoints,
         course.ground,
         cut_m=max(_LEAST_CUT_M, min(limits.cut_m, 0.7 * spare) * freedom),
@@ -138,24 +138,24 @@ def _way(course: Course, limits: Limits, freedom: float, seed: int) -> Way:
     )
 
 
-def _ride(
+def _profile(
     motion: MotionName,
-    way: Way,
+    route: Route,
     limits: Limits,
     times: Floats,
     seconds: float,
     speed: float,
     seed: int,
-) -> Ride:
+) -> MotionProfile:
     rng = np.random.default_rng([seed, _SEED_SCHEDULE])
     if motion == "rotate":
-        return stay(way, float(rng.uniform(0.0, way.length_m)), times)
-    pace = make_pace(way, limits, speed)
+        return stationary_profile(route, float(rng.uniform(0.0, route.length_m)), times)
+    speed_profile = make_speed_profile(route, limits, speed)
     schedule: Schedule
     if motion == "loop":
-        schedule = come_round(pace, seconds, limits.ease_s)
+        schedule = loop_in_time(speed_profile, seconds, limits.ease_s)
     elif motion == "stop_and_go":
-        schedule = stop_and_go(pace, seconds, limits.ease_s, rng)
+        schedule = stop_and_go(speed_profile, seconds, limits.ease_s, rng)
     else:
-        schedule = drive_on(pace, seconds)
-    return make_ride(way, schedule, times, limits.ease_s)
+        schedule = drive_on(speed_profile, seconds)
+    return make_profile(route, schedule, times, limits.ease_s)

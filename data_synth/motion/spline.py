@@ -8,41 +8,42 @@ import numpy as np
 
 from vo.types import Floats
 
-# Basis of the uniform cubic B-spline; rows are powers 1, s, s², s³ of the share between knots.
+# Basis of the uniform cubic B-spline; rows are powers 1, s, s², s³ of the position between knots.
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 _ROUNDING = 1e-6
 
-# The axes of a camera that looks along the body's x: right, down and forward as columns.
+# Columns: the axes right, down and forward of a camera that looks along the body's x.
 BODY_FROM_LOOKING_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def bspline(controls: Floats, at: Floats, derivative: int = 0, lap: Floats | None = None) -> Floats:
     """Values (N, C) of a uniform cubic B-spline, or its first or second derivative.
 
-    A value is a weighted mean of four controls, so that values never leave the controls' range,
-    nor derivatives that of the controls' differences.
+    A value is a weighted mean of four controls, and so within their range; a derivative is within
+    the range of their differences.
 
     Args:
-        controls: (K, C); control k weighs most at k.
-        at: (N,) places in steps between controls: 1…K-2 for an open spline, any for a closed one.
+        controls: (K, C); control k has its largest weight at k.
+        at: (N,) positions in steps between controls: 1…K-2 for an open spline, any for a closed
+            one.
         derivative: 0, 1 or 2, per step.
-        lap: for a closed spline, (C,) what is added each time round; None for an open one.
+        lap: for a closed spline, (C,) increment of each lap; None for an open one.
 
     Raises:
-        ValueError: a place outside an open spline.
+        ValueError: a position outside an open spline.
     """
     at = np.asarray(at, dtype=np.float64)
     first = np.floor(at).astype(np.int64)
     if lap is None:
         last = len(controls) - 2
         if len(at) and (at.min() < 1.0 - _ROUNDING or at.max() > last + _ROUNDING):
-            raise ValueError(f"places {at.min():g}…{at.max():g} leave the spline 1…{last}")
-        first = np.clip(first, 1, last - 1)  # the very end belongs to the last piece
-    share = at - first
+            raise ValueError(f"positions {at.min():g}…{at.max():g} are outside the spline 1…{last}")
+        first = np.clip(first, 1, last - 1)  # the end belongs to the last piece
+    fraction = at - first
     powers = np.zeros((len(at), 4))
     for power in range(derivative, 4):
         factor = np.prod(np.arange(power, power - derivative, -1, dtype=np.float64))
-        powers[:, power] = factor * share ** (power - derivative)
+        powers[:, power] = factor * fraction ** (power - derivative)
     index = first[:, None] + np.arange(-1, 3)
     local = controls[index % len(controls)]
     if lap is not None:
@@ -58,11 +59,11 @@ class PosePath:
 
     Attributes:
         controls: (K, 6) controls of x, y, z in metres and yaw, pitch, roll in radians in the
-            world; yaw does not jump.
+            world; yaw is continuous.
         step_s: time between controls.
-        lead: how many controls lie before time 0.
-        duration_s: length; an open path can also be asked somewhat before 0 and after the end.
-        turns: for a closed path, how often yaw goes round in K steps; None for an open path.
+        lead: number of controls before time 0.
+        duration_s: duration; an open path extends slightly before 0 and after the end.
+        turns: for a closed path, full turns of yaw in K steps; None for an open path.
     """
 
     controls: Floats

@@ -1,4 +1,4 @@
-"""Textures with their mip-maps, packed into one array that a compiled renderer can read."""
+"""Textures with their mip-maps, packed into one array for the compiled renderer."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ LEVELS = 11
 
 
 class Atlas(NamedTuple):
-    """Mip-mapped textures; sides are powers of two, so that wrapping around is one bit mask.
+    """Mip-mapped textures; sides are powers of two, so that wrapping around is a bit mask.
 
     Attributes:
         texels: (T,) uint8, all levels of all textures row by row.
-        levels: (N, LEVELS, 3) where each level begins, its height and its width.
+        levels: (N, LEVELS, 3) start, height and width of each level.
     """
 
     texels: Bytes

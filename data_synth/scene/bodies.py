@@ -1,4 +1,4 @@
-"""Puts what moves in its place for one frame."""
+"""Placement of moving bodies for one frame."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from vo.types import Floats
 
 
 def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> World:
-    """The same world with its bodies at these places.
+    """The world with its moving bodies at given poses.
 
     Args:
-        world: shares all but a few arrays with the result.
+        world: its arrays are shared with the result, but for those of moving solids.
         world_from_bodies: (B, 4, 4) upright poses in the middle of the exposure of the image's
             middle row.
-        velocities: (B, 3) metres per second; a body moves evenly while an image is exposed.
+        velocities: (B, 3) metres per second; a body moves evenly during the exposure of an image.
     """
     movers = world.movers
     if len(movers.bodies) == 0:

@@ -1,4 +1,4 @@
-"""Collects solids and textures while a world is put together."""
+"""Builder that collects the solids and textures of a world."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SMALL = (512, 512)
 
 @dataclass
 class Builder:
-    """Solids and textures so far."""
+    """Solids and textures added so far."""
 
     rng: Rng
     solids: list[Solid] = field(default_factory=list)
@@ -45,10 +45,10 @@ class Builder:
         stain: float = 0.0,
         body: int | None = None,
     ) -> None:
-        """Add a solid whose texture is shifted at random.
+        """Add a solid whose texture has a random offset.
 
-        With the number of a body, it belongs to what moves, and its centre and yaw are relative to
-        the body's origin, which is on the ground with x ahead.
+        With the number of a body it is part of that moving body; centre and yaw are then relative
+        to the origin of the body, which is on the ground with x ahead.
         """
         u, v = (0.0, 0.0) if density is None else self.rng.uniform(0, 512, 2)
         offset = (float(u), float(v))
@@ -59,20 +59,20 @@ class Builder:
             self.movers.append((body, solid))
 
     def world(self) -> World:
-        """All of it as arrays, still dark."""
+        """The world as arrays, without light."""
         return build_world(self.solids, self.textures, self.ground, self.movers)
 
 
 @dataclass(frozen=True)
 class Place:
-    """A spot on the floor: things are described with their back to y = 0, looking along -y."""
+    """A pose on the floor, for things that have their back at y = 0 and their front towards -y."""
 
     x: float
     y: float
     yaw: float
 
     def at(self, x: float, y: float, z: float) -> Point:
-        """A point of the thing in the world."""
+        """A point of the frame of this place, in the world."""
         cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
         return (
             float(self.x + cosine * x - sine * y),

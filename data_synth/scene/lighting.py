@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from data_synth.scene.height_field import HeightField
 from data_synth.scene.kernels.baking import bake_faces, bake_ground
-from data_synth.scene.relief import Relief
 from data_synth.scene.solids import Lamp, Lighting
 from data_synth.scene.world import Lights, Sources, World
 from vo.types import Floats, Ints
@@ -18,8 +18,8 @@ _POINTS_PER_TASK = 4000
 _MOST_GROUND_POINTS = 1024
 
 
-def lit(world: World, lighting: Lighting) -> World:
-    """The same world with this light on everything in it."""
+def bake_lighting(world: World, lighting: Lighting) -> World:
+    """Bake the light on all surfaces of a world."""
     sizes = _sizes(world, lighting)
     counts = sizes.prod(axis=2).ravel()
     ends = np.cumsum(counts)
@@ -28,7 +28,7 @@ def lit(world: World, lighting: Lighting) -> World:
     world = world._replace(
         lights=Lights(values, grids),
         sources=_sources(lighting),
-        relief=_relief(world, lighting),
+        height_field=_height_field(world, lighting),
     )
     lamps = world.sources.lamps
     points = np.array([_lamp_points(lamp) for lamp in lighting.lamps])
@@ -43,13 +43,13 @@ def lit(world: World, lighting: Lighting) -> World:
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(work, _tasks(ends)))
-        if world.relief.is_there:
-            list(pool.map(work_below, range(len(world.relief.light))))
+        if world.height_field.exists:
+            list(pool.map(work_below, range(len(world.height_field.light))))
     return world
 
 
 def _tasks(ends: Ints) -> list[tuple[int, int]]:
-    """Ranges of faces with about as many points each."""
+    """Ranges of faces with about equal numbers of points."""
     cuts = np.flatnonzero(np.diff(ends // _POINTS_PER_TASK)) + 1
     edges = [0, *(int(c) for c in cuts), len(ends)] if len(ends) else [0]
     return list(zip(edges[:-1], edges[1:], strict=True))
@@ -62,15 +62,15 @@ def _sources(lighting: Lighting) -> Sources:
     return Sources(lighting.sky, sun, lighting.sun_power, lighting.ambient, lamps)
 
 
-def _relief(world: World, lighting: Lighting) -> Relief:
-    """The ground with an empty grid for its light."""
-    relief = world.relief
-    if not relief.is_there:
-        return relief
-    cells = np.array(relief.heights.shape) - 1
-    finer = max(1, round(relief.cell * lighting.points_per_m))
+def _height_field(world: World, lighting: Lighting) -> HeightField:
+    """The ground with a dark grid for its light."""
+    height_field = world.height_field
+    if not height_field.exists:
+        return height_field
+    cells = np.array(height_field.heights.shape) - 1
+    finer = max(1, round(height_field.cell * lighting.points_per_m))
     finer = max(1, min(finer, _MOST_GROUND_POINTS // int(cells.max())))
-    return relief._replace(light=np.zeros(finer * cells + 1, np.float32), finer=finer)
+    return height_field._replace(light=np.zeros(finer * cells + 1, np.float32), finer=finer)
 
 
 def _sizes(world: World, lighting: Lighting) -> Ints:
@@ -83,7 +83,7 @@ def _sizes(world: World, lighting: Lighting) -> Ints:
 
 
 def _lamp_points(lamp: Lamp) -> Floats:
-    """Points (P, 3) all over a lamp, its corners first."""
+    """Points (P, 3) of a lamp, the corners first."""
     steps = ((np.arange(_LAMP_GRID) + 0.5) / _LAMP_GRID - 0.5) * lamp.side_m
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
     inner = np.argsort(-np.maximum(np.abs(x), np.abs(y)) - np.minimum(np.abs(x), np.abs(y)))
@@ -92,7 +92,7 @@ def _lamp_points(lamp: Lamp) -> Floats:
 
 
 def _sky_directions() -> Floats:
-    """Directions above a face, its outward last, dense where they count most (cosine law)."""
+    """Directions above a face along two tangents and its normal, distributed by the cosine law."""
     k = np.arange(_SKY_RAYS) + 0.5
     radius, turn = np.sqrt(k / _SKY_RAYS), k * np.pi * (3.0 - np.sqrt(5.0))
     flat = np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])

@@ -1,4 +1,4 @@
-"""Soft noise that stains surfaces and makes clouds."""
+"""Smooth noise for stains on surfaces and for clouds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from vo.types import Floats32
 
 
 def soft_noise(side: int, slope: float, seed: int) -> Floats32:
-    """Noise (side, side) with amplitude ~ 1/f^slope, about 0.5, in 0…1; it wraps around."""
+    """Noise (side, side) with amplitude ~ 1/f^slope, about 0.5, in 0…1; periodic."""
     white = np.random.default_rng([seed, 50]).standard_normal((side, side), dtype=np.float32)
     fv, fu = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
     frequency = np.hypot(fv, fu)

@@ -1,10 +1,10 @@
 """Ray casting of a world: grey images without aliasing, with motion blur and exact depth.
 
-Each pixel gets one ray in the middle of its exposure, whose footprint on the surface chooses
-mip-map levels and the number of samples along its longer side. Where one surface fills a pixel all
-the time, motion blur is the mean of that sharp image along its motion; only pixels that an edge
-passes get more rays, spread over area and time. Rays come as an array, so that any camera model
-fits.
+One ray for each pixel is cast in the middle of the exposure; its footprint on the surface
+determines mip-map levels and the number of samples along its longer side. Where one surface fills a
+pixel during the whole exposure, motion blur is the mean of that sharp image along its motion; only
+pixels that an edge passes get more rays, distributed over area and time. Rays are an array, so that
+any camera model can be rendered.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from vo.types import Camera, Floats, Floats32
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """What one camera sees.
+    """A rendered view.
 
     Attributes:
         image: (H, W) float32 radiance, 0…1.
         depth: (H, W) float32 z of the surface in the camera's frame, in the middle of the row's
-            exposure; infinite for the sky and where the lens sees nothing.
+            exposure; infinite for the sky and outside the image circle of the lens.
     """
 
     image: Floats32
@@ -51,10 +51,11 @@ def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecuto
     """Render one view; the pool's threads share its rows.
 
     Args:
-        world: what is seen.
-        rays: (H, W, 3) of the pixels in the camera's frame, z = 1; NaN where the lens sees nothing.
-        shutter: where the camera is, row by row, and for how long each row is exposed.
-        pool: works on it.
+        world: the world.
+        rays: (H, W, 3) of the pixels in the camera's frame, z = 1; NaN outside the image circle of
+            the lens.
+        shutter: where the camera is, row by row, and exposure time of each row.
+        pool: its threads.
     """
     shape = rays.shape[:2]
     sharp, image, depth = (np.empty(shape, np.float32) for _ in range(3))
@@ -73,6 +74,6 @@ def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecuto
     def antialias(band: tuple[int, int]) -> None:
         antialias_rows(world, shutter, rays, band, view, marks, sampling, image)
 
-    for work in (cast, mark, antialias):  # each needs all rows of the one before
+    for work in (cast, mark, antialias):  # each pass needs all rows of the one before
         list(pool.map(work, bands))
     return Rendered(image, depth)

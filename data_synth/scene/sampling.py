@@ -1,4 +1,4 @@
-"""Where in a pixel, and when, the rays are sent that find the mean over its area and exposure."""
+"""Offsets, in area and exposure time of a pixel, of the rays for its mean radiance."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _TRIES = 400
 def sample_offsets() -> tuple[Ints, Floats]:
     """Counts (C,) and offsets (C, 32, 3) across, down and in time, -0.5…0.5.
 
-    Along each of the three they are spread evenly, and each is followed by its mirror image about
-    the middle, so that no edge is moved. The first and last moments come first.
+    They are evenly spaced in each of the three, and each is followed by its mirror image about the
+    middle, so that edges are unbiased. The start and the end of the exposure come first.
     """
     offsets = np.zeros((len(COUNTS), max(COUNTS), 3))
     for i, count in enumerate(COUNTS):
@@ -27,9 +27,9 @@ def sample_offsets() -> tuple[Ints, Floats]:
 
 
 def _spread(count: int) -> Floats:
-    """Of many random ones, the offsets whose nearest pair is farthest apart in each plane.
+    """Best-candidate sampling: the largest minimum distance in each plane, of many random offsets.
 
-    Of those, one that is outermost across and one that is so down are among the first half.
+    The outermost offsets across and down are in the first half, which may decide a pixel alone.
     """
     rng = np.random.default_rng([count, 51])
     half = (np.arange(count // 2)[::-1] + 0.5) / count

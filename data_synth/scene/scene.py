@@ -1,4 +1,4 @@
-"""A world together with the ways through it and what moves in it."""
+"""A world with the route through it and its moving bodies."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from vo.types import Floats
 Heights = Callable[[Floats], Floats]
 
 
-def level(height_m: float = 0.0) -> Heights:
-    """Ground of the same height everywhere."""
+def flat_ground(height_m: float = 0.0) -> Heights:
+    """Heights of flat ground."""
     return lambda xy: np.full(len(xy), height_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Where a camera can go: a closed way with free space about it.
+    """A closed route for cameras, with free space about it.
 
     Attributes:
-        waypoints: (K, 2) corners x, y of the way in metres, in order; the last leads to the first.
-        half_width_m: free distance on both sides of it, also at its corners.
+        waypoints: (K, 2) corners x, y of the closed route in metres, in order.
+        half_width_m: free distance on both sides, also at corners.
         head_room_m: free height above the ground.
         ground: heights (N,) of the ground below points (N, 2).
-        outlook: where handheld cameras and drones like to look, in degrees to the left of ahead.
+        outlook: usual direction of view of handheld cameras and drones, degrees to the left of
+            ahead.
     """
 
     waypoints: Floats
@@ -39,18 +40,18 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A group of solids that moves as one, standing on the ground, always looking ahead.
+    """A group of solids that moves as one, upright on the ground, facing ahead.
 
     Attributes:
         name: `car 0`, `person 3`; unique in its world.
-        way: (K, 2) corners x, y of its closed way, metres; it rounds them.
-        speed_m_s: along the way; 0 stands still.
-        start: share of the way, 0…1, at which it is at time 0.
-        radius_m: of the upright cylinder that holds it.
+        route: (K, 2) corners x, y of its closed route, metres; it cuts them.
+        speed_m_s: along the route; 0 for standing still.
+        start: its position at time 0, as a fraction 0…1 of the route.
+        radius_m: of an upright cylinder that contains it.
     """
 
     name: str
-    way: Floats
+    route: Floats
     speed_m_s: float
     start: float
     radius_m: float
@@ -58,7 +59,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A world to film in. `bodies[i]` is body number i of `world`."""
+    """A world to render. `bodies[i]` is body number i of `world`."""
 
     world: World
     course: Course

@@ -1,4 +1,4 @@
-"""How a camera moves while it takes one image, row after row."""
+"""Motion of a camera during the exposure of one image, row after row."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _STEP_S = 2e-3
 
 
 class Shutter(NamedTuple):
-    """Poses of a camera from when its first row opens to when its last row closes.
+    """Poses of a camera from the start of the exposure of the first row to the end of the last.
 
-    Between the poses it moves evenly: they are to be so close that this is exact enough.
+    Poses between them are interpolated linearly.
 
     Attributes:
         rotations: (M, 3, 3) of world_from_cam, evenly spaced in time.
         origins: (M, 3).
         first: number (with fraction) of the pose in the middle of the first row's exposure.
-        per_row: poses from one row's middle to the next row's.
-        width: poses that pass while a row is exposed.
+        per_row: number of poses from one row to the next.
+        width: poses that pass during the exposure of a row.
         step_s: seconds from one pose to the next.
     """
 
@@ -35,32 +35,32 @@ class Shutter(NamedTuple):
     step_s: float
 
 
-def still(world_from_cam: Floats) -> Shutter:
-    """A camera that does not move."""
+def static_shutter(world_from_cam: Floats) -> Shutter:
+    """Shutter of a camera that does not move."""
     rotation = np.array(world_from_cam[None, :3, :3], dtype=np.float64)
     origin = np.array(world_from_cam[None, :3, 3], dtype=np.float64)
     return Shutter(rotation, origin, 0.0, 0.0, 0.0, 0.0)
 
 
-def moving(
+def moving_shutter(
     world_from_cam: Callable[[Floats], Floats],
     time_s: float,
     rows: int,
     exposure_s: float,
     readout_s: float = 0.0,
 ) -> Shutter:
-    """A camera on its path.
+    """Shutter of a camera on its path.
 
     Args:
         world_from_cam: poses (N, 4, 4) at times (N,) in seconds.
         time_s: the middle of the exposure of the image's middle row.
         rows: of the image.
-        exposure_s: for how long each row is exposed.
+        exposure_s: exposure time of each row.
         readout_s: time from the first row to the last.
     """
     whole = exposure_s + readout_s
     if whole <= 0.0:
-        return still(world_from_cam(np.array([time_s]))[0])
+        return static_shutter(world_from_cam(np.array([time_s]))[0])
     steps = max(1, math.ceil(whole / _STEP_S))
     poses = world_from_cam(time_s + whole * (np.arange(steps + 1) / steps - 0.5))
     step = whole / steps

@@ -1,4 +1,4 @@
-"""What worlds are built of: textured solids and rolling ground, before they become arrays."""
+"""Descriptions of worlds: textured solids, ground and light."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vo.types import Floats32
 
 
 class Kind(IntEnum):
-    """Shape of a solid; each fills its `size`."""
+    """Shape of a solid, inscribed in a box of its `size`."""
 
     BOX = 0
     ELLIPSOID = 1
@@ -18,18 +18,18 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Solid:
-    """An upright solid, turned about the vertical; the world is in metres with z up.
+    """An upright solid, rotated about the vertical; the world is in metres with z up.
 
     Attributes:
         centre: its middle.
         size: its full lengths along its own x, y, z.
         texture: number of its texture, the same on all faces.
-        yaw: how far it is turned about z.
-        density: texels per metre; None fits the whole texture once on each face.
-        offset: texels by which the texture is shifted, so that equal solids look different.
+        yaw: rotation about z.
+        density: texels per metre; None fits the texture to each face.
+        offset: of the texture in texels, so that equal solids look different.
         kind: its shape.
-        stain: how much (0…1) the world's stain texture, of low frequency, darkens and brightens it,
-            so that repeated textures differ from place to place and show structure from afar.
+        stain: strength 0…1 of the stain, a texture of low frequency that varies the brightness, so
+            that repeated textures differ from place to place and have structure from afar.
     """
 
     centre: tuple[float, float, float]
@@ -44,14 +44,14 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Rolling ground: heights on a square grid, bilinear between.
+    """Ground: heights on a square grid, with bilinear interpolation.
 
     Attributes:
         heights: (R, C) float32, metres; row r lies at y = origin_y + r * cell, column c at
             x = origin_x + c * cell.
         origin: (x, y) of heights[0, 0], metres.
         cell: distance between grid points, metres.
-        texture: number of its texture, laid on from above.
+        texture: number of its texture, projected from above.
         density: texels per metre.
         stain: as of a solid.
     """
@@ -66,12 +66,12 @@ class Ground:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A square lamp that shines downward and sideways.
+    """A square lamp that emits downward and sideways.
 
     Attributes:
         centre: its middle.
-        power: radiance that it adds to a surface just below.
-        reach_m: distance at which its light has halved.
+        power: radiance added to a surface just below.
+        reach_m: distance at which its light is halved.
         side_m: its side.
     """
 
@@ -88,13 +88,12 @@ class Lighting:
     Attributes:
         lamps: lamps.
         sun: direction towards the sun (need not be of unit length), or None indoors.
-        sun_power: radiance that the sun adds to a surface that faces it.
-        ambient: radiance of light from everywhere, less in corners.
-        sky: radiance of the sky, at the zenith; it is paler at the horizon and has soft clouds.
-        corner_m: how far surfaces darken each other's ambient light.
-        points_per_m: density of the points at which light is baked; faces have at most
-            `most_points` a side.
-        most_points: see points_per_m.
+        sun_power: radiance added to a surface that faces the sun.
+        ambient: radiance of ambient light, which is weaker in corners.
+        sky: radiance of the sky at the zenith; it is paler at the horizon and has soft clouds.
+        corner_m: distance up to which surfaces occlude each other's ambient light.
+        points_per_m: density of the points at which light is baked.
+        most_points: largest number of such points along a side of a face.
     """
 
     lamps: tuple[Lamp, ...] = ()

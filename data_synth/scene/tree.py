@@ -1,4 +1,4 @@
-"""The tree of bounding boxes that finds solids by ray."""
+"""Bounding-volume hierarchy of the solids."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Tree(NamedTuple):
 
     Attributes:
         bounds: (M, 6) lower then upper corners.
-        skip: (M,) the next node if this one is missed.
+        skip: (M,) the next node if the ray misses this one.
         solid: (M,) the solid of a leaf, -1 for inner nodes.
     """
 
@@ -23,27 +23,27 @@ class Tree(NamedTuple):
     solid: Ints
 
 
-def grow(bounds: Floats) -> Tree:
-    """The tree of solids with bounds (N, 6); a ray walks its nodes in order, without a stack."""
+def build_tree(bounds: Floats) -> Tree:
+    """Build the tree of solids with bounds (N, 6); traversal is in order, without a stack."""
     nodes: list[Floats] = []
     leaf: list[int] = []
-    waiting = [np.arange(len(bounds))] if len(bounds) else []
-    while waiting:
-        members = waiting.pop()
+    pending = [np.arange(len(bounds))] if len(bounds) else []
+    while pending:
+        members = pending.pop()
         lower, upper = bounds[members, :3].min(axis=0), bounds[members, 3:].max(axis=0)
         nodes.append(np.concatenate([lower, upper]))
         leaf.append(int(members[0]) if len(members) == 1 else -1)
         if len(members) > 1:
-            waiting.extend(reversed(_split(bounds, members)))
+            pending.extend(reversed(_split(bounds, members)))
     skip = np.arange(1, len(nodes) + 1)
     for node in range(len(nodes) - 1, -1, -1):
         if leaf[node] < 0:
-            skip[node] = skip[skip[node + 1]]  # past its first part, then past its second
+            skip[node] = skip[skip[node + 1]]  # behind its first child, then behind its second
     return Tree(np.array(nodes).reshape(-1, 6), skip, np.array(leaf, dtype=np.int64))
 
 
 def _split(bounds: Floats, members: Ints) -> tuple[Ints, Ints]:
-    """Split where surface times count is least (MacDonald and Booth 1990), on any axis."""
+    """Split by the surface area heuristic (MacDonald and Booth 1990), along any axis."""
     best, halves = np.inf, (members[:1], members[1:])
     counts = np.arange(1, len(members))
     for axis in range(3):
@@ -59,7 +59,7 @@ def _split(bounds: Floats, members: Ints) -> tuple[Ints, Ints]:
 
 
 def _growing_areas(bounds: Floats) -> Floats:
-    """Half the surface of the bounds of the first 1, 2, … boxes."""
+    """Half the surface area of the bounds of the first 1, 2, … boxes."""
     lower = np.minimum.accumulate(bounds[:, :3])
     upper = np.maximum.accumulate(bounds[:, 3:])
     x, y, z = (upper - lower).T

@@ -1,4 +1,4 @@
-"""A world of textured solids and ground as arrays, with their light, ready to be seen."""
+"""A world of textured solids, ground and light as arrays, for the compiled renderer."""
 
 from __future__ import annotations
 
@@ -8,10 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from data_synth.scene.atlas import Atlas, pack
+from data_synth.scene.height_field import (
+    STAIN_PER_TEXEL,
+    HeightField,
+    heights_at,
+    make_height_field,
+)
 from data_synth.scene.noise import soft_noise
-from data_synth.scene.relief import STAIN_PER_TEXEL, Relief, heights_at, make_relief
 from data_synth.scene.solids import Ground, Kind, Solid
-from data_synth.scene.tree import Tree, grow
+from data_synth.scene.tree import Tree, build_tree
 from vo.types import Bools, Floats, Floats32, Ints
 
 _STAIN_TEXELS_PER_M = 12.0
@@ -24,13 +29,13 @@ _CLEARANCE_STEP = 512
 class Lights(NamedTuple):
     """Light on a grid of points of each face.
 
-    A box has its grids on its faces. Those of curved solids lie on the cube around them, whose
-    points are taken to the surface along lines to the middle (the cylinder's: to its axis).
+    The grids of a box are on its faces. Those of curved solids are on the cube about them, whose
+    points are projected onto the surface, towards the middle or the axis of a cylinder.
 
     Attributes:
-        values: (L,) float32, all faces row by row.
-        grids: (N, 6, 3) where each face begins, its rows and its columns, at least two each; the
-            faces are numbered 2 * axis + (1 if outward is positive).
+        values: (L,) float32, all faces, row by row.
+        grids: (N, 6, 3) start of each face, its rows and its columns, at least two each; face
+            2 * axis + (1 if the outward normal points along the axis).
     """
 
     values: Floats32
@@ -38,13 +43,13 @@ class Lights(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """Where light comes from.
+    """Sources of light.
 
     Attributes:
         sky: radiance at the zenith.
         sun: (3,) unit vector towards the sun, or zeros.
-        sun_power: radiance that the sun adds to a surface that faces it.
-        ambient: radiance of light from everywhere.
+        sun_power: radiance added to a surface that faces the sun.
+        ambient: radiance of ambient light.
         lamps: (L, 5) centre, power and reach.
     """
 
@@ -56,14 +61,13 @@ class Sources(NamedTuple):
 
 
 class Movers(NamedTuple):
-    """The solids that move: the last K ones of the world.
+    """The moving solids: the last K of the world.
 
     Attributes:
-        bodies: (K,) the body that each belongs to.
+        bodies: (K,) number of the body of each.
         places: (K, 4) x, y, z and yaw of each in the frame of its body.
         velocities: (K, 3) metres per second.
-        lights: (K, 4) the direction of the light that falls on each, as long as it is strong, and
-            the light from everywhere.
+        lights: (K, 4) direction times strength of the light on each, and ambient light.
     """
 
     bodies: Ints
@@ -73,24 +77,24 @@ class Movers(NamedTuple):
 
 
 class World(NamedTuple):
-    """Solids, their tree and their textures as plain arrays, ready for compiled code.
+    """Solids, their tree, textures and light as plain arrays, for compiled code.
 
     Attributes:
         kinds: (N,) `Kind` of each solid.
         shapes: (N, 11) centre, half size, cosine and sine of yaw, inverse half size.
         textures: (N,) texture numbers.
-        scales: (N, 3, 2) texels per metre to the right and down on the faces of each axis.
+        scales: (N, 3, 2) texels per metre, right and down, on the faces of each axis.
         offsets: (N, 2) texels.
-        goes_round: (N,) whether the texture runs round a cylinder, not half round and back.
+        goes_round: (N,) whether the texture runs round a cylinder, rather than half round and back.
         stains: (N, 2) strength, and texels of the stain per metre.
-        bounds: (S, 6) lower and upper corners of boxes around the S <= N solids that do not move,
-            which come first.
+        bounds: (S, 6) lower and upper corners of boxes around the S <= N static solids, which
+            come first.
         tree: of these solids.
         atlas: the textures; the last one is the stain.
-        lights: the light on the faces of the solids that do not move.
-        sources: where the light comes from.
-        relief: the ground.
-        movers: the solids that move.
+        lights: light on the faces of static solids.
+        sources: sources of light.
+        height_field: the ground.
+        movers: moving solids.
     """
 
     kinds: Ints
@@ -105,7 +109,7 @@ class World(NamedTuple):
     atlas: Atlas
     lights: Lights
     sources: Sources
-    relief: Relief
+    height_field: HeightField
     movers: Movers
 
 
@@ -115,14 +119,14 @@ def build_world(
     ground: Ground | None = None,
     movers: Sequence[tuple[int, Solid]] = (),
 ) -> World:
-    """Turn solids and textures into arrays and a bounding-volume tree; it is still dark.
+    """Turn solids and textures into arrays and a bounding-volume hierarchy, without light.
 
     Args:
-        solids: what stands still.
-        textures: whose numbers solids and ground name.
-        ground: rolling ground, if there is any.
-        movers: solids that move, each with the number of its body and relative to the body's
-            origin, which is on the ground with x ahead. They are nowhere until `with_bodies`.
+        solids: static solids.
+        textures: textures, to which solids and ground refer by number.
+        ground: ground, if any.
+        movers: moving solids, each with the number of its body and relative to the origin of the
+            body, which is on the ground with x ahead. `with_bodies` places them.
     """
     everything = [*solids, *(solid for _, solid in movers)]
     shapes = np.array([_shape(s) for s in everything], dtype=np.float64).reshape(-1, 11)
@@ -144,28 +148,28 @@ def build_world(
         ),
         stains=np.column_stack([[s.stain for s in everything], stain_scales]),
         bounds=bounds,
-        tree=grow(bounds),
+        tree=build_tree(bounds),
         atlas=atlas,
-        lights=_darkness(len(solids)),
+        lights=_no_light(len(solids)),
         sources=Sources(0.8, np.zeros(3), 0.0, 0.0, np.zeros((0, 5))),
-        relief=make_relief(ground),
+        height_field=make_height_field(ground),
         movers=_movers(movers),
     )
 
 
 def clearance(world: World, points: Floats) -> Floats:
-    """Distance (N,) of points (N, 3) to the box around the nearest still solid; 0 inside one.
+    """Distance (N,) of points (N, 3) to the box around the nearest static solid; 0 inside one.
 
-    Where there is ground, its distance is the height above it.
+    The height above the ground counts as the distance to it.
     """
     parts = [
         _clearance(world, points[k : k + _CLEARANCE_STEP])
         for k in range(0, len(points), _CLEARANCE_STEP)
     ]
     free = np.concatenate(parts) if parts else np.empty(0)
-    if not world.relief.is_there:
+    if not world.height_field.exists:
         return free
-    return np.maximum(np.minimum(free, points[:, 2] - heights_at(world.relief, points)), 0.0)
+    return np.maximum(np.minimum(free, points[:, 2] - heights_at(world.height_field, points)), 0.0)
 
 
 def _clearance(world: World, points: Floats) -> Floats:
@@ -204,7 +208,7 @@ def _shape(solid: Solid) -> list[float]:
 
 
 def _rounds(solid: Solid, columns: int) -> int:
-    """How often a texture goes round a cylinder; 0 where the cylinder is too thin for it."""
+    """Repetitions of a texture round a cylinder; 0 if the cylinder is too thin."""
     if solid.kind != Kind.CYLINDER or solid.density is None:
         return 0
     return round(0.5 * np.pi * (solid.size[0] + solid.size[1]) * solid.density / columns)
@@ -228,6 +232,6 @@ def _movers(movers: Sequence[tuple[int, Solid]]) -> Movers:
     return Movers(bodies, places, np.zeros((len(movers), 3)), np.zeros((len(movers), 4)))
 
 
-def _darkness(solids: int) -> Lights:
+def _no_light(solids: int) -> Lights:
     grids = np.tile(np.array([0, 2, 2]), (solids, 6, 1))
     return Lights(np.zeros(4, np.float32), grids)

@@ -1,4 +1,4 @@
-"""What a sensor makes of light: dark corners, noise, a curve of grey levels, whole numbers."""
+"""From radiance to pixel values: vignetting, noise, gamma curve, quantisation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from data_synth.sensor.exposure import Settings, grey_exponent
 from vo.compiling.function import compiled
 from vo.types import Bytes, Camera, Floats32
 
-FULL_WELL = 8000.0  # electrons that give full scale at gain 1
+FULL_WELL = 8000.0  # electrons at full scale and gain 1
 _READ_BEFORE_GAIN = 0.4  # grey levels
 _READ_AFTER_GAIN = 0.7
 _CORNER_LOSS = 0.25
@@ -21,7 +21,7 @@ _NORMAL_STEPS = 1 << 16
 
 
 def vignetting(camera: Camera, strength: float) -> Floats32:
-    """Share of the light (H, W) that reaches each pixel: 1 at the principal point.
+    """Vignetting (H, W): factor of the light at each pixel, 1 at the principal point.
 
     It falls as cos⁴ of an angle whose tangent grows with the distance from the principal point, to
     a loss of 25 % times the strength in the corner that is farthest from it.
@@ -35,7 +35,7 @@ def vignetting(camera: Camera, strength: float) -> Floats32:
 
 
 def read_noise(gain: float) -> float:
-    """Standard deviation in grey levels without light: part is amplified, part comes after."""
+    """Standard deviation in grey levels without light, from noise before and after the gain."""
     return float(np.hypot(_READ_BEFORE_GAIN * gain, _READ_AFTER_GAIN))
 
 
@@ -47,24 +47,24 @@ def develop(
     vignette: Floats32 | None,
     rng: np.random.Generator,
 ) -> Bytes:
-    """The image (H, W) that a sensor gives.
+    """The image (H, W) of a sensor.
 
-    Electrons come one by one, so that their variance equals their number; the read noise is added,
-    then the curve of grey levels applied (Janesick, Photon Transfer, 2007, eq. 3.5).
+    Shot noise has a variance equal to the number of electrons. Read noise is added, then the gamma
+    curve is applied (Janesick, Photon Transfer, 2007, eq. 3.5).
 
     Args:
-        radiance: (H, W) light of the scene, 0…1 for what the first light makes full scale at the
-            default settings.
+        radiance: (H, W) radiance of the scene; 1 is full scale at the default settings and the
+            light of the start.
         settings: exposure and gain.
         effects: their strengths.
         illumination: light on the scene; 0 gives a black frame, of read noise only.
-        vignette: (H, W) share of the light that arrives, or None for all.
+        vignette: (H, W) vignetting, or None.
         rng: of the noise, by convention `default_rng([seed, 2, frame, camera])`.
     """
     grey = np.ascontiguousarray(radiance, dtype=np.float32)
     scale = np.float32(255.0 * settings.response * illumination)
     image = np.empty(grey.shape, np.uint8)
-    shade = _EVEN if vignette is None else vignette
+    factors = _EVEN if vignette is None else vignette
     if effects.noise > 0.0:
         normals = _normals(rng, grey.shape)
         shot = np.float32(255.0 * settings.gain / FULL_WELL * effects.noise**2)
@@ -72,7 +72,7 @@ def develop(
     else:
         normals, shot, read = _EVEN, np.float32(0.0), np.float32(0.0)
     curve = _curve(grey_exponent(effects))
-    _expose(grey, scale, shade, normals, shot, read, curve, image)
+    _expose(grey, scale, factors, normals, shot, read, curve, image)
     return image
 
 
@@ -80,7 +80,7 @@ _EVEN = np.zeros((0, 0), np.float32)
 
 
 def _normals(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats32:
-    """Quantiles drawn by 16 random bits each: a fifth of the time of exact normal numbers."""
+    """Normal numbers as quantiles, by 16 random bits each: five times as fast as exact ones."""
     pixels = int(np.prod(shape))
     bits = rng.integers(0, 1 << 64, -(-pixels // 4), dtype=np.uint64, endpoint=False)
     return np.take(_quantiles(), bits.view(np.uint16)[:pixels]).reshape(shape)
@@ -88,7 +88,7 @@ def _normals(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats32:
 
 @cache
 def _quantiles() -> Floats32:
-    """The middles of equally likely stretches of the standard normal distribution."""
+    """Medians of equally likely intervals of the standard normal distribution."""
     inverse = NormalDist().inv_cdf
     upper = np.array([inverse((k + 0.5) / _NORMAL_STEPS) for k in range(_NORMAL_STEPS // 2)])
     both = np.concatenate([upper, -upper])
@@ -97,7 +97,7 @@ def _quantiles() -> Floats32:
 
 @lru_cache(maxsize=8)
 def _curve(exponent: float) -> Bytes:
-    """Grey level for each of many steps of light; empty for a straight line."""
+    """Look-up table from light to grey levels; empty if linear."""
     if exponent == 1.0:
         return np.zeros(0, np.uint8)
     light = np.arange(_CURVE_STEPS + 1) / _CURVE_STEPS
@@ -115,9 +115,12 @@ def _expose(
     curve: Bytes,
     image: Bytes,
 ) -> None:
-    """Grey levels; `shot` is the variance per grey level of signal and `read` that without any.
+    """Pixel values; `shot` is the variance per grey level of signal, `read` the variance without.
 
-    Empty arrays stand for no vignetting, no noise and no curve.
+    variance = read + shot * signal. One pass over a row for each effect, which compiles to vector
+    instructions.
+
+    Empty arrays: no vignetting, no noise, no curve.
     """
     zero, full = np.float32(0.0), np.float32(255.0)
     steps = np.float32((len(curve) - 1) / 255.0)

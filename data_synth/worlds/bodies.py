@@ -1,7 +1,7 @@
-"""What moves about indoors and in streets: people, carts and forklifts.
+"""Moving bodies: people, carts and forklifts.
 
-Each function adds the solids of one body in the body's own frame: its origin on the ground below
-its middle, x ahead and z up. It returns the radius of the upright cylinder that holds the body.
+Each function adds the solids of one body in the frame of the body: origin on the ground below its
+middle, x ahead and z up. It returns the radius of an upright cylinder that contains the body.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vo.types import Floats
 
 @dataclass
 class _Body:
-    """Adds solids to one body, shifted by `at`."""
+    """Adds solids to one body, with an offset `at`."""
 
     build: Builder
     number: int
@@ -39,12 +39,12 @@ class _Body:
 
 
 def person(build: Builder, body: int, at: Point = (0.0, 0.0, 0.0)) -> float:
-    """Somebody in the middle of a step, 1.55 m to 1.9 m tall, some with a bag."""
+    """A person in mid-step, 1.55 m to 1.9 m tall, sometimes with a bag."""
     height = float(build.rng.uniform(1.55, 1.9))
     shirt, trousers = (build.paint(indoor_textures.cloth, (256, 256)) for _ in range(2))
     shoes = build.paint(partial(indoor_textures.steel, shade=0.15), (64, 64))
-    some, unit = _Body(build, body, at), height / 1.75
-    _head_and_trunk(some, shirt, unit)
+    figure, unit = _Body(build, body, at), height / 1.75
+    _head_and_trunk(figure, shirt, unit)
     for side in (-1.0, 1.0):
         step = 0.11 * side
         for x, z, size in (
@@ -53,20 +53,20 @@ def person(build: Builder, body: int, at: Point = (0.0, 0.0, 0.0)) -> float:
         ):
             centre = (unit * x, unit * 0.1 * side, unit * z)
             scaled = (unit * size[0], unit * size[1], unit * size[2])
-            some.add(Kind.ELLIPSOID, centre, scaled, trousers)
+            figure.add(Kind.ELLIPSOID, centre, scaled, trousers)
         sole = (unit * (step + 0.05), unit * 0.1 * side, unit * 0.05)
-        some.add(Kind.ELLIPSOID, sole, (0.28 * unit, 0.1 * unit, 0.1 * unit), shoes)
+        figure.add(Kind.ELLIPSOID, sole, (0.28 * unit, 0.1 * unit, 0.1 * unit), shoes)
     if build.rng.random() < 0.5:
         bag = build.paint(textures.fabric, (128, 128))
         side = float(build.rng.choice((-1.0, 1.0)))
         size = (0.34 * unit, 0.1 * unit, 0.26 * unit)
-        some.add(Kind.BOX, (-0.02, 0.3 * side * unit, 0.68 * unit), size, bag)
+        figure.add(Kind.BOX, (-0.02, 0.3 * side * unit, 0.68 * unit), size, bag)
     return 0.45
 
 
-def _head_and_trunk(some: _Body, shirt: int, unit: float) -> None:
-    head = some.build.paint(indoor_textures.skin, (128, 128))
-    hair = some.build.paint(indoor_textures.hair, (64, 128))
+def _head_and_trunk(figure: _Body, shirt: int, unit: float) -> None:
+    head = figure.build.paint(indoor_textures.skin, (128, 128))
+    hair = figure.build.paint(indoor_textures.hair, (64, 128))
     for centre, size, texture, density in (
         ((0.02, 0.0, 1.63), (0.2, 0.17, 0.25), head, None),
         ((0.0, 0.0, 1.66), (0.21, 0.18, 0.22), hair, 400.0),
@@ -80,11 +80,11 @@ def _head_and_trunk(some: _Body, shirt: int, unit: float) -> None:
     ):
         scaled = (unit * size[0], unit * size[1], unit * size[2])
         middle = (unit * centre[0], unit * centre[1], unit * centre[2])
-        some.add(Kind.ELLIPSOID, middle, scaled, texture, density)
+        figure.add(Kind.ELLIPSOID, middle, scaled, texture, density)
 
 
 def cart(build: Builder, body: int) -> float:
-    """Somebody who pushes a trolley with cartons."""
+    """A person pushing a trolley with cartons."""
     person(build, body, at=(-0.55, 0.0, 0.0))
     frame = build.paint(indoor_textures.steel, (128, 128))
     cartons = [build.paint(textures.carton, (256, 256)) for _ in range(2)]
@@ -139,9 +139,9 @@ def forklift(build: Builder, body: int) -> float:
     return 1.55
 
 
-def beside(way: Floats, left_m: float) -> Floats:
-    """A closed way (K, 2) of right-angled turns, moved to the left of its direction."""
-    ahead = np.roll(way, -1, axis=0) - way
+def beside(route: Floats, left_m: float) -> Floats:
+    """A closed route (K, 2) of right-angled turns, moved to the left of its direction."""
+    ahead = np.roll(route, -1, axis=0) - route
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    return np.asarray(way + left_m * (left + np.roll(left, 1, axis=0)))
+    return np.asarray(route + left_m * (left + np.roll(left, 1, axis=0)))

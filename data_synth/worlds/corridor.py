@@ -1,4 +1,4 @@
-"""An office corridor that runs round a core: long, repetitive, and bare in places."""
+"""World: an office corridor round a core: long, repetitive, and bare in places."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place, Rng
-from data_synth.scene.lighting import lit
-from data_synth.scene.scene import Body, Course, Scene, level
+from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Kind, Lamp, Lighting, Solid
 from data_synth.worlds import bodies, fittings, indoor_textures, prints
 from data_synth.worlds.fittings import Wall
@@ -20,20 +20,20 @@ _TILE_M = 0.6
 _MODULE_M = 3.0
 _LAMP_STEP_M = 3.6
 _DADO_M = 1.05
-_END_M = 0.9  # of each core wall, without anything on it
-_ASIDE_M = 0.66  # of people, off the middle
+_END_M = 0.9  # bare end of each wall of the core
+_ASIDE_M = 0.66  # distance of people from the middle
 _USUAL_PEOPLE = 5
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """The loop's size, and what each module of the walls holds.
+    """Size of the loop, and content of each module of the walls.
 
     Attributes:
         long_m: length of the centre line of sides 0 and 2.
         short_m: the same of sides 1 and 3.
-        inner: for each side, what the core's wall holds, module by module.
-        outer: for each side, the same of the wall across.
+        inner: for each side, modules of the wall of the core.
+        outer: for each side, modules of the wall opposite.
     """
 
     long_m: float
@@ -62,17 +62,17 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     for side in range(4):
         _side(build, kit, plan, side)
     lamps = _lamps(build, plan) + _daylight(plan)
-    course = Course(_loop(plan), HALF_WIDTH_M, 2.3, level(), outlook_deg=-15.0)
+    course = Course(_loop(plan), HALF_WIDTH_M, 2.3, flat_ground(), outlook_deg=-15.0)
     people = _people(build, plan, round(_USUAL_PEOPLE * movers))
     light = Lighting(lamps, ambient=0.68, points_per_m=4.0, most_points=200)
-    return Scene(lit(build.world(), light), course, people)
+    return Scene(bake_lighting(build.world(), light), course, people)
 
 
 def _plan(rng: Rng) -> _Plan:
     long_m, short_m = (2 * _TILE_M * int(n) for n in rng.integers((23, 14), (28, 17)))
     counts = [int((m - WIDTH_M - 2 * _END_M) / _MODULE_M) for m in (long_m, short_m)] * 2
     inner = [_inner_modules(rng, n) for n in counts]
-    bright = int(rng.integers(4))  # the side that has windows, and the one after it
+    bright = int(rng.integers(4))  # first of the two sides with windows
     outer = [_outer_modules(rng, n, (i - bright) % 4 < 2) for i, n in enumerate(counts)]
     bare, length = 2 * int(rng.integers(2)), int(rng.integers(2, 4))
     first = int(rng.integers(1, counts[bare] - length))
@@ -99,14 +99,14 @@ def _outer_modules(rng: Rng, count: int, bright: bool) -> list[str]:
 
 
 def _shell(build: Builder, plan: _Plan) -> None:
-    """Floor and ceiling of one piece each: the core hides what is not corridor."""
+    """Floor and ceiling, of one piece each, as the core hides the rest."""
     long, deep = plan.long_m + WIDTH_M + 2.0, plan.short_m + WIDTH_M + 2.0
     painters = (indoor_textures.linoleum, indoor_textures.carpet)
     floor = build.paint(painters[int(build.rng.integers(2))], (2048, 2048))
     build.add((0, 0, -0.15), (long, deep, 0.3), floor, density=210.0, stain=0.5)
     tiles = build.paint(indoor_textures.ceiling_tiles, (1024, 1024))
     density = indoor_textures.CEILING_TILE_PX / _TILE_M
-    # Not shifted: the lamps lie in its tiles.
+    # Without offset, because the lamps are aligned with the tiles.
     centre, size = (0.0, 0.0, HEIGHT_M + 0.15), (long, deep, 0.3)
     build.solids.append(Solid(centre, size, tiles, density=density, stain=0.2))
 
@@ -126,7 +126,7 @@ def _side(build: Builder, kit: fittings.Kit, plan: _Plan, side: int) -> None:
         fittings.plant(outer, *corner)
     else:
         fittings.extinguisher(outer, corner[0] - 0.3)
-    # Guards hide that two walls share the volume of a corner.
+    # Guards hide the overlap of two walls in a corner.
     inner.box((core / 2 - 0.16, 0.16, HEIGHT_M / 2), (0.34, 0.34, HEIGHT_M), kit.frame)
     outer.box((0.0, -0.03, HEIGHT_M - 0.16), (core + 2 * WIDTH_M, 0.06, 0.09), kit.metal)
     if side % 2 == 0:
@@ -195,7 +195,7 @@ def _lamps(build: Builder, plan: _Plan) -> tuple[Lamp, ...]:
 
 
 def _daylight(plan: _Plan) -> tuple[Lamp, ...]:
-    """Light just inside each window, which also makes its pane bright."""
+    """Light just inside each window, which brightens the pane too."""
     found = []
     for side in range(4):
         wall = _placed(plan.away(side) + WIDTH_M / 2, side * np.pi / 2, 0.0)
@@ -207,7 +207,7 @@ def _daylight(plan: _Plan) -> tuple[Lamp, ...]:
 
 
 def _grid(core: float, count: int) -> tuple[float, float]:
-    """Where a wall's first module begins, and how wide each is."""
+    """Start of the first module of a wall, and width of each."""
     return -core / 2 + _END_M, (core - 2 * _END_M) / count
 
 
@@ -218,11 +218,11 @@ def _loop(plan: _Plan) -> Floats:
 
 
 def _people(build: Builder, plan: _Plan, count: int) -> tuple[Body, ...]:
-    """People who keep to the right, either way round."""
+    """People on the right-hand side, in both directions."""
     people = []
     for i in range(count):
-        way = bodies.beside(_loop(plan)[:: int(build.rng.choice((-1, 1)))], -_ASIDE_M)
+        route = bodies.beside(_loop(plan)[:: int(build.rng.choice((-1, 1)))], -_ASIDE_M)
         radius = bodies.person(build, i)
         speed, start = float(build.rng.uniform(0.9, 1.5)), float(build.rng.random())
-        people.append(Body(f"person {i}", way, speed, start, radius))
+        people.append(Body(f"person {i}", route, speed, start, radius))
     return tuple(people)

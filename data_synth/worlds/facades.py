@@ -1,4 +1,4 @@
-"""Fronts of town houses: where their windows and doors are, and how they are painted."""
+"""Fronts of town houses: positions of windows and doors, and their textures."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Facade:
     Attributes:
         width: metres.
         height: metres.
-        wall: what it is made of.
+        wall: its material.
         shade: mean reflectance of the wall, 0…1.
         ground: shop windows or the windows of flats on the ground floor.
         floors: heights of the upper floors, metres.
@@ -90,10 +90,10 @@ def plan_facade(rng: Rng, width: float, floors: int) -> Facade:
 
 
 def paint_facade(build: Builder, plan: Facade, grain: Floats32) -> int:
-    """Add the texture of a front, to be fitted to a box of its size.
+    """Add the texture of a front, for a box of its size.
 
     Args:
-        build: takes the texture.
+        build: receives the texture.
         plan: the front.
         grain: (1024, 1024) noise of zero mean and unit deviation, shared by all fronts.
     """
@@ -174,7 +174,7 @@ def _trim(rng: Rng, plan: Facade, sheet: _Sheet) -> None:
 
 
 def _runs(rng: Rng, sheet: _Sheet, opening: Opening) -> None:
-    """Dirt that rain has washed down below a sill."""
+    """Streaks of dirt below a sill."""
     length = float(rng.uniform(0.4, 1.0))
     patch = sheet.patch(Opening(opening.x, opening.z - length, opening.width, length))
     fading = np.linspace(1.0, 0.0, patch.shape[0], dtype=np.float32)[:, None]
@@ -225,7 +225,7 @@ def _pane(rng: Rng, patch: Floats32) -> None:
         folds = np.sin(np.arange(columns) * rng.uniform(0.6, 1.2)) * 0.05
         side = slice(0, inner) if rng.random() < 0.5 else slice(columns - inner, columns)
         patch[:, side] = rng.uniform(0.3, 0.5) + folds[side].astype(np.float32)
-    if rng.random() < 0.5:  # what it mirrors
+    if rng.random() < 0.5:  # reflection of houses
         foot = int(rng.integers(0, rows))
         reach = max(1, int(rng.integers(1, columns + 1)))
         corners = [(0, foot), (reach, 0), (columns, 0), (columns, foot // 2)]

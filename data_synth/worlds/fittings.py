@@ -1,6 +1,6 @@
-"""Walls with openings, and what is fitted to the walls of an office corridor.
+"""Walls with openings, and fittings of the walls of an office corridor.
 
-Things are described in their wall's own place: x along the wall, -y out of it, y into it.
+In the frame of a wall, x is along it, -y out of it, y into it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _WALL_DENSITY = 200.0
 
 @dataclass(frozen=True)
 class Kit:
-    """Numbers of the textures that a corridor is made of."""
+    """Numbers of the textures of a corridor."""
 
     paint: int
     dado: int
@@ -42,7 +42,7 @@ class Kit:
 
 
 def make_kit(build: Builder) -> Kit:
-    """Paint the textures; shades and which doors there are differ by seed."""
+    """Paint the textures; shades and doors depend on the seed."""
     rng = build.rng
     wall, wood = float(rng.uniform(0.62, 0.74)), float(rng.uniform(0.3, 0.55))
     darker = float(rng.choice((0.0, 0.14, 0.22)))
@@ -72,7 +72,7 @@ def make_kit(build: Builder) -> Kit:
 
 @dataclass
 class Wall:
-    """One straight wall while it is built, about x = 0; shift_m moves its paint along."""
+    """A straight wall, centred at x = 0; shift_m is the offset of its paint."""
 
     build: Builder
     kit: Kit
@@ -84,7 +84,7 @@ class Wall:
     def slab(
         self, x: tuple[float, float], z: tuple[float, float], y: float = 0.0, thick: float = WALL_M
     ) -> None:
-        """A piece of wall whose front lies at y; the paint runs on from piece to piece."""
+        """A piece of wall with its front at y; the paint continues from piece to piece."""
         pieces = [(self.kit.dado, z[0], min(z[1], self.dado_m))]
         pieces.append((self.kit.paint, max(z[0], self.dado_m), z[1]))
         for texture, low, high in pieces:
@@ -114,7 +114,7 @@ class Wall:
         density: float | None = 260.0,
         kind: Kind = Kind.BOX,
     ) -> None:
-        """A solid in the wall's own place."""
+        """A solid in the frame of the wall."""
         at = self.place.at(*centre)
         self.build.add(at, size, texture, self.place.yaw, density, kind)
 

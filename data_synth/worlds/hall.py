@@ -19,7 +19,7 @@ _DOORS_Y = (-8.0, -4.0, 0.0, 4.0, 8.0)
 
 
 def shell(build: Builder) -> None:
-    """Everything that holds the hall together."""
+    """Floor, walls and roof."""
     half, long, deep = _SHELL_M / 2, LENGTH_M + 2 * _SHELL_M, DEPTH_M + 2 * _SHELL_M
     floor = build.paint(indoor_textures.concrete, (2048, 2048))
     build.add((0, 0, -half), (long, deep, _SHELL_M), floor, density=165.0, stain=0.6)
@@ -114,7 +114,7 @@ def _roof(build: Builder) -> None:
 
 
 def lamps(build: Builder, lines_y: Sequence[float]) -> tuple[Lamp, ...]:
-    """Lamps in rows above the aisles, and what shines from them."""
+    """Lamps in rows above the aisles: their solids, and their light."""
     panel = build.paint(prints.lamp_panel, (128, 256))
     steel = build.paint(indoor_textures.steel, (64, 64))
     found = []

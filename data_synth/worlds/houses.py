@@ -1,4 +1,4 @@
-"""Town houses: walls, painted fronts, and what sticks out of them."""
+"""Town houses: walls, painted fronts, and roofs, ledges, shop fronts and balconies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from data_synth.worlds.facades import Facade
 from data_synth.worlds.palette import Palette
 
 _SKIN_M = 0.3
-_OUT_M = 0.04  # how far the painted front stands before the walls
+_OUT_M = 0.04  # distance of the painted front from the walls
 
 
 def house(
@@ -22,17 +22,17 @@ def house(
     depth: float,
     roof_steps: int | None = None,
 ) -> None:
-    """A house whose front stands on `place`, looking along its -y.
+    """A house whose front is at `place`, facing -y.
 
     Args:
-        build: takes it.
+        build: receives the solids.
         palette: textures.
         place: middle of the foot of the front.
         plan: the front.
         front: texture of the front.
         depth: metres.
-        roof_steps: courses of boxes of which a roof up to its ridge is made; None for a few low
-            ones, which is enough for those who look from below.
+        roof_steps: number of courses of boxes of a roof up to its ridge; None for a few low ones,
+            which are enough for views from the street.
     """
     walls = {"brick": palette.bricks, "concrete": palette.concrete}
     coat = walls.get(plan.wall) or int(build.rng.choice(palette.coats))
@@ -137,7 +137,7 @@ def _entrance(build: Builder, palette: Palette, place: Place, plan: Facade) -> N
 
 
 def _shop_front(build: Builder, palette: Palette, place: Place, plan: Facade) -> None:
-    """A name above the windows, an awning, and now and then a hanging sign."""
+    """A name above the windows, and often an awning and a hanging sign."""
     long = min(plan.width - 1.0, float(build.rng.uniform(3.5, 7.0)))
     x = float(build.rng.uniform(-0.5, 0.5)) * (plan.width - long - 0.6)
     name = int(build.rng.choice(palette.shop_signs))

@@ -16,7 +16,7 @@ CEILING_TILE_PX = 64
 
 
 def paint(rng: Rng, shape: tuple[int, int], shade: float = 0.68) -> Floats32:
-    """A wall painted with a roller: hardly any grain, a few marks where things knocked it."""
+    """A wall painted with a roller: little grain, a few marks of impacts."""
     image = shade + 0.02 * noise(rng, shape, 1.6) + 0.010 * noise(rng, shape, 0.5)
     specks(rng, image, count=image.size // 9000, radius=(1, 4), contrast=0.16)
     _scuffs(rng, image, count=image.size // 60_000, contrast=0.10)

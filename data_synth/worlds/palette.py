@@ -1,4 +1,4 @@
-"""The textures that many things outdoors share, each painted once for a world."""
+"""Textures that outdoor objects share, each painted once for a world."""
 
 from __future__ import annotations
 

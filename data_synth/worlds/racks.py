@@ -1,6 +1,6 @@
-"""Pallet racks and what lies on pallets in a warehouse.
+"""Pallet racks and goods on pallets.
 
-A rack is described in its own place: x along it, its back at y = 0, its front towards -y.
+In the frame of a rack, x is along it, its back is at y = 0 and its front towards -y.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from data_synth.worlds import indoor_textures, prints, textures
 BAY_M, DEPTH_M = 2.7, 1.1
 LEVELS_M = (0.0, 1.6, 3.2)
 _HEIGHT_M = 4.3
-_BACKED = 0.7  # share of bays that one cannot see through
+_BACKED = 0.7  # fraction of bays with a back panel
 _PALLET_M = (0.8, 1.16, 0.14)
-_ROOM_M = 1.16  # height of the goods that fit between pallet and beam
+_GOODS_M = 1.16  # height of the goods that fit between pallet and beam
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def make_kit(build: Builder) -> Kit:
 
 
 def rack(build: Builder, kit: Kit, place: Place, bays: int) -> None:
-    """A rack of some bays about x = 0, with its goods."""
+    """A rack of bays centred at x = 0, with its goods."""
     left = -bays * BAY_M / 2
     for bay in range(bays + 1):
         _frame(build, kit, place, left + bay * BAY_M)
@@ -96,7 +96,7 @@ def _labels(build: Builder, kit: Kit, place: Place, middle: float, z: float) -> 
 
 
 def _slot(build: Builder, kit: Kit, place: Place, at: tuple[float, float], level: int) -> None:
-    """One pallet's place, empty now and then."""
+    """The place of one pallet, sometimes empty."""
     rng = build.rng
     if rng.random() < 0.1:
         return
@@ -107,12 +107,12 @@ def _slot(build: Builder, kit: Kit, place: Place, at: tuple[float, float], level
 
 
 def pallet(build: Builder, kit: Kit, spot: Place, z: float, near_eye: bool = True) -> None:
-    """A loaded pallet; from afar (not near_eye) with fewer solids."""
+    """A loaded pallet, with fewer solids if it is above eye level (not near_eye)."""
     _bare_pallet(build, kit, spot, z, near_eye)
     top, rng = z + _PALLET_M[2], build.rng
     what = float(rng.random())
     if not near_eye or what < 0.45:
-        size = (0.8, 1.1, float(rng.uniform(0.45, _ROOM_M)))
+        size = (0.8, 1.1, float(rng.uniform(0.45, _GOODS_M)))
         stack = int(rng.choice(kit.stacks))
         build.add(spot.at(0.0, 0.0, top + size[2] / 2), size, stack, spot.yaw, None, stain=0.3)
     elif what < 0.65:

@@ -21,7 +21,7 @@ def make_scene(name: str, seed: int, movers: float = 0.0) -> Scene:
 
     Args:
         name: one of WORLDS.
-        seed: of every choice in it.
-        movers: how many things move about; 1 is usual for the world, 0 none.
+        seed: of all random choices.
+        movers: number of moving bodies relative to the usual one; 0 for none.
     """
     return cast(Scene, import_module(WORLDS[name]).make_scene(seed, movers))

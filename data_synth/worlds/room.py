@@ -1,12 +1,12 @@
-"""A furnished room: the first of the worlds."""
+"""World: a furnished room."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.lighting import lit
-from data_synth.scene.scene import Body, Course, Scene, level
+from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Lamp, Lighting
 from data_synth.worlds import bodies, textures
 
@@ -30,19 +30,19 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     """
     build = _furnished(seed)
     half = np.array(_COURSE)
-    course = Course(np.vstack([half, -half]), 0.5, 2.5, level(), outlook_deg=-25.0)
+    course = Course(np.vstack([half, -half]), 0.5, 2.5, flat_ground(), outlook_deg=-25.0)
     people = _people(build, round(_USUAL_PEOPLE * movers))
-    return Scene(lit(build.world(), _LIGHT), course, people)
+    return Scene(bake_lighting(build.world(), _LIGHT), course, people)
 
 
 def _people(build: Builder, count: int) -> tuple[Body, ...]:
     people = []
     for i in range(count):
         (left, right), (low, high) = _PACING_M[i % len(_PACING_M)]
-        way = np.array([[right, low], [right, high], [left, high], [left, low]])
+        route = np.array([[right, low], [right, high], [left, high], [left, low]])
         radius = bodies.person(build, i)
         speed, start = float(build.rng.uniform(0.5, 0.9)), float(build.rng.random())
-        people.append(Body(f"person {i}", way, speed, start, radius))
+        people.append(Body(f"person {i}", route, speed, start, radius))
     return tuple(people)
 
 

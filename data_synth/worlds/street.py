@@ -1,12 +1,12 @@
-"""A town: a rectangle of streets with houses, parked cars, trees, and hills behind."""
+"""World: a town with a rectangle of streets, houses, parked cars, trees, and hills behind."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.lighting import lit
-from data_synth.scene.scene import Body, Course, Scene, level
+from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Kind, Lighting
 from data_synth.worlds import outdoor_textures, vehicles
 from data_synth.worlds import street_plan as layout
@@ -41,13 +41,13 @@ def make_scene(seed: int, movers: float) -> Scene:
     _ends_of_streets(build, palette, fronts)
     _skyline(build, palette, fronts)
     bodies = (*_cars(build, palette, colours, movers), *_people(build, movers))
-    world = lit(build.world(), _daylight(build))
-    course = Course(layout.lane(layout.LANE_M, _TURN_RADIUS_M), 1.5, 2.4, level(), 30.0)
+    world = bake_lighting(build.world(), _daylight(build))
+    course = Course(layout.lane(layout.LANE_M, _TURN_RADIUS_M), 1.5, 2.4, flat_ground(), 30.0)
     return Scene(world, course, bodies)
 
 
 def _daylight(build: Builder) -> Lighting:
-    """The sun stands beside no street, so that every street has a sunny and a shady side."""
+    """The sun is not aligned with a street, so that each has a sunny and a shady side."""
     turn = float(build.rng.uniform(0.3, 0.7) + np.pi / 2 * build.rng.integers(4))
     sun = (float(np.cos(turn)), float(np.sin(turn)), float(build.rng.uniform(0.95, 1.4)))
     return Lighting(
@@ -62,7 +62,7 @@ def _daylight(build: Builder) -> Lighting:
 
 
 def _ends_of_streets(build: Builder, palette: Palette, fronts: Fronts) -> None:
-    """A row of houses across the end of each street, so that it does not lead into nothing."""
+    """A row of houses across the end of each street, which closes the view."""
     for x, y in layout.crossings():
         far_x = x + np.sign(x) * (layout.ARM_M + 8.5)
         far_y = y + np.sign(y) * (layout.ARM_M + 8.5)
@@ -99,20 +99,20 @@ def _skyline(build: Builder, palette: Palette, fronts: Fronts) -> None:
 def _cars(
     build: Builder, palette: Palette, colours: tuple[Paint, ...], movers: float
 ) -> list[Body]:
-    """Cars on the other lane, one behind the other; they go round the other way."""
-    way = layout.lane(-layout.LANE_M, _ONCOMING_RADIUS_M)[::-1].copy()
+    """Cars in the other lane, one behind the other, in the opposite direction."""
+    route = layout.lane(-layout.LANE_M, _ONCOMING_RADIUS_M)[::-1].copy()
     count = round(_USUAL_CARS * movers)
     bodies = []
     for k in range(count):
         make = vehicles.van if k % 4 == 3 else vehicles.car
         make(build, palette, colours[k % len(colours)], Place(0.0, 0.0, 0.0), body=k)
         start = (k + float(build.rng.uniform(0.0, 0.4))) / count
-        bodies.append(Body(f"car {k}", way, _ONCOMING_M_S, start, vehicles.RADIUS_M))
+        bodies.append(Body(f"car {k}", route, _ONCOMING_M_S, start, vehicles.RADIUS_M))
     return bodies
 
 
 def _people(build: Builder, movers: float) -> list[Body]:
-    """People who walk up and down the pavements of the loop."""
+    """People walking up and down the pavements of the loop."""
     first = round(_USUAL_CARS * movers)
     sides = [side for side in layout.frontages() if side.on_loop]
     bodies = []

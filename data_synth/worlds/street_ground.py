@@ -1,4 +1,4 @@
-"""Roads, pavements, kerbs and what is painted or set into them."""
+"""Roads, pavements, kerbs, and markings and lids on them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MARK_M = 0.006
 
 
 def lay_ground(build: Builder, palette: Palette) -> None:
-    """Everything underfoot, but the sides of the streets."""
+    """Lay grass, roads, corners and markings, without the sides of the streets."""
     size = (700.0, 700.0, _DEEP_M)
     build.add((0.0, 0.0, -0.05 - _DEEP_M / 2), size, palette.grass, 0.0, 40.0, stain=0.6)
     reach = plan.HALF_X_M + plan.ARM_M + 8.0
@@ -42,10 +42,10 @@ def lay_pavement(build: Builder, palette: Palette, side: Frontage, level: int) -
     """Pavement and kerb before a line of fronts, and the gardens behind it.
 
     Args:
-        build: takes them.
+        build: receives the solids.
         palette: textures.
         side: the line of fronts.
-        level: makes pavements that overlap at a corner differ by millimetres in height.
+        level: number of the pavement; overlapping ones differ by millimetres in height.
     """
     long, top = side.length + 2 * plan.PAVEMENT_M, plan.PAVED_Z_M + 0.002 * (level % 3)
     texture = palette.paving if level % 4 else palette.cobbles
@@ -93,9 +93,9 @@ def _strip(
     texture: int,
     density: float = _PAVING_DENSITY,
 ) -> None:
-    """A slab between two x and two y of a place that is turned by right angles.
+    """A slab between two x and two y of a place that is rotated by right angles.
 
-    Its texture is laid on from the world's origin, so that slabs beside each other show no seam.
+    Its texture starts at the origin of the world, so that adjacent slabs have no seam.
     """
     corners = np.array([place.at(x[k], y[k], top) for k in (0, 1)])
     centre, size = corners.mean(axis=0), np.abs(corners[1] - corners[0])
@@ -114,7 +114,7 @@ def _strip(
 
 
 def _pieces(ends: tuple[float, float]) -> list[tuple[float, float]]:
-    """Equal parts, short enough for the grid of light on each to show shadows."""
+    """Equal parts, short enough for the resolution of their baked light."""
     count = max(1, round((ends[1] - ends[0]) / _PIECE_M))
     cuts = [float(c) for c in np.linspace(*ends, count + 1)]
     return list(zip(cuts[:-1], cuts[1:], strict=True))
@@ -164,10 +164,10 @@ def _mark(
 
 
 def _wear(build: Builder, palette: Palette) -> None:
-    """Manholes, gullies, and where the road has been dug up."""
-    way = plan.lane(0.0, 6.0)
-    ends = np.roll(way, -1, axis=0)
-    for start, end in zip(way, ends, strict=True):
+    """Manholes, gullies, and patches of the road."""
+    route = plan.lane(0.0, 6.0)
+    ends = np.roll(route, -1, axis=0)
+    for start, end in zip(route, ends, strict=True):
         length = float(np.linalg.norm(end - start))
         yaw = float(np.arctan2(*(end - start)[::-1]))
         for along in np.arange(6.0, length - 3.0, 5.5):

@@ -1,4 +1,4 @@
-"""The plan of the town: where roads, pavements and fronts run.
+"""Plan of the town: positions of roads, pavements and fronts.
 
 Four streets form a rectangle and go on beyond its corners. Distances are from the middle of a
 street: lane, kerb, parking bays, pavement, fronts.
@@ -16,7 +16,7 @@ from vo.types import Floats
 HALF_X_M, HALF_Y_M = 75.0, 45.0  # of the rectangle of the streets' middle lines
 LANE_M, KERB_M, BAY_M, FRONT_M = 2.0, 4.0, 6.0, 9.5
 PAVEMENT_M = FRONT_M - BAY_M
-ARM_M = 58.0  # how far streets go on beyond the crossings
+ARM_M = 58.0  # length of streets beyond the crossings
 HOUSE_DEPTH_M = 10.0
 CORNER_M = 8.0  # from the middle lines to the centre of a rounded kerb
 PAVED_Z_M = 0.12
@@ -27,11 +27,11 @@ class Frontage:
     """One side of a street between two crossings.
 
     Attributes:
-        place: middle of the line of fronts; it looks across the street.
+        place: middle of the line of fronts, facing the street.
         length: of the line of fronts, metres.
-        left: length that its houses leave free at the left end, for those around the corner.
-        right: as left, at the other end.
-        on_loop: whether the course leads past it.
+        left: length without houses at the left end, for those around the corner.
+        right: the same at the right end.
+        on_loop: whether it is along the course.
     """
 
     place: Place
@@ -72,7 +72,7 @@ def frontages() -> tuple[Frontage, ...]:
 
 
 def lane(offset_m: float, radius_m: float) -> Floats:
-    """A closed way (K, 2), counter-clockwise, `offset_m` outside the middle line.
+    """A closed route (K, 2), counter-clockwise, `offset_m` outside the middle line.
 
     It begins with a straight side.
     """
@@ -86,12 +86,12 @@ def lane(offset_m: float, radius_m: float) -> Floats:
 
 
 def crossings() -> tuple[tuple[float, float], ...]:
-    """Where the streets' middle lines meet."""
+    """Points where the middle lines of streets meet."""
     return tuple((x, y) for x in (-HALF_X_M, HALF_X_M) for y in (-HALF_Y_M, HALF_Y_M))
 
 
 def _arm(x: float, y: float, yaw: float, reach: float, corner: float = 0.0) -> Frontage:
-    # The end beside the crossing is at the left or the right, by where the front looks.
+    # The end at the crossing is the left or the right one, depending on the yaw of the front.
     towards = -np.sign(np.cos(yaw) * x + np.sin(yaw) * y)
     left, right = (corner, 0.0) if towards < 0 else (0.0, corner)
     return Frontage(Place(x, y, yaw), reach, left, right, on_loop=False)

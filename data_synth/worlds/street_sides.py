@@ -1,4 +1,4 @@
-"""The sides of the streets: rows of houses with gardens between, and what stands before them."""
+"""Sides of streets: rows of houses and gardens, and the verge in front of them."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _SETBACK_M = 5.0  # of a house behind a front garden
 
 @dataclass(frozen=True, eq=False)
 class Fronts:
-    """Fronts painted so far; those along the course are each painted once only."""
+    """Fronts painted so far; those along the course are not reused."""
 
     grain: Floats32
     painted: list[tuple[Facade, int]]
 
 
 def no_fronts(build: Builder) -> Fronts:
-    """Before the first house."""
+    """No painted fronts."""
     return Fronts(wall_grain(build.rng), [])
 
 
@@ -60,7 +60,7 @@ def row_of_houses(build: Builder, palette: Palette, fronts: Fronts, side: Fronta
 
 
 def _front(build: Builder, fronts: Fronts, width: float, side: Frontage) -> tuple[Facade, int]:
-    """A new front along the course; elsewhere one that fits, or else a new one."""
+    """A new front along the course; elsewhere a painted one that fits, if there are enough."""
     fitting = [f for f in fronts.painted if f[0].width <= width] if not side.on_loop else []
     if len(fitting) > 6:
         return fitting[int(build.rng.integers(len(fitting)))]
@@ -77,7 +77,7 @@ def verge(build: Builder, palette: Palette, colours: tuple[Paint, ...], side: Fr
     while x < reach:
         room = reach - x
         long = float(build.rng.uniform(11.0, 19.0) if parking else build.rng.uniform(3.0, 9.0))
-        if x == -reach or room < 20.0:  # nobody parks beside a crossing
+        if x == -reach or room < 20.0:  # no parking beside a crossing
             long, parking = (room, False) if room < 20.0 else (8.0, False)
         span = (x, x + long)
         if parking:
@@ -105,7 +105,7 @@ def _gap(build: Builder, palette: Palette, place: Place, wide: float) -> None:
 
 
 def _garden(build: Builder, palette: Palette, place: Place, wide: float) -> None:
-    """A front garden with a border that leaves a way in."""
+    """A front garden with a border and an entrance."""
     opening = float(build.rng.uniform(-0.2, 0.2)) * wide
     for low, high in ((-wide / 2, opening - 0.8), (opening + 0.8, wide / 2)):
         if high - low > 1.0:

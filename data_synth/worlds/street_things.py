@@ -1,4 +1,4 @@
-"""What stands on pavements and in front gardens."""
+"""Objects on pavements and in front gardens."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from data_synth.worlds.trees import bush
 
 
 def lamp_post(build: Builder, palette: Palette, place: Place) -> None:
-    """A lamp on a mast whose arm reaches along -y."""
+    """A lamp on a mast, with its arm along -y."""
     mast = (0.15, 0.15, 7.2)
     build.add(place.at(0, 0, 3.6), mast, palette.metal, place.yaw, 120.0, Kind.CYLINDER)
     build.add(
@@ -20,7 +20,7 @@ def lamp_post(build: Builder, palette: Palette, place: Place) -> None:
 
 
 def road_sign(build: Builder, palette: Palette, place: Place) -> None:
-    """One or two traffic signs on a post, looking along x and back."""
+    """One or two traffic signs on a post, facing x and -x."""
     high = float(build.rng.uniform(2.5, 3.1))
     post = (0.07, 0.07, high)
     build.add(place.at(0, 0, high / 2), post, palette.metal, place.yaw, 120.0, Kind.CYLINDER)
@@ -42,7 +42,7 @@ def advertising_column(build: Builder, palette: Palette, place: Place) -> None:
 
 
 def box_with_bills(build: Builder, palette: Palette, place: Place) -> None:
-    """A grey cabinet, or a bin, with something stuck on it."""
+    """A grey cabinet with a poster, or bins."""
     if build.rng.random() < 0.5:
         build.add(place.at(0, 0, 0.6), (0.9, 0.4, 1.2), palette.metal, place.yaw, 120.0)
         print_ = int(build.rng.choice(palette.prints))

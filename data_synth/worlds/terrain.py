@@ -1,4 +1,4 @@
-"""Open country as a drone sees it: hills, fields, a road, farms, trees and rocks."""
+"""World: open country for drones: hills, fields, a road, farms, trees and rocks."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place, Point
-from data_synth.scene.lighting import lit
-from data_synth.scene.relief import heights_at, make_relief
+from data_synth.scene.height_field import heights_at, make_height_field
+from data_synth.scene.lighting import bake_lighting
 from data_synth.scene.scene import Body, Course, Heights, Scene
 from data_synth.scene.solids import Ground, Kind, Lighting, Solid
 from data_synth.worlds import outdoor_textures, vehicles
@@ -29,7 +29,7 @@ _USUAL_CARS, _USUAL_PEOPLE = 4, 4
 _CAR_M_S = 8.0
 _HALF_WIDTH_M, _HEAD_ROOM_M = 10.0, 60.0
 _NEAREST_M, _FARTHEST_M = 66.0, 96.0  # of the course from the middle
-_LOW_M = 0.25  # highest thing in the free strip of the course
+_LOW_M = 0.25  # largest height of objects in the free strip of the course
 
 _Maker = Callable[[Point], None]
 
@@ -39,7 +39,7 @@ def make_scene(seed: int, movers: float) -> Scene:
     build = Builder(np.random.default_rng([seed, _SEED]))
     palette = paint_palette(build)
     colours = vehicles.paints(build, 4)
-    course_way = _ring(build, 10, _NEAREST_M, _FARTHEST_M)
+    course_route = _ring(build, 10, _NEAREST_M, _FARTHEST_M)
     road = _smooth(_ring(build, 7, 36.0, 44.0), 240)
     walk = _smooth(_ring(build, 9, 53.0, 57.0), 280)
     lines = (
@@ -49,17 +49,17 @@ def make_scene(seed: int, movers: float) -> Scene:
     )
     sites = _sites(build)
     ground = _ground(build, lines, sites)
-    heights = partial(heights_at, make_relief(ground))
+    heights = partial(heights_at, make_height_field(ground))
     _farms(build, palette, heights, sites)
-    ways = [line.way for line in lines]
-    _plants_and_rocks(build, palette, heights, _Free(course_way, ways, sites))
+    routes = [line.route for line in lines]
+    _plants_and_rocks(build, palette, heights, _Free(course_route, routes, sites))
     _horizon(build, palette, ground)
     bodies = (
         *_cars(build, palette, colours, road, movers),
         *_people(build, walk, round(_USUAL_CARS * movers), movers),
     )
-    course = Course(course_way, _HALF_WIDTH_M, _HEAD_ROOM_M, heights, 40.0)
-    return Scene(lit(build.world(), _daylight(build)), course, bodies)
+    course = Course(course_route, _HALF_WIDTH_M, _HEAD_ROOM_M, heights, 40.0)
+    return Scene(bake_lighting(build.world(), _daylight(build)), course, bodies)
 
 
 def _daylight(build: Builder) -> Lighting:
@@ -105,7 +105,7 @@ def _track(build: Builder, road: Floats) -> Floats:
 
 
 def _sites(build: Builder) -> Floats:
-    """Where houses stand (N, 2): in the middle, and outside the course."""
+    """Sites of houses (N, 2): in the middle, and outside the course."""
     turns = build.rng.uniform(0, 2 * np.pi / 3) + 2 * np.pi * np.arange(3) / 3
     inner = 17.0 * np.column_stack([np.cos(turns), np.sin(turns)])
     turns = build.rng.uniform(0, 2 * np.pi / 7) + 2 * np.pi * np.arange(7) / 7
@@ -150,14 +150,14 @@ def _lift(build: Builder, first: int, height: float) -> None:
 
 
 class _Free:
-    """Where things may stand."""
+    """Test for free places of plants and rocks."""
 
-    def __init__(self, course: Floats, ways: list[Floats], sites: Floats) -> None:
-        self._course, self._ways, self._sites = _dense(course), np.vstack(ways), sites
+    def __init__(self, course: Floats, routes: list[Floats], sites: Floats) -> None:
+        self._course, self._routes, self._sites = _dense(course), np.vstack(routes), sites
 
     def __call__(self, points: Floats, radius: Floats, low: bool) -> Bools:
-        """Whether things of these radii fit at points (N, 2); low ones may be on the course."""
-        free = _distance(points, self._ways) > radius + 3.4
+        """Whether objects of these radii fit at points (N, 2); low ones may be on the course."""
+        free = _distance(points, self._routes) > radius + 3.4
         free &= _distance(points, self._sites) > radius + 17.0
         if not low:
             # A course may cut its corners, or weave, within its half width.
@@ -165,10 +165,10 @@ class _Free:
         return np.asarray(free)
 
 
-def _dense(way: Floats) -> Floats:
+def _dense(route: Floats) -> Floats:
     shares = np.linspace(0, 1, 40, endpoint=False)[:, None]
-    ends = np.roll(way, -1, axis=0)
-    return np.vstack([a + shares * (b - a) for a, b in zip(way, ends, strict=True)])
+    ends = np.roll(route, -1, axis=0)
+    return np.vstack([a + shares * (b - a) for a, b in zip(route, ends, strict=True)])
 
 
 def _distance(points: Floats, others: Floats) -> Floats:
@@ -232,7 +232,7 @@ def _rock(build: Builder, palette: Palette, foot: Point, size: float) -> None:
 
 
 def _horizon(build: Builder, palette: Palette, ground: Ground) -> None:
-    """Fields beyond the rolling ground, with woods and hills."""
+    """Fields beyond the hills, with woods and hills at the horizon."""
     _plain(build, ground)
     for k in range(70):
         turn, reach = 2 * np.pi * k / 70, float(build.rng.uniform(205, 300))
@@ -249,8 +249,8 @@ def _horizon(build: Builder, palette: Palette, ground: Ground) -> None:
 
 
 def _plain(build: Builder, ground: Ground) -> None:
-    """Level ground around the rolling one, whose texture goes on without a seam."""
-    # A little above the rim, whose shade would else show for as far as its light is coarse.
+    """Flat ground around the hills, with the same texture and without a seam."""
+    # Slightly above the border, whose coarse grid of light would otherwise be visible.
     inner, outer, half = land.SIDE_M / 2 - 0.5, 1200.0, land.TEXTURE_SIDE / 2
     middle, wide = (inner + outer) / 2, outer - inner
     for x, y, size in (

@@ -1,4 +1,4 @@
-"""The lie of the land: heights of rolling ground, and its fields, tracks and road from above."""
+"""Heights of the ground, and the texture of its fields, tracks and road."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from data_synth.worlds.textures import clipped, noise
 from vo.types import Bytes, Floats, Floats32, Ints
 
 SIDE_M, CELL_M = 400.0, 1.25
-RIM_M = -3.0  # height of the ground at its rim, and beyond
-TEXTURE_SIDE, TEXELS_PER_M = 4096, 16.0  # it repeats after 256 m, farther than one sees at a time
+RIM_M = -3.0  # height of the ground at its border, and beyond
+TEXTURE_SIDE, TEXELS_PER_M = 4096, 16.0  # it repeats after 256 m, more than a view covers
 ROAD_M = 5.6
 
 _DRAFT = 512  # side of the draft that holds the fields
@@ -24,9 +24,9 @@ _RISE_M = 5.5  # standard deviation of the heights
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A road or track: a way (K, 2) in metres, and how wide it is."""
+    """A road or track: a route (K, 2) in metres, and how wide it is."""
 
-    way: Floats
+    route: Floats
     width_m: float
     paved: bool
     closed: bool
@@ -37,8 +37,8 @@ def roll_hills(rng: Rng, lines: tuple[Line, ...], sites: Floats) -> Floats32:
 
     Args:
         rng: source of randomness.
-        lines: where it has been levelled, but still goes up and down.
-        sites: (N, 2) where it is flat, for houses.
+        lines: roads and tracks, where bumps are levelled.
+        sites: (N, 2) flat sites of houses.
     """
     count = round(SIDE_M / CELL_M) + 1
     raw = _RISE_M * noise(rng, (512, 512), 2.0)[:count, :count]
@@ -46,7 +46,7 @@ def roll_hills(rng: Rng, lines: tuple[Line, ...], sites: Floats) -> Floats32:
     heights = np.asarray(raw * calm, dtype=np.float32)
     near = np.full((count, count), 255, np.uint8)
     for line in lines:
-        points = _cells(line.way)
+        points = _cells(line.route)
         cv2.polylines(near, [points], line.closed, 0, 1)
     away = CELL_M * cv2.distanceTransform(near, cv2.DIST_L2, 5)
     level = _fading(away, 4.0, 16.0)
@@ -97,17 +97,17 @@ def _fading(distance: Floats, full_m: float, none_m: float) -> Floats:
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
 
-def _cells(way: Floats) -> Ints:
-    return np.round((way + SIDE_M / 2) / CELL_M).astype(np.int32)
+def _cells(route: Floats) -> Ints:
+    return np.round((route + SIDE_M / 2) / CELL_M).astype(np.int32)
 
 
-def _texels(way: Floats) -> Ints:
-    flipped = np.column_stack([way[:, 0], -way[:, 1]])
+def _texels(route: Floats) -> Ints:
+    flipped = np.column_stack([route[:, 0], -route[:, 1]])
     return np.round(flipped * TEXELS_PER_M + TEXTURE_SIDE / 2).astype(np.int32)
 
 
 def _fields(rng: Rng) -> tuple[Ints, Bytes]:
-    """Which field (_DRAFT, _DRAFT) each place belongs to, and where two of them meet."""
+    """Number of the field at each point (_DRAFT, _DRAFT), and whether it is on a border."""
     seeds = rng.uniform(0, _DRAFT, (_FIELDS, 2))
     axis = np.arange(_DRAFT) + 0.5
     nearest = np.full((2, _DRAFT, _DRAFT), np.inf)
@@ -115,7 +115,7 @@ def _fields(rng: Rng) -> tuple[Ints, Bytes]:
     for k, (x, y) in enumerate(seeds):
         dx, dy = np.abs(axis - x), np.abs(axis - y)
         dx, dy = np.minimum(dx, _DRAFT - dx), np.minimum(dy, _DRAFT - dy)
-        # Long straight borders, as where the nearer of two is measured along the axes.
+        # A distance along the axes gives long straight borders.
         distance = np.maximum(dx[None, :], dy[:, None]) + 0.4 * np.minimum(dx[None, :], dy[:, None])
         closer = distance < nearest[0]
         nearest[1] = np.where(closer, nearest[0], np.minimum(nearest[1], distance))
@@ -125,7 +125,7 @@ def _fields(rng: Rng) -> tuple[Ints, Bytes]:
 
 
 def _tile(rng: Rng, kind: int) -> Floats32:
-    """Meadow, ploughed soil, stubble or scrub, without anything that one would know again."""
+    """Meadow, ploughed soil, stubble or scrub, without distinctive features."""
     shape = (1024, 1024)
     shade, coarse, fine = (
         (0.38, 0.05, 0.03),
@@ -138,7 +138,7 @@ def _tile(rng: Rng, kind: int) -> Floats32:
 
 
 def _stretched(draft: Floats32, top: int) -> Floats32:
-    """A band of a draft at full size, smooth between its points."""
+    """A band of a draft at full resolution, interpolated."""
     scale = TEXTURE_SIDE // _DRAFT
     first = top // scale
     rows = np.take(draft, range(first - 1, first + _BAND // scale + 1), axis=0, mode="wrap")
@@ -150,7 +150,7 @@ def _draw_lines(rng: Rng, image: Floats32, lines: tuple[Line, ...]) -> None:
     gravel = 0.04 * noise(rng, (1024, 1024), 0.5) + 0.03 * noise(rng, (1024, 1024), 1.2)
     gravel = np.tile(gravel, (TEXTURE_SIDE // 1024,) * 2)
     for line in lines:
-        points, wide = [_texels(line.way)], round(line.width_m * TEXELS_PER_M)
+        points, wide = [_texels(line.route)], round(line.width_m * TEXELS_PER_M)
         drawn = np.zeros(image.shape, np.uint8)
         cv2.polylines(drawn, points, line.closed, 90, wide + round(1.6 * TEXELS_PER_M), cv2.LINE_AA)
         cv2.polylines(drawn, points, line.closed, 255, wide, cv2.LINE_AA)
@@ -165,23 +165,23 @@ def _draw_lines(rng: Rng, image: Floats32, lines: tuple[Line, ...]) -> None:
 
 
 def _draw_ruts(image: Floats32, line: Line) -> None:
-    """Grass between the ruts of a track; the texture of what is below shows."""
+    """Grass between the ruts of a track."""
     middle = np.zeros(image.shape, np.uint8)
     wide = round(0.28 * line.width_m * TEXELS_PER_M)
-    cv2.polylines(middle, [_texels(line.way)], line.closed, 255, wide, cv2.LINE_AA)
+    cv2.polylines(middle, [_texels(line.route)], line.closed, 255, wide, cv2.LINE_AA)
     image -= middle * np.float32(0.16 / 255)
 
 
 def _draw_marks(image: Floats32, line: Line) -> None:
     """Dashes in the middle of a road, and lines along its edges."""
-    ends = np.roll(line.way, -1, axis=0)
-    ahead = (ends - line.way) / np.linalg.norm(ends - line.way, axis=1, keepdims=True)
+    ends = np.roll(line.route, -1, axis=0)
+    ahead = (ends - line.route) / np.linalg.norm(ends - line.route, axis=1, keepdims=True)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     for side in (-1.0, 1.0):
-        edge = line.way + side * (0.5 * line.width_m - 0.25) * left
+        edge = line.route + side * (0.5 * line.width_m - 0.25) * left
         cv2.polylines(image, [_texels(edge)], line.closed, 0.72, 2, cv2.LINE_AA)
-    for k in range(0, len(line.way) - 2, 4):
-        cv2.polylines(image, [_texels(line.way[k : k + 3])], False, 0.72, 2, cv2.LINE_AA)
+    for k in range(0, len(line.route) - 2, 4):
+        cv2.polylines(image, [_texels(line.route[k : k + 3])], False, 0.72, 2, cv2.LINE_AA)
 
 
 def _draw_litter(rng: Rng, image: Floats32) -> None:
@@ -199,7 +199,7 @@ def _draw_litter(rng: Rng, image: Floats32) -> None:
 
 
 def _tussock(rng: Rng, side: int) -> Floats32:
-    """A ragged spot that fades out towards its rim; about 1 in its middle."""
+    """A ragged spot that fades out towards its border; about 1 in its middle."""
     axis = (np.arange(side) + 0.5) / side * 2.0 - 1.0
     round_off = np.clip(1.1 - np.hypot(axis[None, :], axis[:, None]), 0.0, 1.0)
     ragged = 1.2 * round_off + 0.45 * noise(rng, (side, side), 0.6)

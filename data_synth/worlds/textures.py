@@ -14,13 +14,13 @@ _LETTERS = np.array(list(string.ascii_uppercase + string.digits))
 
 
 def noise(rng: Rng, shape: tuple[int, int], slope: float = 1.0, stretch: float = 1.0) -> Floats32:
-    """Noise with amplitude ~ 1/f^slope, zero mean, unit deviation; it wraps around seamlessly.
+    """Noise with amplitude ~ 1/f^slope, zero mean, unit deviation; periodic.
 
     Args:
         rng: source of randomness.
         shape: height and width.
         slope: 0 is white, 1 is like natural images, more is smoother.
-        stretch: how much longer its grains are along u than along v.
+        stretch: ratio of the size of its grains along u to that along v.
     """
     white = rng.standard_normal(shape, dtype=np.float32)
     fv = np.fft.fftfreq(shape[0]).astype(np.float32)[:, None]
@@ -164,7 +164,7 @@ def rug(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 
 def clipped(image: Floats32) -> Floats32:
-    """Keep off pure black and white, which nothing real is."""
+    """Clip to 0.03…0.97, as no real surface is purely black or white."""
     return np.asarray(np.clip(image, 0.03, 0.97), dtype=np.float32)
 
 

@@ -23,13 +23,13 @@ def tree(
     """A broad-leaved tree.
 
     Args:
-        build: takes it.
+        build: receives the solids.
         palette: textures.
-        foot: where it grows.
+        foot: point on the ground.
         height: metres.
         spread: diameter of its crown, metres.
         clumps: ellipsoids of its crown.
-        bare: share of its height below the crown.
+        bare: fraction of its height below the crown.
     """
     x, y, z = foot
     trunk = 0.028 * height + 0.06
@@ -41,7 +41,7 @@ def tree(
     middle = z + height - half_high
     size = 1.15 * spread / np.cbrt(clumps)
     for k in range(clumps):
-        # Clumps lie on a shell, thinned towards the poles, so that gaps show between them.
+        # Clumps are on a shell, fewer towards the poles, so that there are gaps between them.
         up = 1.0 - 2.0 * (k + 0.5) / clumps
         turn = k * np.pi * (3.0 - np.sqrt(5.0)) + float(build.rng.uniform(-0.6, 0.6))
         up *= float(build.rng.uniform(0.6, 1.0))

@@ -17,14 +17,14 @@ from vo.types import Floats32
 
 CAR_LENGTH_M, CAR_WIDTH_M = 4.3, 1.76
 VAN_LENGTH_M, VAN_WIDTH_M = 5.2, 1.95
-RADIUS_M = 2.8  # of the upright cylinder that holds either
+RADIUS_M = 2.8  # of an upright cylinder that contains either
 
 _WHEEL_M, _ARCH_M = 0.64, 0.37
 
 
 @dataclass(frozen=True)
 class _SideBox:
-    """The box that a side is painted on: its size, its foot above the road, where wheels are."""
+    """Box with a painted side: size, height above the road, positions of wheels."""
 
     length: float
     height: float
@@ -49,7 +49,7 @@ class Paint:
 
 
 def paints(build: Builder, count: int) -> tuple[Paint, ...]:
-    """Paint `count` colours: dark, silver and white ones, as on the roads."""
+    """Paint `count` colours, dark to white."""
     colours: list[Paint] = []
     for k in range(count):
         low, high = ((0.05, 0.14), (0.35, 0.5), (0.65, 0.85), (0.14, 0.3))[k % 4]
@@ -68,7 +68,7 @@ def paints(build: Builder, count: int) -> tuple[Paint, ...]:
 
 
 def _shadow(add: _Adder, palette: Palette, long: float, wide: float) -> None:
-    """What drives has a dark patch beneath it, as its light is not baked; else it would float."""
+    """A dark patch beneath a moving vehicle, which has no baked shadow and would seem to float."""
     if add.body is not None:
         add.box((0, 0, 0.008), (long - 0.3, wide, 0.008), palette.dark)
 
@@ -76,7 +76,7 @@ def _shadow(add: _Adder, palette: Palette, long: float, wide: float) -> None:
 def car(
     build: Builder, palette: Palette, colour: Paint, place: Place, body: int | None = None
 ) -> None:
-    """A car that stands on z = 0 at `place`, looking along its x."""
+    """A car on z = 0 at `place`, facing x."""
     add = _Adder(build, place, body)
     long, wide = CAR_LENGTH_M, CAR_WIDTH_M
     _shadow(add, palette, long, wide)
@@ -102,7 +102,7 @@ def car(
 def van(
     build: Builder, palette: Palette, colour: Paint, place: Place, body: int | None = None
 ) -> None:
-    """A delivery van that stands on z = 0 at `place`, looking along its x."""
+    """A delivery van on z = 0 at `place`, facing x."""
     add = _Adder(build, place, body)
     long, wide = VAN_LENGTH_M, VAN_WIDTH_M
     _shadow(add, palette, long, wide)
@@ -167,7 +167,7 @@ def _details(
 
 
 def _lacquer(shade: float, rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """Varnish that mirrors the sky a little."""
+    """Varnish with a faint reflection of the sky."""
     fall = np.linspace(1.35, 0.8, shape[0], dtype=np.float32)[:, None]
     return clipped(np.asarray(shade * fall + 0.015 * noise(rng, shape, 1.6), dtype=np.float32))
 

@@ -1,4 +1,4 @@
-"""A warehouse: rows of racks, aisles that look alike, a high roof and loading doors."""
+"""World: a warehouse with rows of racks, similar aisles, a high roof and loading doors."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.lighting import lit
-from data_synth.scene.scene import Body, Course, Scene, level
+from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Lighting
 from data_synth.worlds import bodies, hall, prints, racks
 from vo.types import Floats
@@ -19,7 +19,7 @@ _BLOCKS_X = (-11.0, 3.0)  # middles of the two blocks of racks
 _ROWS_Y = (-8.1, -2.7, 2.7, 8.1)
 _AISLES_Y = (-10.8, -5.4, 0.0, 5.4, 10.8)
 _CROSSINGS_X = (-18.2, -4.0, 10.2)
-_LANE_X = 12.6  # where forklifts cross in front of the loading doors
+_LANE_X = 12.6  # lane of forklifts in front of the loading doors
 _BACK_GAP_M = 0.08
 _ASIDE_M = {"person": 0.9, "cart": 0.55}  # carts cut corners more
 _USUAL = {"person": 4, "cart": 2, "forklift": 2}
@@ -28,8 +28,8 @@ _USUAL = {"person": 4, "cart": 2, "forklift": 2}
 def make_scene(seed: int, movers: float = 0.0) -> Scene:
     """A hall of 40 x 27 x 7.4 m with eight double rows of racks in two blocks.
 
-    The course is a figure of eight of 89 m through three of the five aisles, crossing itself at the
-    middle; by seed it is mirrored and taken the other way round.
+    The course is a figure of eight of 89 m through three of the five aisles, which crosses itself
+    in the middle; the seed determines its mirroring and direction.
     """
     build = Builder(np.random.default_rng([seed, 37]))
     kit = racks.make_kit(build)
@@ -39,14 +39,14 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     _staging(build, kit)
     lamps = hall.lamps(build, _AISLES_Y)
     side = float(build.rng.choice((-1.0, 1.0)))
-    way = _way(side)[:: int(build.rng.choice((-1, 1)))]
-    course = Course(way, HALF_WIDTH_M, 5.0, level(), outlook_deg=25.0)
-    movers_ = _movers(build, way, side, movers)
+    route = _route(side)[:: int(build.rng.choice((-1, 1)))]
+    course = Course(route, HALF_WIDTH_M, 5.0, flat_ground(), outlook_deg=25.0)
+    movers_ = _movers(build, route, side, movers)
     light = Lighting(lamps, ambient=0.82, points_per_m=1.5, most_points=160)
-    return Scene(lit(build.world(), light), course, movers_)
+    return Scene(bake_lighting(build.world(), light), course, movers_)
 
 
-def _way(side: float) -> Floats:
+def _route(side: float) -> Floats:
     first, _, last = _CROSSINGS_X
     y1, y2, _, y4, _ = (side * y for y in _AISLES_Y)
     middle = _CROSSINGS_X[1]
@@ -105,8 +105,8 @@ def _staging(build: Builder, kit: racks.Kit) -> None:
                     racks.pallet(build, kit, spot, 0.0)
 
 
-def _movers(build: Builder, way: Floats, side: float, share: float) -> tuple[Body, ...]:
-    """Walkers beside the course's middle, forklifts in the aisles that it does not take."""
+def _movers(build: Builder, route: Floats, side: float, share: float) -> tuple[Body, ...]:
+    """People beside the middle of the course, forklifts in aisles off the course."""
     found: list[Body] = []
     rng = build.rng
     for name, make, speeds in (
@@ -118,13 +118,13 @@ def _movers(build: Builder, way: Floats, side: float, share: float) -> tuple[Bod
         for i in range(count):
             radius = make(build, len(found))
             speed, start = float(rng.uniform(*speeds)), float((i + rng.random()) / count)
-            path = _forklift_way(side)
+            path = _forklift_route(side)
             if name != "forklift":
-                path = bodies.beside(way[:: int(rng.choice((-1, 1)))], -_ASIDE_M[name])
+                path = bodies.beside(route[:: int(rng.choice((-1, 1)))], -_ASIDE_M[name])
             found.append(Body(f"{name} {i}", path, speed, start, radius))
     return tuple(found)
 
 
-def _forklift_way(side: float) -> Floats:
+def _forklift_route(side: float) -> Floats:
     left, right, low, high = _CROSSINGS_X[0], _LANE_X, _AISLES_Y[2], side * _AISLES_Y[4]
     return np.array([[right, low], [right, high], [left, high], [left, low]])

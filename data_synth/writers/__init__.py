@@ -1,1 +1,1 @@
-"""Recordings on disk, in the layouts that people use."""
+"""Writers of recordings in common layouts."""

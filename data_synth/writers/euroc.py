@@ -1,4 +1,4 @@
-"""Writes recordings in the EuRoC MAV layout."""
+"""Writer of the EuRoC MAV layout."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from vo.geometry.transforms import inverse
 from vo.types import Floats
 
 _DISTORTION = {"none": "radial-tangential", "radtan": "radial-tangential"}
-"""What EuRoC calls them; other lenses keep the names of our own calibration form."""
+"""Names in EuRoC; other distortion models keep the names of our calibration format."""
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
     """Write `mav0/` with cameras, inertial sensor and true states of the body.
 
-    Beside it stand `groundtruth.tum` (the poses of cam0 at its frames), `calibration.yaml`, and
-    where there are any `depth/` (float32 TIFF, metres, named like the images of cam0) and
-    `movers.csv`. Each camera has the stamps that it recorded, which jitter apart.
+    Also `groundtruth.tum` (the poses of cam0 at its frames), `calibration.yaml` and, if present,
+    `depth/` (float32 TIFF, metres, named like the images of cam0) and `movers.csv`. Each camera has
+    its own stamps, with its own jitter.
 
     Raises:
         OSError: a file cannot be written.

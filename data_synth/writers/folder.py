@@ -1,4 +1,4 @@
-"""Writes recordings as plain folders of images."""
+"""Writer of plain folders of images."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from vo.formats.trajectory import write_tum
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
-    """Write `left/` and `right/`, or the images of one camera into the folder itself.
+    """Write `left/` and `right/`, or for one camera the images into the folder itself.
 
-    Files are named by the number of the frame, so that those of a pair have the same name;
-    `times.txt` has a line for each left image. `calibration.yaml` and `groundtruth.tum` stand
-    beside, and where there are any `depth/` (float32 TIFF) and `movers.csv`.
+    Files are named by the number of the frame, so that both images of a pair have the same name;
+    `times.txt` has a line for each left image. Also `calibration.yaml`, `groundtruth.tum` and, if
+    present, `depth/` (float32 TIFF) and `movers.csv`.
 
     Raises:
         OSError: a file cannot be written.

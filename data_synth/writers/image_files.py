@@ -1,4 +1,4 @@
-"""Puts the images of a recording into files of their own."""
+"""One file for each image of a recording."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import cv2
 import numpy as np
 
 from data_synth.records import Shot
-from data_synth.writers.images import EncodeDepth, encoded_shots
+from data_synth.writers.encoding import EncodeDepth, encoded_shots
 from vo.types import Floats32
 
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
 
 TUM_DEPTH_FACTOR = 5000.0
-"""What TUM's depth images count per metre."""
+"""Units per metre of TUM's depth images."""
 
 _LARGEST_COUNT = 65535
 
 
 def float_tiff(depth: Floats32) -> bytes:
-    """A depth image (H, W) as it is, metres as float32, in a TIFF file."""
-    # Deflate rather than LZW: readers without extra packages know it.
+    """A depth image (H, W) in metres as a float32 TIFF file."""
+    # Deflate rather than LZW, which needs extra packages in some readers.
     deflate = (cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_ADOBE_DEFLATE)
     _, data = cv2.imencode(".tiff", depth, deflate)
     return bytes(data)
@@ -44,14 +44,14 @@ def write_images(
     depth_path: Callable[[int], Path],
     encode_depth: EncodeDepth = float_tiff,
 ) -> None:
-    """Write each image, and each depth image whose frame cam0 did not drop.
+    """Write all images, and the depth images of the frames that cam0 has.
 
     Args:
         shots: the frames.
         codec: `png` or `jpeg`.
-        image_path: the file of a camera's image, given the numbers of camera and frame.
-        depth_path: the file of a depth image, given the number of the frame.
-        encode_depth: how depth is written.
+        image_path: path of an image, given the numbers of camera and frame.
+        depth_path: path of a depth image, given the number of the frame.
+        encode_depth: encoder of depth images.
 
     Raises:
         OSError: a file cannot be written.

@@ -1,4 +1,4 @@
-"""Writes recordings in the layout of KITTI odometry: a rectified pair, or one camera."""
+"""Writer of the KITTI odometry layout: a rectified pair, or one camera."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from vo.types import Floats, Rig, Trajectory
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
     """Write `image_0`, `image_1`, `calib.txt`, `times.txt` and `poses.txt`.
 
-    Images in colour go to `image_2` and `image_3`, as KITTI has them.
-
-    As KITTI has it, time begins with the first frame and the world is cam0 at that moment; both
-    images of a pair have the time of cam0. Depth, if there is any, goes to `depth/` as float32
-    TIFF, and what moves to `movers.csv`. There is no place for the inertial sensor.
+    Colour images go to `image_2` and `image_3`. As in KITTI, time starts at the first frame and the
+    world frame is cam0 at that time; both images of a pair have the time of cam0. Also, if present,
+    `depth/` (float32 TIFF) and `movers.csv`. Inertial data are not written.
 
     Raises:
-        ConfigError: KITTI cannot hold it.
+        ConfigError: the layout cannot represent the recording.
         OSError: a file cannot be written.
     """
     check_kitti(recording.rig, any(dropped.any() for dropped in recording.dropped))
@@ -52,7 +50,7 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
 
 
 def _from_first_frame(recording: Recording) -> Recording:
-    """The same in the frame of the first cam0, and with time from the first frame."""
+    """The recording relative to the pose and time of the first frame."""
     truth = recording.cam0_truth
     start_ns = truth.stamps_ns[0]
     first_from_world = inverse(truth.world_from_cam[0])
@@ -69,7 +67,7 @@ def _from_first_frame(recording: Recording) -> Recording:
 
 
 def _calibration(rig: Rig) -> Iterator[str]:
-    """P0…P3; grey and colour pair are the same, of which one is there."""
+    """P0…P3; the grey and the colour pair are equal, and only one of them has images."""
     left = np.hstack([rig.cam0.matrix, np.zeros((3, 1))])
     if rig.cam1_from_cam0 is None:
         yield from (f"P{camera}: {_row(left)}" for camera in (0, 2))
@@ -81,5 +79,5 @@ def _calibration(rig: Rig) -> Iterator[str]:
 
 
 def _row(matrix: Floats) -> str:
-    # Rounded so that the first pose is the identity to the letter, and no zero has a sign.
+    # Rounded, so that the first pose is written as the exact identity and zeros have no sign.
     return " ".join(f"{value:.12e}" for value in np.round(matrix, 12).ravel() + 0.0)

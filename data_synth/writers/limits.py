@@ -1,4 +1,4 @@
-"""What a layout cannot hold, told before anything is rendered."""
+"""Checks, before rendering, of what a layout can represent."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _SAME = 1e-9
 
 
 def check_kitti(rig: Rig, has_drops: bool) -> None:
-    """KITTI odometry has ideal pinhole cameras side by side, and an image of each at every time.
+    """Check that cameras are ideal and side by side, and that no frame is missing.
 
     Raises:
-        ConfigError: the recording is different.
+        ConfigError: one of these is not so.
     """
     for name, camera in (("cam0", rig.cam0), ("cam1", rig.cam1)):
         if camera is not None and camera.is_distorted:
@@ -25,31 +25,31 @@ def check_kitti(rig: Rig, has_drops: bool) -> None:
     if rig.cam1_from_cam0 is not None and not _is_beside(rig):
         x, y, z = rig.cam1_from_cam0[:3, 3]
         raise _not_kitti(
-            "cam1 is turned or not straight to the right of cam0 "
+            "cam1 is rotated or not exactly to the right of cam0 "
             f"(cam1_from_cam0 shifts by {x:.4g}, {y:.4g}, {z:.4g} m)"
         )
     if has_drops:
         raise ConfigError(
-            "format kitti cannot say which frames are missing; set effects.drops to 0, or choose "
-            "format euroc, which can hold it"
+            "format kitti cannot represent missing frames; set effects.drops to 0, or choose "
+            "format euroc"
         )
 
 
 def check_tum(rig: Rig, has_drops: bool) -> None:
-    """TUM RGB-D has one camera.
+    """Check that there is one camera.
 
     Raises:
         ConfigError: there are two.
     """
     if rig.is_stereo:
         raise ConfigError(
-            "format tum holds one camera with depth, and this is a pair; make it mono (--mono), or "
-            "choose format euroc, which can hold both"
+            "format tum has one camera with depth, but this is a pair; use one camera (--mono), or "
+            "choose format euroc"
         )
 
 
 def check_mcap(rig: Rig, has_drops: bool) -> None:
-    """MCAP's messages say how a pair is rectified.
+    """Check that a pair can be rectified, which its messages require.
 
     Raises:
         CalibrationError: the second camera is not to the right of the first.
@@ -58,7 +58,7 @@ def check_mcap(rig: Rig, has_drops: bool) -> None:
 
 
 def check_nothing(rig: Rig, has_drops: bool) -> None:
-    """For layouts that can hold everything."""
+    """No check: the layout can represent every recording."""
 
 
 def _is_beside(rig: Rig) -> bool:
@@ -70,6 +70,6 @@ def _is_beside(rig: Rig) -> bool:
 
 def _not_kitti(reason: str) -> ConfigError:
     return ConfigError(
-        f"format kitti holds rectified cameras without distortion only, and {reason}; choose "
-        "another camera (pinhole, kitti), or format euroc, which can hold it"
+        f"format kitti requires rectified cameras without distortion, but {reason}; choose "
+        "another camera (pinhole, kitti), or format euroc"
     )

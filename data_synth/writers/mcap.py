@@ -1,4 +1,4 @@
-"""Writes recordings as MCAP files, with Foxglove's messages or those of ROS 2.
+"""Writer of MCAP files, with messages of Foxglove or ROS 2.
 
 Topics, for each camera N: `/camN/image_raw` or `/camN/image_raw/compressed`, `/camN/camera_info`,
 `/cam0/depth` (metres); `/imu0`; `/truth/pose`, the body in the world at the rate of the inertial
@@ -17,7 +17,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from data_synth.records import Recording, Shot
-from data_synth.writers.images import encoded_shots
+from data_synth.writers.encoding import encoded_shots
 from data_synth.writers.mcap_streams import messages_of
 from vo.formats.foxglove import FOXGLOVE
 from vo.formats.messages import Dialect, Message
@@ -28,20 +28,20 @@ def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], code
     """Write a recording with Foxglove's protobuf messages.
 
     Args:
-        path: the file, which must not exist yet.
-        recording: all but the images.
+        path: the file, which must not exist.
+        recording: the recording without its images.
         shots: the images, in the order of their frames.
         codec: `png`, `jpeg` or `raw`.
 
     Raises:
         CalibrationError: cam1 is not to the right of cam0.
-        OSError: the file cannot be written; what there is of it stays.
+        OSError: the file cannot be written; a partial file remains.
     """
     _write(path, recording, shots, codec, FOXGLOVE)
 
 
 def write_ros2(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
-    """Write a recording with the messages of ROS 2; otherwise as `write_foxglove`."""
+    """As `write_foxglove`, with the messages of ROS 2."""
     _write(path, recording, shots, codec, ROS2)
 
 
@@ -60,7 +60,7 @@ def _write(
 
 
 class _Channels:
-    """The topics of a file, each registered with its first message."""
+    """The channels of a file, registered with their first messages."""
 
     def __init__(self, writer: Writer, dialect: Dialect) -> None:
         self._writer = writer
@@ -70,7 +70,7 @@ class _Channels:
         self._counts: dict[str, int] = {}
 
     def add(self, topic: str, message: Message) -> None:
-        """Write a message; it was logged and published when it was measured."""
+        """Write a message; log time and publish time are those of the measurement."""
         if topic not in self._channels:
             self._channels[topic] = self._register(topic, type(message))
             self._counts[topic] = 0
@@ -102,7 +102,7 @@ def _generator() -> str:
 
 
 def _metadata(recording: Recording) -> dict[str, dict[str, str]]:
-    """What no message says: where it comes from, and the noise of the inertial sensor."""
+    """Metadata: the origin of the recording and the noise of the inertial sensor."""
     about = {
         "name": recording.name,
         "generator": _generator(),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.records import Imu, Recording
-from data_synth.writers.images import EncodedShot
+from data_synth.writers.encoding import EncodedShot
 from vo.formats.messages import (
     CalibrationMessage,
     CompressedImageMessage,
@@ -31,10 +31,10 @@ _IMAGE_FORMATS: dict[str, ImageFormat] = {"png": "png", "jpeg": "jpeg"}
 
 @dataclass(frozen=True, eq=False)
 class _Stream:
-    """What is said at each of its stamps (N,); `say` takes the row."""
+    """Messages at each of its stamps (N,); `messages` returns those of a row."""
 
     stamps_ns: Ints
-    say: Callable[[int], Iterator[OnTopic]]
+    messages: Callable[[int], Iterator[OnTopic]]
 
 
 def messages_of(
@@ -42,8 +42,8 @@ def messages_of(
 ) -> Iterator[OnTopic]:
     """All messages of a recording with their topics, by stamp.
 
-    Shots are taken when their first image is due and let go after the last. At one moment
-    transforms come first, then poses, samples of the inertial sensor, and images.
+    A shot is taken for its first image and released after its last. The order at equal stamps is
+    transforms, poses, inertial samples, images.
 
     Raises:
         CalibrationError: cam1 is not to the right of cam0.
@@ -54,7 +54,7 @@ def messages_of(
     streams.extend(_images(recording, shots, codec))
     first_ns = min(int(each.stamps_ns.min()) for each in streams if each.stamps_ns.size)
     yield from _in_order([_static_transforms(recording, first_ns), *streams])
-    # Frames that every camera dropped may still be on their way.
+    # Frames that all cameras dropped may remain.
     for _ in shots:
         pass
 
@@ -64,7 +64,7 @@ def _in_order(streams: Sequence[_Stream]) -> Iterator[OnTopic]:
     owner = np.repeat(np.arange(len(streams)), [each.stamps_ns.size for each in streams])
     row = np.concatenate([np.arange(each.stamps_ns.size) for each in streams])
     for i in np.lexsort((row, owner, stamps)):
-        yield from streams[owner[i]].say(int(row[i]))
+        yield from streams[owner[i]].messages(int(row[i]))
 
 
 def _static_transforms(recording: Recording, stamp_ns: int) -> _Stream:
@@ -77,27 +77,27 @@ def _static_transforms(recording: Recording, stamp_ns: int) -> _Stream:
 
 
 def _moving_transforms(recording: Recording) -> _Stream:
-    """Body and movers at each frame, also where it was dropped."""
+    """Body and movers at each frame, dropped ones included."""
     truth = recording.cam0_truth
     world_from_body = truth.world_from_cam @ inverse(recording.body_from_cam0)
 
-    def say(i: int) -> Iterator[OnTopic]:
+    def messages(i: int) -> Iterator[OnTopic]:
         transforms = [FrameTransform("world", "body", world_from_body[i])]
         for mover in recording.movers:
             transforms.append(FrameTransform("world", mover.name, mover.world_from_mover[i]))
         yield "/tf", TransformsMessage(int(truth.stamps_ns[i]), tuple(transforms))
 
-    return _Stream(truth.stamps_ns, say)
+    return _Stream(truth.stamps_ns, messages)
 
 
 def _body_poses(recording: Recording) -> _Stream:
     truth = recording.body_truth
 
-    def say(i: int) -> Iterator[OnTopic]:
+    def messages(i: int) -> Iterator[OnTopic]:
         pose = PoseMessage(int(truth.stamps_ns[i]), "world", truth.world_from_body[i])
         yield "/truth/pose", pose
 
-    return _Stream(truth.stamps_ns, say)
+    return _Stream(truth.stamps_ns, messages)
 
 
 def _samples(imu: Imu) -> _Stream:
@@ -106,32 +106,32 @@ def _samples(imu: Imu) -> _Stream:
     gyro_variance = 0.0 if noise is None else noise.gyro_noise**2 * imu.rate_hz
     accel_variance = 0.0 if noise is None else noise.accel_noise**2 * imu.rate_hz
 
-    def say(i: int) -> Iterator[OnTopic]:
+    def messages(i: int) -> Iterator[OnTopic]:
         stamp, gyro, accel = int(imu.stamps_ns[i]), imu.gyro[i], imu.accel[i]
         yield "/imu0", ImuMessage(stamp, imu.frame, gyro, accel, gyro_variance, accel_variance)
 
-    return _Stream(imu.stamps_ns, say)
+    return _Stream(imu.stamps_ns, messages)
 
 
-class _Arrivals:
-    """The shots that have come and are still needed."""
+class _ShotBuffer:
+    """Shots that have been rendered and are still needed."""
 
     def __init__(self, shots: Iterator[EncodedShot], needs: Ints) -> None:
-        """Wait for shots; the shot of frame i will be taken `needs[i]` times."""
+        """The shot of frame i will be taken `needs[i]` times."""
         self._shots = shots
         self._needs = needs
         self._waiting: dict[int, EncodedShot] = {}
 
     def take(self, index: int) -> EncodedShot:
-        """The shot of a frame; comes back at once if another camera had it already.
+        """The shot of a frame, from memory if another camera has taken it before.
 
         Raises:
-            RuntimeError: the shots ended before it.
+            RuntimeError: the shots ended before that frame.
         """
         while index not in self._waiting:
             shot = next(self._shots, None)
             if shot is None:
-                raise RuntimeError(f"frame {index} was never filmed")
+                raise RuntimeError(f"frame {index} was not rendered")
             if self._needs[shot.index] > 0:
                 self._waiting[shot.index] = shot
         self._needs[index] -= 1
@@ -141,11 +141,11 @@ class _Arrivals:
 def _images(recording: Recording, shots: Iterator[EncodedShot], codec: str) -> list[_Stream]:
     """A stream for each camera: its calibration, its image, and the depth of cam0."""
     needs = np.sum([~dropped for dropped in recording.dropped], axis=0)
-    arrivals = _Arrivals(shots, needs)
+    buffer = _ShotBuffer(shots, needs)
     cameras = [camera for camera in (recording.rig.cam0, recording.rig.cam1) if camera is not None]
     rectified = _rectified(recording.rig)
     return [
-        _camera(recording, number, camera, rectified[number], arrivals, codec)
+        _camera(recording, number, camera, rectified[number], buffer, codec)
         for number, camera in enumerate(cameras)
     ]
 
@@ -155,24 +155,24 @@ def _camera(
     number: int,
     camera: Camera,
     rectified: tuple[Floats, Floats],
-    arrivals: _Arrivals,
+    buffer: _ShotBuffer,
     codec: str,
 ) -> _Stream:
     kept = np.flatnonzero(~recording.dropped[number])
     stamps = recording.stamps_ns[number][kept]
     frame = f"cam{number}"
 
-    def say(row: int) -> Iterator[OnTopic]:
-        shot, stamp = arrivals.take(int(kept[row])), int(stamps[row])
+    def messages(row: int) -> Iterator[OnTopic]:
+        shot, stamp = buffer.take(int(kept[row])), int(stamps[row])
         data = shot.data[number]
-        assert data is not None, f"frame {shot.index} of {frame} is missing, but was not dropped"
+        assert data is not None, f"frame {shot.index} of {frame} is missing, though not dropped"
         yield f"/{frame}/camera_info", CalibrationMessage(stamp, frame, camera, *rectified)
         yield _image(stamp, frame, camera, data, codec, shot.pixel_formats[number])
         if number == 0 and shot.depth is not None:
             size, depth = (camera.width, camera.height), shot.depth.astype("<f4").tobytes()
             yield f"/{frame}/depth", ImageMessage(stamp, frame, *size, "32FC1", depth)
 
-    return _Stream(stamps, say)
+    return _Stream(stamps, messages)
 
 
 def _image(
@@ -187,12 +187,12 @@ def _image(
 
 
 def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:
-    """For each camera the rotation into its rectified one (3, 3) and the projection of that."""
+    """For each camera, rectified_from_cam (3, 3) and projection (3, 4) of the rectified camera."""
     if rig.cam1_from_cam0 is None:
         return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
     working = rectified_rig(rig)
-    left_turn = working.cam0_from_rectified[:3, :3].T
+    left_rotation = working.cam0_from_rectified[:3, :3].T
     left = np.column_stack([working.matrix, np.zeros(3)])
     right = left.copy()
     right[0, 3] = -working.fx * working.baseline_m
-    return [(left_turn, left), (left_turn @ rig.cam1_from_cam0[:3, :3].T, right)]
+    return [(left_rotation, left), (left_rotation @ rig.cam1_from_cam0[:3, :3].T, right)]

@@ -1,4 +1,4 @@
-"""The layouts that recordings are written in, by name."""
+"""Layouts of recordings, by name."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from vo.types import Rig
 
 
 class Format(NamedTuple):
-    """How a layout is written and what it can hold.
+    """Writer and limits of a layout.
 
     Attributes:
-        write: `module:function` of a `Write`, imported when it is needed.
-        codecs: of the images.
-        suffix: of the file; empty if it is a folder.
-        check: given the cameras and whether frames are dropped, refuses what it cannot hold.
+        write: `module:function` of a `Write`, imported on demand.
+        codecs: of images.
+        suffix: of the file; empty for folders.
+        check: given the cameras and whether frames are dropped, raises if they do not fit.
     """
 
     write: str
@@ -49,20 +49,20 @@ def load_writer(name: str) -> Write:
 
 
 def check(recipe: Recipe, rig: Rig) -> None:
-    """Refuse what the layout of a recipe cannot hold, before anything is rendered.
+    """Check, before rendering, that a layout can represent the recording of a recipe.
 
     Args:
         recipe: the settings.
-        rig: the cameras that they lead to.
+        rig: its cameras.
 
     Raises:
-        ConfigError: saying what to change.
-        CalibrationError: a pair cannot be rectified, and the layout says how to.
+        ConfigError: the layout cannot represent it.
+        CalibrationError: the layout requires a rectification, and the pair has none.
     """
     format = FORMATS[recipe.format]
     if recipe.codec not in format.codecs:
         raise ConfigError(
-            f"format {recipe.format} cannot hold images as {recipe.codec}; choose codec "
+            f"format {recipe.format} does not support codec {recipe.codec}; choose "
             f"{' or '.join(format.codecs)}, or format mcap"
         )
     format.check(rig, recipe.effects.drops > 0.0)

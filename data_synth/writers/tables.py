@@ -1,4 +1,4 @@
-"""The text files that several layouts share: tables of numbers by time."""
+"""Text tables that several layouts share."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOVERS_HEADING = "#timestamp [ns],name,x [m],y [m],z [m],qw [],qx [],qy [],qz [
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
-    """Write lines one by one; the same bytes on every system."""
+    """Write lines one by one, with the same bytes on every system."""
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
 
@@ -44,35 +44,35 @@ def numbers_text(values: Iterable[float], separator: str = ",") -> str:
 
 
 def written(recording: Recording, camera: int) -> Ints:
-    """The numbers of the frames that a camera did not drop."""
+    """Numbers of the frames that a camera did not drop."""
     return np.flatnonzero(~recording.dropped[camera]).astype(np.int64)
 
 
 def written_stamps(recording: Recording, camera: int) -> list[int]:
-    """The stamps of these frames."""
+    """Stamps of the frames that a camera did not drop."""
     stamps: list[int] = recording.stamps_ns[camera][written(recording, camera)].tolist()
     return stamps
 
 
 def written_truth(recording: Recording) -> Trajectory:
-    """The poses of cam0 at the frames that it did not drop."""
+    """Poses of cam0 at the frames that it did not drop."""
     keep = written(recording, 0)
     truth = recording.cam0_truth
     return Trajectory(truth.stamps_ns[keep], truth.world_from_cam[keep])
 
 
 def write_states(path: Path, truth: BodyTruth) -> None:
-    """The body's true poses, velocities and biases, as EuRoC has them."""
+    """Write true poses, velocities and biases of the body in EuRoC's format."""
     write_lines(path, _state_lines(truth))
 
 
 def write_imu(path: Path, imu: Imu) -> None:
-    """What the inertial sensor measured, as EuRoC has it."""
+    """Write inertial measurements in EuRoC's format."""
     write_lines(path, _imu_lines(imu))
 
 
 def write_movers(path: Path, recording: Recording) -> None:
-    """The true poses of all that moves, at the frames that cam0 did not drop; no file if nothing.
+    """Write true poses of moving bodies at the frames that cam0 did not drop; no file for none.
 
     Each line is a stamp in nanoseconds, a name, the position and `qw qx qy qz` of world_from_mover.
     """

@@ -1,4 +1,4 @@
-"""Writes recordings in the layout of TUM RGB-D: one camera with depth."""
+"""Writer of the TUM RGB-D layout: one camera with depth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vo.formats.trajectory import tum_line, write_tum
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
-    """Write `rgb/`, `depth/` (16 bits, 5000 a metre), their lists, the truth and calibration.
+    """Write `rgb/`, `depth/` (16 bits, 5000 per metre), their lists, the truth and calibration.
 
     `groundtruth.txt` has the poses of cam0 at the rate of the inertial sensor, `groundtruth.tum`
     those at the frames.
@@ -34,7 +34,9 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     """
     check_tum(recording.rig, False)
     if not recording.has_depth:
-        raise ConfigError("format tum needs depth, and the recording has none; set depth to true")
+        raise ConfigError(
+            "format tum requires depth, but the recording has none; set depth to true"
+        )
     for name in ("rgb", "depth"):
         (path / name).mkdir(parents=True)
     stamps = [seconds_text(stamp) for stamp in recording.stamps_ns[0].tolist()]

@@ -1,4 +1,4 @@
-"""Recordings that each folder layout can hold, and what is read back of them."""
+"""Recordings for each folder layout, and functions that read them back."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ IN_FOLDERS = ("euroc", "kitti", "tum", "folder")
 
 
 def suited(name: str) -> Recording:
-    """A recording that a layout can hold, as hard as it can."""
+    """The most complex recording that a layout can represent."""
     if name == "tum":
         return make_recording(stereo=False)
     recording = make_recording(drops=NO_DROPS) if name == "kitti" else make_recording()
@@ -41,7 +41,7 @@ def read_frames(path: Path) -> list[Frame]:
 
 
 def check_images(frames: list[Frame], recording: Recording) -> None:
-    """The frames hold, to the bit, the images of cam0's frames and their partners."""
+    """Check that frames have exactly the images of cam0 and their partners."""
     shots = [shot for shot in make_shots(recording) if shot.images[0] is not None]
     assert len(frames) == len(shots)
     for frame, shot in zip(frames, shots, strict=True):

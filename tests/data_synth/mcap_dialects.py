@@ -1,4 +1,4 @@
-"""The two kinds of MCAP file: who writes and decodes them, and where messages keep things."""
+"""The two kinds of MCAP file: writers, decoders, and access to fields of messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vo.types import Floats
 
 @dataclass(frozen=True)
 class Dialect:
-    """A writer, the decoder of others for it, and where it keeps things."""
+    """A writer, an independent decoder, and access to fields of messages."""
 
     write: Write
     decoder: Callable[[], Any]

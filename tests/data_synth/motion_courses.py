@@ -1,4 +1,4 @@
-"""Courses to lay paths through, without a world to render."""
+"""Courses for paths, without a world."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from data_synth.scene.scene import Course, level
+from data_synth.scene.scene import Course, flat_ground
 from vo.types import Floats
 
 ROUND = 2.0 * np.pi * np.arange(16) / 16
@@ -18,10 +18,13 @@ def _hills(points: Floats) -> Floats:
 
 COURSES: dict[str, Course] = {
     "ring": Course(
-        np.column_stack([2.0 * np.cos(ROUND), 1.5 * np.sin(ROUND)]), 0.6, 2.7, level(), 60.0
+        np.column_stack([2.0 * np.cos(ROUND), 1.5 * np.sin(ROUND)]), 0.6, 2.7, flat_ground(), 60.0
     ),
     "rectangle": Course(
-        np.array([[75.0, -45.0], [75.0, 45.0], [-75.0, 45.0], [-75.0, -45.0]]), 3.0, 12.0, level()
+        np.array([[75.0, -45.0], [75.0, 45.0], [-75.0, 45.0], [-75.0, -45.0]]),
+        3.0,
+        12.0,
+        flat_ground(),
     ),
     "aisles": Course(
         np.array(
@@ -29,7 +32,7 @@ COURSES: dict[str, Course] = {
         ),
         1.5,
         6.0,
-        level(),
+        flat_ground(),
     ),
     "hills": Course(
         np.array(

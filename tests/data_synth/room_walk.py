@@ -37,5 +37,5 @@ def world_from_cam0(times_s: Floats) -> Floats:
 
 
 def grey_levels(image: Floats32) -> Bytes:
-    """What a sensor with usual noise makes of radiance."""
+    """Image of a sensor with usual noise."""
     return develop(image, Settings(), Effects(), 1.0, None, np.random.default_rng(0))

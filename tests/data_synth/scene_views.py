@@ -1,4 +1,4 @@
-"""Small worlds of known radiance and cameras on straight ways, for tests of the renderer."""
+"""Small worlds of known radiance and cameras on straight lines, for tests of the renderer."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def bright_world(
     textures = [np.zeros((4, 4), np.float32), np.ones((4, 4), np.float32)]
     world = build_world(solids, textures, ground, movers)
     lights = world.lights._replace(values=np.ones_like(world.lights.values))
-    relief = world.relief._replace(light=np.ones_like(world.relief.light))
-    return world._replace(lights=lights, relief=relief)
+    height_field = world.height_field._replace(light=np.ones_like(world.height_field.light))
+    return world._replace(lights=lights, height_field=height_field)
 
 
 def looking_along_x(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Floats:

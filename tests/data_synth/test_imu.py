@@ -57,7 +57,7 @@ def test_ten_seconds_without_noise_lead_back_to_the_true_pose(motion: MotionName
     assert np.rad2deg(rotation_angle(rotation.T @ end[:3, :3])) < 0.05
 
 
-def test_at_rest_it_feels_gravity_upwards_and_no_rotation() -> None:
+def test_at_rest_measures_gravity_upwards_and_no_rotation() -> None:
     path = _still(5.0)
     imu, truth = measure(path, _frames_ns(5.0), FIRST_NS, rate_hz=RATE_HZ, noise=SILENT, seed=0)
     up = truth.world_from_body[0, :3, :3].T @ np.array([0.0, 0.0, GRAVITY_M_S2])

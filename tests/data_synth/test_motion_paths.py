@@ -119,9 +119,11 @@ def test_a_long_loop_goes_round_several_times_at_about_the_usual_speed() -> None
     assert np.median(np.linalg.norm(path.velocity(np.arange(0, 100, 0.1)), axis=1)) > 0.8
 
 
-def test_a_loop_that_cannot_be_done_in_time_says_how_long_it_takes() -> None:
+def test_error_of_a_loop_that_does_not_fit_contains_its_duration() -> None:
     free = lambda p: np.full(len(p), 9.0)  # noqa: E731
-    with pytest.raises(ConfigError, match=r"loop of 1\d m takes \d+\.\d s.*; 3 s are too few") as e:
+    with pytest.raises(
+        ConfigError, match=r"loop of 1\d m takes \d+\.\d s.*; 3 s are too short"
+    ) as e:
         make_path("loop", COURSES["ring"], free, seconds=3.0)
     least = float(str(e.value).split("takes ")[1].split(" s")[0])
     assert make_path("loop", COURSES["ring"], free, seconds=least + 0.1).duration_s > least
@@ -162,7 +164,7 @@ def test_stop_and_go_stops_and_goes_back_once(course: str, seconds: float) -> No
         assert len([n for n in _runs(ahead < -0.01) if n > 50]) == 1
 
 
-def test_motions_look_where_they_should() -> None:
+def test_motions_have_their_direction_of_view() -> None:
     for motion, off_deg in (("robot", 0.0), ("handheld", 60.0), ("drone", 60.0)):
         path = laid(motion, "ring")
         times = np.arange(5.0, 30.0, 0.1)
@@ -182,7 +184,7 @@ def test_cars_lean_little_and_drones_bank_into_their_curves() -> None:
     assert np.corrcoef(rolls, left)[0, 1] < -0.8
 
 
-def test_heights_are_those_of_what_carries_the_camera() -> None:
+def test_heights_are_those_of_the_carrier() -> None:
     heights = {}
     for motion in MOTIONS:
         path = laid(motion, "hills" if motion == "drone" else "rectangle")
@@ -211,16 +213,16 @@ def test_cam0_looks_ahead_and_drones_look_down() -> None:
         assert np.linalg.norm(body_from_cam0[:3, 3]) < 0.1
 
 
-def test_narrow_places_take_the_wander_away_and_blocked_ones_are_refused() -> None:
+def test_narrow_courses_reduce_wander_and_blocked_ones_are_refused() -> None:
     course = COURSES["aisles"]
     path = make_path("handheld", course, walls(course, 0.45), seconds=30.0)
     places = path.world_from_body(_times(path))[:, :3, 3]
     assert walls(course, 0.45)(places).min() >= 0.24
-    with pytest.raises(ConfigError, match=r"0\.\d\d m from something solid, at \(.*needs 0\.5 m"):
+    with pytest.raises(ConfigError, match=r"0\.\d\d m from a solid at \(.*needs 0\.5 m"):
         make_path("car", course, walls(course, 0.4), seconds=30.0)
 
 
-def test_what_blocks_a_small_stretch_is_found() -> None:
+def test_finds_an_obstacle_on_a_short_stretch() -> None:
     post = np.array([20.0, 7.0])  # in the middle of a side
     with pytest.raises(ConfigError, match=r"at \((19|20)\.\d+, [67]\.\d+, "):
         make_path(

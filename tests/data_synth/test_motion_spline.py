@@ -64,6 +64,6 @@ def test_positive_pitch_lifts_the_nose_and_positive_roll_lowers_the_right_side()
     np.testing.assert_allclose(np.cross(ahead, left), up, atol=1e-12)
 
 
-def test_an_open_path_refuses_times_that_it_does_not_cover() -> None:
-    with pytest.raises(ValueError, match="leave the spline"):
+def test_open_path_refuses_times_outside() -> None:
+    with pytest.raises(ValueError, match="are outside the spline"):
         _path(None).velocity(np.array([0.0, 9.0]))

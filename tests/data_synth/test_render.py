@@ -9,7 +9,7 @@ import pytest
 from room_walk import BASELINE_M, RIG, grey_levels, world_from_cam0
 
 from data_synth.scene.render import camera_rays, render
-from data_synth.scene.shutter import moving, still
+from data_synth.scene.shutter import moving_shutter, static_shutter
 from data_synth.scene.solids import Solid
 from data_synth.scene.world import World, build_world
 from vo.geometry.cameras import normalise, project
@@ -27,7 +27,7 @@ ROOM_TIMES_S = [(0.0, 0.0667), (1.7, 1.8), (3.1, 3.2), (5.9, 5.95), (7.95, 8.05)
 def _seen(
     world: World, camera: Camera, world_from_cam: Floats, pool: ThreadPoolExecutor
 ) -> tuple[Bytes, Floats32]:
-    view = render(world, camera_rays(camera), still(world_from_cam), pool)
+    view = render(world, camera_rays(camera), static_shutter(world_from_cam), pool)
     return grey_levels(view.image), view.depth
 
 
@@ -60,7 +60,7 @@ def _back_projected(camera: Camera, pixels: Floats, depth: Floats32) -> Floats:
 def _blurred(
     world: World, camera: Camera, time_s: float, pool: ThreadPoolExecutor
 ) -> tuple[Bytes, Floats32]:
-    shutter = moving(world_from_cam0, time_s, camera.height, EXPOSURE_S)
+    shutter = moving_shutter(world_from_cam0, time_s, camera.height, EXPOSURE_S)
     view = render(world, camera_rays(camera), shutter, pool)
     return grey_levels(view.image), view.depth
 
@@ -78,7 +78,7 @@ def test_tracked_pixels_agree_with_depth_and_pose(
 
 
 @pytest.mark.parametrize("times_s", ROOM_TIMES_S[:3])
-def test_so_do_pixels_of_blurred_images_with_the_middle_of_the_exposure(
+def test_tracked_pixels_of_blurred_images_agree_with_mid_exposure(
     room: World, pool: ThreadPoolExecutor, times_s: tuple[float, float]
 ) -> None:
     views = [_blurred(room, DISTORTED, time_s, pool) for time_s in times_s]
@@ -138,8 +138,8 @@ def test_depth_is_exact_on_a_turned_box(pool: ThreadPoolExecutor) -> None:
     world = build_world([box], [np.full((4, 4), 0.5, np.float32)])
     looking_along_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose = make_transform(looking_along_x, np.array([-3.0, 0.0, 0.0]))
-    view = render(world, camera_rays(Camera(41, 41, 40, 40, 20, 20)), still(pose), pool)
-    assert view.depth[20, 20] == pytest.approx(2.5, abs=1e-6)  # its own y looks at the camera
+    view = render(world, camera_rays(Camera(41, 41, 40, 40, 20, 20)), static_shutter(pose), pool)
+    assert view.depth[20, 20] == pytest.approx(2.5, abs=1e-6)  # its own y axis points to the camera
     assert view.depth[20, 33] == pytest.approx(2.5, abs=1e-6)
     assert np.isinf(view.depth[0, 20])
 
@@ -152,7 +152,7 @@ def test_fine_stripes_far_away_turn_grey_instead_of_moire(pool: ThreadPoolExecut
     down_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose = make_transform(down_x, np.array([0.0, 0.0, 1.5]))
     camera = Camera(320, 200, 176, 176, 159.5, 40)
-    view = render(world._replace(lights=lights), camera_rays(camera), still(pose), pool)
+    view = render(world._replace(lights=lights), camera_rays(camera), static_shutter(pose), pool)
     floor = view.image[60:120]  # less than half a period for each pixel
     assert abs(float(floor.mean()) - 0.5) < 0.01
     assert float(floor.std()) < 0.02

@@ -7,9 +7,9 @@ import pytest
 from scene_views import CAMERA, WALL, WHITE, bright_world, gliding, looking_along_x
 
 from data_synth.scene.bodies import with_bodies
-from data_synth.scene.lighting import lit
+from data_synth.scene.lighting import bake_lighting
 from data_synth.scene.render import camera_rays, render
-from data_synth.scene.shutter import moving, still
+from data_synth.scene.shutter import moving_shutter, static_shutter
 from data_synth.scene.solids import Lighting, Solid
 from data_synth.scene.world import World
 from vo.types import Floats
@@ -36,19 +36,19 @@ def _world(velocity: Floats, yaw: float = np.pi / 2) -> World:
 
 
 def test_a_body_stands_where_it_is_put(pool: ThreadPoolExecutor) -> None:
-    depth = render(_world(STILL), RAYS, still(looking_along_x()), pool).depth
+    depth = render(_world(STILL), RAYS, static_shutter(looking_along_x()), pool).depth
     assert depth[39, 30] == pytest.approx(4.0, abs=1e-6)
     assert depth[39, 80] == pytest.approx(20.0, abs=1e-5)
-    turned = render(_world(STILL, yaw=0.0), RAYS, still(looking_along_x()), pool).depth
+    turned = render(_world(STILL, yaw=0.0), RAYS, static_shutter(looking_along_x()), pool).depth
     # Now it stands along x, 3 m to the left.
     assert turned[39, 5] == pytest.approx(3.0 / -RAYS[39, 5, 0], rel=1e-3)
     assert turned[39, 30] == pytest.approx(20.0, abs=1e-5)
 
 
-def test_its_edge_leans_by_its_speed_times_readout(pool: ThreadPoolExecutor) -> None:
+def test_edge_of_a_body_leans_by_speed_times_readout(pool: ThreadPoolExecutor) -> None:
     speed, readout = -8.0, 0.02  # to the right: 4 px
     world = _world(np.array([[0.0, speed, 0.0]]))
-    image = render(world, RAYS, moving(AT_REST, 0.0, ROWS, 0.0, readout), pool).image
+    image = render(world, RAYS, moving_shutter(AT_REST, 0.0, ROWS, 0.0, readout), pool).image
     rows = np.arange(18, 62)
     edges = image[18:62].sum(axis=1) - 0.5
     times = readout * (rows / (ROWS - 1) - 0.5)
@@ -56,21 +56,25 @@ def test_its_edge_leans_by_its_speed_times_readout(pool: ThreadPoolExecutor) -> 
     assert np.abs(edges - expected).max() < 0.15
 
 
-def test_its_edge_is_blurred_by_its_motion_and_stays_in_place(pool: ThreadPoolExecutor) -> None:
+def test_edge_of_a_body_is_blurred_by_its_motion_and_stays_in_place(
+    pool: ThreadPoolExecutor,
+) -> None:
     exposure, motion_px = 0.01, 9.0
     speed = -motion_px * 4.0 / CAMERA.fx / exposure
     world = _world(np.array([[0.0, speed, 0.0]]))
-    image = render(world, RAYS, moving(AT_REST, 0.0, ROWS, exposure), pool).image[20:60]
-    sharp = render(world, RAYS, still(looking_along_x()), pool).image[20:60]
+    image = render(world, RAYS, moving_shutter(AT_REST, 0.0, ROWS, exposure), pool).image[20:60]
+    sharp = render(world, RAYS, static_shutter(looking_along_x()), pool).image[20:60]
     assert abs(float((image.sum(axis=1) - sharp.sum(axis=1)).mean())) < 0.05
     between = (image > 0.01) & (image < 0.99)
     assert between.sum(axis=1).mean() == pytest.approx(motion_px, abs=1.5)
 
 
-def test_in_the_shade_it_is_darker_than_in_the_sun() -> None:
+def test_body_is_darker_in_the_shade_than_in_the_sun() -> None:
     roof = Solid((50.0, 0.0, 5.0), (20.0, 20.0, 0.2), WHITE)
     world = bright_world([roof], movers=[(0, CART)])
-    world = lit(world, Lighting(sun=(0.0, 0.0, 1.0), sun_power=0.5, ambient=0.4, points_per_m=0.5))
+    world = bake_lighting(
+        world, Lighting(sun=(0.0, 0.0, 1.0), sun_power=0.5, ambient=0.4, points_per_m=0.5)
+    )
     sunny, shady = (
         with_bodies(world, _at(x, 0.0, 0.0), STILL).movers.lights[0] for x in (0.0, 50.0)
     )

@@ -5,10 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from scene_views import ALONG_X, CAMERA, WHITE, bright_world, points_seen
 
+from data_synth.scene.height_field import heights_at
 from data_synth.scene.noise import soft_noise
-from data_synth.scene.relief import heights_at
 from data_synth.scene.render import camera_rays, render
-from data_synth.scene.shutter import still
+from data_synth.scene.shutter import static_shutter
 from data_synth.scene.solids import Ground
 from data_synth.scene.world import clearance
 from vo.geometry.transforms import make_transform
@@ -21,37 +21,37 @@ HILLS = Ground(
 
 def test_depth_is_that_of_the_first_hill_on_each_ray(pool: ThreadPoolExecutor) -> None:
     world = bright_world([], HILLS)
-    top = float(heights_at(world.relief, np.zeros((1, 2)))[0])
+    top = float(heights_at(world.height_field, np.zeros((1, 2)))[0])
     for height, pitch in ((2.0, 0.0), (30.0, 0.9)):
         turn = np.array(
             [[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]]
         )
         pose = make_transform(ALONG_X @ turn, np.array([0.0, 0.0, top + height]))
-        depth = render(world, RAYS, still(pose), pool).depth.astype(float)
+        depth = render(world, RAYS, static_shutter(pose), pool).depth.astype(float)
         seen = np.isfinite(depth)
         assert seen.mean() > (0.4 if pitch == 0.0 else 0.95)
         points = points_seen(RAYS, depth, pose)
-        np.testing.assert_allclose(points[:, 2], heights_at(world.relief, points), atol=2e-4)
+        np.testing.assert_allclose(points[:, 2], heights_at(world.height_field, points), atol=2e-4)
         for share in np.linspace(0.02, 0.995, 120):  # nothing is in between
             between = pose[:3, 3] + share * (points - pose[:3, 3])
-            assert (between[:, 2] - heights_at(world.relief, between)).min() > -1e-4
+            assert (between[:, 2] - heights_at(world.height_field, between)).min() > -1e-4
 
 
 def test_no_slope_of_the_ground_is_steeper_than_its_bound() -> None:
-    relief = bright_world([], HILLS).relief
-    cells = np.array(relief.heights.shape) - 1
+    height_field = bright_world([], HILLS).height_field
+    cells = np.array(height_field.heights.shape) - 1
     rng = np.random.default_rng(5)
     cell = rng.integers(0, cells[::-1], (4000, 2))
-    at = relief.corner + relief.cell * (cell + rng.uniform(0.01, 0.99, (4000, 2)))
+    at = height_field.corner + height_field.cell * (cell + rng.uniform(0.01, 0.99, (4000, 2)))
     turn, step = rng.uniform(0.0, 2.0 * np.pi, 4000), 1e-4
     ahead = at + step * np.column_stack([np.cos(turn), np.sin(turn)])
-    slopes = np.abs(heights_at(relief, ahead) - heights_at(relief, at)) / step
-    bounds = relief.slopes[: cells.prod()].reshape(cells)[cell[:, 1], cell[:, 0]]
+    slopes = np.abs(heights_at(height_field, ahead) - heights_at(height_field, at)) / step
+    bounds = height_field.slopes[: cells.prod()].reshape(cells)[cell[:, 1], cell[:, 0]]
     assert (slopes - bounds).max() < 1e-6
     assert (slopes > 0.9 * bounds)[
         bounds > 0.1
-    ].mean() > 0.05  # or rays would rarely be sure to come closer
-    assert relief.slopes[-1] == relief.slopes.max()
+    ].mean() > 0.05  # otherwise rays would rarely be proven to come closer
+    assert height_field.slopes[-1] == height_field.slopes.max()
 
 
 def test_no_ray_slips_through_between_cells(pool: ThreadPoolExecutor) -> None:
@@ -59,7 +59,7 @@ def test_no_ray_slips_through_between_cells(pool: ThreadPoolExecutor) -> None:
     pose = np.eye(4)
     pose[:3, :3] = np.diag([1.0, -1.0, -1.0])  # straight down, along the lines of the grid
     pose[:3, 3] = (-100.0 + 1.7 * 50, -120.0 + 1.7 * 50, 40.0)
-    assert np.isfinite(render(world, RAYS, still(pose), pool).depth).all()
+    assert np.isfinite(render(world, RAYS, static_shutter(pose), pool).depth).all()
 
 
 def test_the_crest_of_a_near_hill_is_smooth_and_in_place(pool: ThreadPoolExecutor) -> None:
@@ -70,11 +70,11 @@ def test_the_crest_of_a_near_hill_is_smooth_and_in_place(pool: ThreadPoolExecuto
     )
     world = bright_world([], ridges)
     light = np.tile((x > 10).astype(np.float32), (101, 1))  # the near hill is black
-    world = world._replace(relief=world.relief._replace(light=light))
+    world = world._replace(height_field=world.height_field._replace(light=light))
     roll = 0.06
     turn = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
     pose = make_transform(ALONG_X @ turn, np.array([0.5, 0.0, 3.5]))
-    image = render(world, RAYS, still(pose), pool).image[32:]
+    image = render(world, RAYS, static_shutter(pose), pool).image[32:]
     # The crest is the line z = 2 at x = 10.
     ends = np.array([[10.0, -8.0, 2.0], [10.0, 8.0, 2.0]]) - pose[:3, 3]
     u, v = (CAMERA.fx * (ends @ pose[:3, :3])[:, :2] / (ends @ pose[:3, :3])[:, 2:]).T
@@ -88,12 +88,12 @@ def test_the_crest_of_a_near_hill_is_smooth_and_in_place(pool: ThreadPoolExecuto
 def test_clearance_counts_the_height_above_ground() -> None:
     world = bright_world([], HILLS)
     points = np.array([[0.0, 0.0, 0.0], [3.0, 5.0, 0.0]])
-    points[:, 2] = heights_at(world.relief, points) + (3.0, -1.0)
+    points[:, 2] = heights_at(world.height_field, points) + (3.0, -1.0)
     np.testing.assert_allclose(clearance(world, points), [3.0, 0.0], atol=1e-6)
 
 
 def test_heights_are_bilinear_and_level_at_the_rim() -> None:
     ground = Ground(np.array([[0, 2], [4, 10]], np.float32), (1.0, 2.0), 2.0, WHITE)
-    relief = bright_world([], ground).relief
+    height_field = bright_world([], ground).height_field
     points = np.array([[1.0, 2.0], [2.0, 2.0], [2.0, 3.0], [3.0, 4.0], [9.0, 9.0]])
-    np.testing.assert_allclose(heights_at(relief, points), [0.0, 1.0, 4.0, 10.0, 10.0])
+    np.testing.assert_allclose(heights_at(height_field, points), [0.0, 1.0, 4.0, 10.0, 10.0])

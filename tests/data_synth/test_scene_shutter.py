@@ -8,7 +8,7 @@ from room_walk import RIG, world_from_cam0
 from scene_views import CAMERA, LEFT_HALF, WALL, bright_world, gliding, looking_along_x
 
 from data_synth.scene.render import camera_rays, render
-from data_synth.scene.shutter import moving, still
+from data_synth.scene.shutter import moving_shutter, static_shutter
 from data_synth.scene.world import World
 
 RAYS = camera_rays(CAMERA)
@@ -19,7 +19,7 @@ DEPTH_M = 4.0
 def test_an_edge_leans_by_speed_times_readout(pool: ThreadPoolExecutor) -> None:
     world = bright_world([LEFT_HALF, WALL])
     speed, readout = 10.0, 0.02  # to the left, so that the edge goes right: 5 px
-    shutter = moving(gliding((0.0, speed, 0.0)), 0.0, ROWS, 0.0, readout)
+    shutter = moving_shutter(gliding((0.0, speed, 0.0)), 0.0, ROWS, 0.0, readout)
     edges = render(world, RAYS, shutter, pool).image.sum(axis=1) - 0.5
     times = readout * (np.arange(ROWS) / (ROWS - 1) - 0.5)
     expected = CAMERA.cx + CAMERA.fx * speed * times / DEPTH_M
@@ -35,8 +35,8 @@ def test_a_blurred_edge_is_as_wide_as_the_motion_and_stays_in_place(
     world = bright_world([LEFT_HALF, WALL])
     exposure = 0.01
     speed = motion_px * DEPTH_M / CAMERA.fx / exposure
-    sharp = render(world, RAYS, still(looking_along_x()), pool).image
-    shutter = moving(gliding((0.0, speed, 0.0)), 0.0, ROWS, exposure)
+    sharp = render(world, RAYS, static_shutter(looking_along_x()), pool).image
+    shutter = moving_shutter(gliding((0.0, speed, 0.0)), 0.0, ROWS, exposure)
     image = render(world, RAYS, shutter, pool).image
     assert abs(float((image.sum(axis=1) - sharp.sum(axis=1)).mean())) < 0.05
     assert np.abs(image.sum(axis=1) - sharp.sum(axis=1)).max() < 0.3
@@ -54,10 +54,10 @@ def test_a_blurred_image_is_the_mean_of_many_sharp_ones(
     time_s, exposure = 2.2, 0.03
     times = time_s + exposure * ((np.arange(24) + 0.5) / 24 - 0.5)
     poses = world_from_cam0(times)
-    expected = np.mean([render(room, rays, still(p), pool).image for p in poses], axis=0)
-    shutter = moving(world_from_cam0, time_s, len(rays), exposure)
+    expected = np.mean([render(room, rays, static_shutter(p), pool).image for p in poses], axis=0)
+    shutter = moving_shutter(world_from_cam0, time_s, len(rays), exposure)
     error = render(room, rays, shutter, pool).image - expected
-    sharp = render(room, rays, still(world_from_cam0(np.array([time_s]))[0]), pool).image
+    sharp = render(room, rays, static_shutter(world_from_cam0(np.array([time_s]))[0]), pool).image
     assert float(np.sqrt(np.mean(error**2))) < 0.3 * float(
         np.sqrt(np.mean((sharp - expected) ** 2))
     )
@@ -67,15 +67,15 @@ def test_a_blurred_image_is_the_mean_of_many_sharp_ones(
 
 def test_depth_is_that_of_the_middle_of_the_exposure(room: World, pool: ThreadPoolExecutor) -> None:
     rays = camera_rays(RIG.cam0)[::4, ::4].copy()
-    shutter = moving(world_from_cam0, 1.0, len(rays), 0.01)
-    middle = still(world_from_cam0(np.array([1.0]))[0])
+    shutter = moving_shutter(world_from_cam0, 1.0, len(rays), 0.01)
+    middle = static_shutter(world_from_cam0(np.array([1.0]))[0])
     blurred, sharp = (render(room, rays, s, pool).depth for s in (shutter, middle))
     assert np.mean(np.abs(blurred - sharp) > 1e-3 * sharp) < 1e-3
 
 
-def test_threads_change_no_byte(room: World) -> None:
+def test_number_of_threads_does_not_change_the_image(room: World) -> None:
     rays = camera_rays(RIG.cam0)[::3, ::3].copy()
-    shutter = moving(world_from_cam0, 1.0, len(rays), 0.02, 0.02)
+    shutter = moving_shutter(world_from_cam0, 1.0, len(rays), 0.02, 0.02)
     images = []
     for threads in (1, 4):
         with ThreadPoolExecutor(threads) as pool:
@@ -84,6 +84,6 @@ def test_threads_change_no_byte(room: World) -> None:
 
 
 def test_without_exposure_or_readout_the_camera_stands_still() -> None:
-    shutter = moving(gliding((1.0, 0.0, 0.0)), 2.0, ROWS, 0.0)
+    shutter = moving_shutter(gliding((1.0, 0.0, 0.0)), 2.0, ROWS, 0.0)
     assert shutter.origins.tolist() == [[2.0, 0.0, 0.0]]
     assert shutter.width == 0.0

@@ -7,7 +7,7 @@ import pytest
 from scene_views import CAMERA, WALL, WHITE, bright_world, looking_along_x, points_seen
 
 from data_synth.scene.render import camera_rays, render
-from data_synth.scene.shutter import still
+from data_synth.scene.shutter import static_shutter
 from data_synth.scene.solids import Kind, Solid
 from vo.types import Floats
 
@@ -24,7 +24,7 @@ def _local(solid: Solid, points: Floats) -> Floats:
 
 
 def _egg_coverage(finer: int) -> Floats:
-    """Share of each pixel that the egg covers, from many rays of its own."""
+    """Coverage of each pixel by the egg, from many rays."""
     offsets = (np.arange(finer) + 0.5) / finer - 0.5
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     total = np.zeros(u.shape)
@@ -40,7 +40,7 @@ def _egg_coverage(finer: int) -> Floats:
 
 def test_depth_is_exact_on_an_ellipsoid(pool: ThreadPoolExecutor) -> None:
     pose = looking_along_x()
-    depth = render(bright_world([EGG]), RAYS, still(pose), pool).depth.astype(float)
+    depth = render(bright_world([EGG]), RAYS, static_shutter(pose), pool).depth.astype(float)
     points = _local(EGG, points_seen(RAYS, depth, pose))
     assert len(points) > 1000
     np.testing.assert_allclose((points**2).sum(axis=1), 1.0, atol=1e-5)
@@ -49,7 +49,7 @@ def test_depth_is_exact_on_an_ellipsoid(pool: ThreadPoolExecutor) -> None:
 
 def test_depth_is_exact_on_the_side_and_the_top_of_a_cylinder(pool: ThreadPoolExecutor) -> None:
     pose = looking_along_x()
-    depth = render(bright_world([DRUM]), RAYS, still(pose), pool).depth.astype(float)
+    depth = render(bright_world([DRUM]), RAYS, static_shutter(pose), pool).depth.astype(float)
     x, y, z = _local(DRUM, points_seen(RAYS, depth, pose)).T
     on_top = np.abs(z - 1.0) < 1e-5
     assert on_top.sum() > 100 and (~on_top).sum() > 500
@@ -62,12 +62,12 @@ def test_a_cylinder_seen_from_right_above_is_its_top(pool: ThreadPoolExecutor) -
     down = np.eye(4)
     down[:3, :3] = np.diag([1.0, -1.0, -1.0])
     down[:3, 3] = (5.0, 0.2, 4.0)
-    depth = render(bright_world([DRUM]), RAYS, still(down), pool).depth
+    depth = render(bright_world([DRUM]), RAYS, static_shutter(down), pool).depth
     assert np.unique(depth[np.isfinite(depth)]) == pytest.approx([4.5])
 
 
 def test_silhouettes_are_smooth_and_in_place(pool: ThreadPoolExecutor) -> None:
-    view = render(bright_world([EGG, WALL]), RAYS, still(looking_along_x()), pool)
+    view = render(bright_world([EGG, WALL]), RAYS, static_shutter(looking_along_x()), pool)
     coverage = _egg_coverage(12)
     rim = (coverage > 0.0) & (coverage < 1.0)
     assert rim.sum() > 100
@@ -81,7 +81,7 @@ def test_stains_brighten_and_darken_around_the_same_mean(pool: ThreadPoolExecuto
         render(
             bright_world([Solid((5.5, 0, 0), (1, 60, 60), WHITE, density=100.0, stain=stain)]),
             RAYS,
-            still(looking_along_x()),
+            static_shutter(looking_along_x()),
             pool,
         ).image
         for stain in (0.0, 0.5)
@@ -91,20 +91,22 @@ def test_stains_brighten_and_darken_around_the_same_mean(pool: ThreadPoolExecuto
     assert float(stained.mean()) == pytest.approx(1.0, abs=0.15)
 
 
-def test_what_the_lens_does_not_see_is_black_and_infinitely_far(pool: ThreadPoolExecutor) -> None:
+def test_pixels_outside_the_image_circle_are_black_and_infinitely_far(
+    pool: ThreadPoolExecutor,
+) -> None:
     rays = RAYS.copy()
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     outside = np.hypot(u - 50, v - 39) > 37
     rays[outside] = np.nan
-    whole = render(bright_world([EGG, WALL]), RAYS, still(looking_along_x()), pool)
-    view = render(bright_world([EGG, WALL]), rays, still(looking_along_x()), pool)
+    whole = render(bright_world([EGG, WALL]), RAYS, static_shutter(looking_along_x()), pool)
+    view = render(bright_world([EGG, WALL]), rays, static_shutter(looking_along_x()), pool)
     assert np.all(view.image[outside] == 0.0) and np.all(np.isposinf(view.depth[outside]))
     np.testing.assert_array_equal(view.depth[~outside], whole.depth[~outside])
     inside = np.hypot(u - 50, v - 39) < 35
     np.testing.assert_allclose(view.image[inside], whole.image[inside], atol=1e-6)
 
 
-def test_pixels_with_very_many_surfaces_stay_within_what_these_show(
+def test_pixels_with_very_many_surfaces_stay_within_their_radiances(
     pool: ThreadPoolExecutor,
 ) -> None:
     rng = np.random.default_rng(0)
@@ -115,7 +117,7 @@ def test_pixels_with_very_many_surfaces_stay_within_what_these_show(
     world = bright_world([WALL, *pickets])
     values = rng.uniform(0.2, 1.0, len(world.lights.values)).astype(np.float32)
     world = world._replace(lights=world.lights._replace(values=values))
-    view = render(world, camera_rays(CAMERA), still(looking_along_x()), pool)
+    view = render(world, camera_rays(CAMERA), static_shutter(looking_along_x()), pool)
     crowd = view.image[39:41, 59:61]
     assert crowd.min() > 0.05  # pickets, and the black wall between them
     assert crowd.max() < 1.0

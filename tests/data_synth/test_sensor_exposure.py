@@ -18,7 +18,7 @@ from vo.types import Floats
 FPS = 20.0
 
 
-def _filmed(
+def _exposed(
     effects: Effects, light: Floats, radiance: float = 0.35, fps: float = FPS
 ) -> tuple[list[Settings], Floats]:
     """Settings and means of the images of an even scene."""
@@ -36,7 +36,7 @@ def _filmed(
 @pytest.mark.parametrize("radiance", [0.1, 0.35, 0.8])
 def test_starts_settled_on_the_target(gamma: float, radiance: float) -> None:
     effects = Effects(gamma=gamma)
-    _, means = _filmed(effects, np.ones(40), radiance)
+    _, means = _exposed(effects, np.ones(40), radiance)
     assert np.allclose(means, target_mean(effects), rtol=1e-6)
     assert target_mean(Effects()) == TARGET < target_mean(Effects(gamma=1)) < 0.55
 
@@ -45,8 +45,8 @@ def test_starts_settled_on_the_target(gamma: float, radiance: float) -> None:
 def test_lags_behind_a_step_of_light_then_settles(change: float) -> None:
     light = np.ones(100)
     light[20:] = change
-    _, means = _filmed(Effects(), light)
-    # What was seen in frame 20 is known to frame 22; one time constant of 0.25 s is 5 frames.
+    _, means = _exposed(Effects(), light)
+    # The image of frame 20 is used from frame 22 on; one time constant of 0.25 s is 5 frames.
     assert means[20] == means[21] == pytest.approx(change * TARGET)
     left = np.log(means[20:] / TARGET) / np.log(means[20] / TARGET)
     assert left[2] < 0.9
@@ -76,7 +76,7 @@ def test_the_lag_grows_with_strength() -> None:
     light = np.ones(200)
     light[20:] = 0.5
     counts = [
-        int(np.argmax(_filmed(Effects(exposure=e), light)[1][20:] > 0.9 * TARGET))
+        int(np.argmax(_exposed(Effects(exposure=e), light)[1][20:] > 0.9 * TARGET))
         for e in (0.2, 1.0, 3.0)
     ]
     assert counts[0] <= 4
@@ -86,14 +86,14 @@ def test_the_lag_grows_with_strength() -> None:
 
 def test_is_fixed_without_the_effect() -> None:
     light = np.linspace(1.0, 0.2, 30)
-    taken, means = _filmed(Effects(exposure=0), light)
+    taken, means = _exposed(Effects(exposure=0), light)
     assert len(set(taken)) == 1
     assert np.allclose(means, TARGET * light)
 
 
 def test_opens_the_shutter_first_and_amplifies_up_to_16_times_after() -> None:
     light = np.concatenate([np.full(60, x) for x in (1.0, 4.0, 0.3, 0.001)])
-    taken, _ = _filmed(Effects(), light, radiance=0.4)
+    taken, _ = _exposed(Effects(), light, radiance=0.4)
     normal, bright, dim, night = (taken[i] for i in (59, 119, 179, 239))
     assert normal.gain == 1.0 and 5e-3 < normal.exposure_s < 8e-3
     assert bright.gain == 1.0
@@ -111,7 +111,7 @@ def test_opens_the_shutter_first_and_amplifies_up_to_16_times_after() -> None:
 
 def test_exposure_follows_blur_but_the_brightness_does_not() -> None:
     for blur in (0.0, 0.5, 2.0):
-        (settings,), means = _filmed(Effects(blur=blur), np.ones(1), radiance=0.3)
+        (settings,), means = _exposed(Effects(blur=blur), np.ones(1), radiance=0.3)
         assert settings.exposure_s == pytest.approx(8e-3 * blur)
         assert means[0] == pytest.approx(TARGET)
 

@@ -37,7 +37,7 @@ CAMERA_SMALL = Camera(160, 120, 100.0, 100.0, 80.0, 60.0)
 
 @pytest.mark.parametrize("gain", [1.0, 4.0])
 @pytest.mark.parametrize("strength", [1.0, 3.0])
-def test_variance_grows_in_a_line_with_the_signal(gain: float, strength: float) -> None:
+def test_variance_is_linear_in_the_signal(gain: float, strength: float) -> None:
     effects = PERFECT.model_copy(update={"noise": strength})
     settings = Settings(4e-3, gain, gain)
     levels = np.linspace(70.0, 180.0, 9)

@@ -90,7 +90,7 @@ def test_a_blackout_longer_than_the_recording_spares_the_first_frame() -> None:
 
 
 @pytest.mark.parametrize("strength", [0.5, 1.0, 2.0])
-def test_dark_stretches_have_their_depth_length_and_distance(strength: float) -> None:
+def test_dark_intervals_have_their_depth_length_and_distance(strength: float) -> None:
     effects = NOTHING.model_copy(update={"dark": strength})
     timing = _timing(effects, frames=12_000, fps=100.0)
     light = timing.illumination
@@ -108,7 +108,7 @@ def test_dark_stretches_have_their_depth_length_and_distance(strength: float) ->
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_light_wanders_slowly_apart_from_one_or_two_steps(seed: int) -> None:
+def test_light_drifts_slowly_apart_from_one_or_two_steps(seed: int) -> None:
     effects = NOTHING.model_copy(update={"exposure": 1.0})
     light = np.log(_timing(effects, frames=600, fps=20.0, seed=seed).illumination)
     assert light[0] == 0.0

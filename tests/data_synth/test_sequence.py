@@ -60,7 +60,7 @@ def test_another_process_gives_the_same_bytes(sequence: Path, tmp_path: Path) ->
     assert _digests(tmp_path / "again") == _digests(sequence)
 
 
-def test_stands_complete_with_nothing_left_beside(sequence: Path) -> None:
+def test_recording_is_complete_and_no_temporary_file_remains(sequence: Path) -> None:
     assert [p.name for p in sequence.parent.iterdir()] == ["walk"]
     stamps = [FIRST_STAMP_NS + i * 100_000_000 for i in range(3)]
     for camera in ("cam0", "cam1"):
@@ -94,7 +94,7 @@ def test_opens_as_a_rectified_stereo_source_with_truth(sequence: Path) -> None:
     assert [frame.image1 is not None for frame in source.frames()] == [True] * 3
 
 
-def test_black_frames_and_lost_ones_are_where_the_truth_says(tmp_path: Path) -> None:
+def test_black_and_lost_frames_match_the_plan(tmp_path: Path) -> None:
     effects = ["effects.blackout=2", "effects.drops=40", "effects.noise=0", "seconds=1"]
     recording = make_sequence(tmp_path / "made", _recipe(*effects))
     means = {}
@@ -108,7 +108,7 @@ def test_black_frames_and_lost_ones_are_where_the_truth_says(tmp_path: Path) -> 
     assert all(mean > 20 for stamp, mean in means.items() if stamp not in stamps[4:6])
 
 
-def test_who_would_run_into_the_camera_is_not_there(tmp_path: Path) -> None:
+def test_bodies_that_would_hit_the_camera_are_removed(tmp_path: Path) -> None:
     recording = make_sequence(
         tmp_path / "made", _recipe("world=corridor", "effects.movers=3", "seconds=2")
     )
@@ -139,28 +139,28 @@ def test_interruption_leaves_nothing(tmp_path: Path, format: str) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_refuses_what_is_there_and_replaces_it_only_by_force(tmp_path: Path) -> None:
+def test_refuses_existing_output_and_replaces_it_only_by_force(tmp_path: Path) -> None:
     make_sequence(tmp_path / "out", _recipe())
-    with pytest.raises(OutputError, match=r"is there already; give another, or --force"):
+    with pytest.raises(OutputError, match=r"exists already; choose another path, or --force"):
         make_sequence(tmp_path / "out", _recipe())
     make_sequence(tmp_path / "out", _recipe("seconds=0.2"), force=True)
     assert len(read_tum(tmp_path / "out" / "groundtruth.tum")) == 2
 
 
-def test_force_does_not_remove_what_is_no_recording(tmp_path: Path) -> None:
+def test_force_does_not_remove_other_folders(tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
-    with pytest.raises(OutputError, match="holds no synthetic recording"):
+    with pytest.raises(OutputError, match="is not a synthetic recording"):
         make_sequence(tmp_path, _recipe(), force=True)
     assert (tmp_path / "note.txt").read_text() == "mine"
 
 
-def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
+def test_unwritable_path_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot be written"):
         make_sequence(tmp_path / "file" / "out", _recipe())
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
+def test_full_disk_is_an_output_error_and_leaves_nothing(tmp_path: Path) -> None:
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -174,7 +174,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "said"),
+    ("setting", "message"),
     [
         ("seconds=-1", "setting 'seconds'"),
         ("fps=0", "setting 'fps'"),
@@ -183,11 +183,11 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
         ("effects.blur=-2", "setting 'effects.blur'"),
         ("effects.blurr=1", "did you mean 'effects.blur'"),
         ("camera=eurok", "no camera named 'eurok'; did you mean 'euroc'"),
-        ("codec=raw", "format euroc cannot hold images as raw"),
+        ("codec=raw", "format euroc does not support codec raw"),
     ],
 )
-def test_impossible_wishes_are_config_errors(tmp_path: Path, setting: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_infeasible_settings_are_config_errors(tmp_path: Path, setting: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         make_sequence(tmp_path / "out", _recipe(setting))
     assert list(tmp_path.iterdir()) == []
 
@@ -197,8 +197,8 @@ def test_an_unknown_preset_names_the_nearest() -> None:
         load_recipe("kiti")
 
 
-def test_a_loop_that_cannot_come_round_says_how_long_it_takes(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="s or more at this speed; 0.3 s are too few"):
+def test_error_of_a_loop_that_does_not_fit_contains_its_duration(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="s or more at this speed; 0.3 s are too short"):
         make_sequence(tmp_path / "out", _recipe("motion=loop", "world=warehouse"))
 
 

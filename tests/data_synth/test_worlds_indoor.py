@@ -12,13 +12,13 @@ import pytest
 from data_synth.motion.body_path import poses_at
 from data_synth.scene.render import Rendered, camera_rays, render
 from data_synth.scene.scene import Body, Scene
-from data_synth.scene.shutter import still
+from data_synth.scene.shutter import static_shutter
 from data_synth.scene.world import World, clearance
 from data_synth.worlds.registry import make_scene
 from vo.geometry.transforms import make_transform
 from vo.types import Bytes, Camera, Floats
 
-INDOORS = {"room": 2, "corridor": 5, "warehouse": 8}  # and how many usually move there
+INDOORS = {"room": 2, "corridor": 5, "warehouse": 8}  # usual number of movers
 SEED = 1
 CAMERA = Camera(752, 480, 460.0, 460.0, 375.5, 239.5)
 
@@ -33,7 +33,7 @@ def _dark(name: str, seed: int, movers: float) -> Scene:
     """A world without the light, which takes most of the time to make."""
     module = import_module(f"data_synth.worlds.{name}")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "lit", lambda world, lighting: world)
+        patch.setattr(module, "bake_lighting", lambda world, lighting: world)
         scene = module.make_scene(seed, movers)
     assert isinstance(scene, Scene)
     return scene
@@ -44,10 +44,10 @@ def scene(request: pytest.FixtureRequest) -> Scene:
     return _lit(request.param)
 
 
-def _along(way: Floats, step_m: float) -> tuple[Floats, Floats]:
-    """Places (N, 2) every `step_m` of a closed way, and the direction (N,) there."""
+def _along(route: Floats, step_m: float) -> tuple[Floats, Floats]:
+    """Points (N, 2) every `step_m` of a closed route, and the direction (N,) there."""
     places, headings = [], []
-    for start, stop in zip(way, np.roll(way, -1, axis=0), strict=True):
+    for start, stop in zip(route, np.roll(route, -1, axis=0), strict=True):
         ahead = stop - start
         share = np.arange(0.0, 1.0, step_m / np.linalg.norm(ahead))[:, None]
         places.append(start + share * ahead)
@@ -60,7 +60,7 @@ def _at_heights(places: Floats, heights_m: tuple[float, ...]) -> Floats:
 
 
 def _pose(place: Floats, height_m: float, heading: float) -> Floats:
-    """world_from_cam of a camera that looks level along a heading."""
+    """world_from_cam of a horizontal camera along a heading."""
     cosine, sine = np.cos(heading), np.sin(heading)
     rotation = np.array([[sine, 0.0, cosine], [-cosine, 0.0, sine], [0.0, -1.0, 0.0]])
     return make_transform(rotation, np.array([*place, height_m]))
@@ -69,12 +69,12 @@ def _pose(place: Floats, height_m: float, heading: float) -> Floats:
 def _views(
     scene: Scene, pool: ThreadPoolExecutor, count: int, turn: float = 0.0
 ) -> Iterator[tuple[Rendered, Floats]]:
-    """Views and their poses from places spread evenly over the course, `turn` left of ahead."""
+    """Views and their poses at points evenly spaced along the course, `turn` left of ahead."""
     places, headings = _along(scene.course.waypoints, 0.2)
     rays = camera_rays(CAMERA)
     for i in np.linspace(0, len(places), count, endpoint=False).astype(int):
         pose = _pose(places[i], 0.6 + 0.3 * (i % 4), headings[i] + turn)
-        yield render(scene.world, rays, still(pose), pool), pose
+        yield render(scene.world, rays, static_shutter(pose), pool), pose
 
 
 def _image(view: Rendered) -> Bytes:
@@ -152,14 +152,14 @@ def test_depth_is_not_a_single_plane(scene: Scene, pool: ThreadPoolExecutor) -> 
 
 
 @pytest.mark.parametrize("name", INDOORS)
-def test_movers_are_as_many_as_asked_for(name: str) -> None:
+def test_number_of_movers_follows_the_setting(name: str) -> None:
     scene = _lit(name)
     names = [body.name for body in scene.bodies]
     assert len(set(names)) == len(names) == 2 * INDOORS[name]
     assert np.array_equal(np.unique(scene.world.movers.bodies), np.arange(len(names)))
 
 
-def test_nothing_moves_unless_asked_for() -> None:
+def test_nothing_moves_by_default() -> None:
     scene = _dark("corridor", SEED, 0.0)
     assert scene.bodies == ()
     assert len(scene.world.bounds) == len(scene.world.kinds)
@@ -179,7 +179,7 @@ def test_bodies_stand_on_the_ground_within_their_radius(name: str) -> None:
 
 
 def _reach(places: Floats, halves: Floats) -> float:
-    """How far the corners of solids are from their body's axis."""
+    """Distances of the corners of solids from the axis of their body."""
     cosine, sine = np.cos(places[:, 3]), np.sin(places[:, 3])
     far = 0.0
     for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
@@ -193,8 +193,8 @@ def _reach(places: Floats, halves: Floats) -> float:
 @pytest.mark.parametrize("name", INDOORS)
 def test_bodies_walk_through_nothing(name: str) -> None:
     scene = _lit(name)
-    ways: dict[bytes, Body] = {body.way.tobytes(): body for body in scene.bodies}
-    for body in ways.values():
+    routes: dict[bytes, Body] = {body.route.tobytes(): body for body in scene.bodies}
+    for body in routes.values():
         lap_s = np.arange(0.0, 250.0 if name != "room" else 20.0, 0.5)
         poses, _ = poses_at(body, lap_s, scene.course.ground)
         middles = _at_heights(poses[:, :2, 3], (0.4, 1.2))

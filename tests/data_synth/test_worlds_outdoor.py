@@ -11,7 +11,7 @@ import pytest
 from data_synth.scene import builder
 from data_synth.scene.render import Rendered, camera_rays, render
 from data_synth.scene.scene import Scene
-from data_synth.scene.shutter import still
+from data_synth.scene.shutter import static_shutter
 from data_synth.scene.world import World, clearance
 from data_synth.worlds import street, terrain
 from vo.geometry.transforms import make_transform
@@ -37,12 +37,12 @@ def threads() -> Iterator[ThreadPoolExecutor]:
         yield pool
 
 
-def _along(way: Floats, step_m: float) -> tuple[Floats, Floats]:
-    """Points (N, 2) of a closed way and its directions (N, 2) there."""
-    legs = np.roll(way, -1, axis=0) - way
+def _along(route: Floats, step_m: float) -> tuple[Floats, Floats]:
+    """Points (N, 2) of a closed route and its directions (N, 2) there."""
+    legs = np.roll(route, -1, axis=0) - route
     lengths = np.linalg.norm(legs, axis=1)
     points, ahead = [], []
-    for start, leg, length in zip(way, legs, lengths, strict=True):
+    for start, leg, length in zip(route, legs, lengths, strict=True):
         shares = np.arange(0.0, length, step_m)[:, None] / length
         points.append(start + shares * leg)
         ahead.append(np.repeat((leg / length)[None], len(shares), axis=0))
@@ -56,14 +56,14 @@ def _view(
     forward = np.array([*(cosine * ahead), -sine])
     right = np.array([ahead[1], -ahead[0], 0.0])
     rotation = np.column_stack([right, np.cross(forward, right), forward])
-    seen = render(world, camera_rays(CAMERA), still(make_transform(rotation, at)), pool)
+    seen = render(world, camera_rays(CAMERA), static_shutter(make_transform(rotation, at)), pool)
     return np.clip(255 * seen.image, 0, 255).astype(np.uint8), seen
 
 
 def _ingredients(
     module: ModuleType, seed: int, movers: float, monkeypatch: pytest.MonkeyPatch
 ) -> list[bytes]:
-    """All that a world is made of, without the cost of putting it together."""
+    """All parts of a world, without the cost of building it."""
     caught: list[bytes] = []
 
     def catch(solids: object, textures: list[Floats], ground: object, bodies: object) -> None:
@@ -72,7 +72,7 @@ def _ingredients(
         caught.append(b"" if ground is None else ground.heights.tobytes())  # type: ignore[attr-defined]
 
     monkeypatch.setattr(builder, "build_world", catch)
-    monkeypatch.setattr(module, "lit", lambda world, light: world)
+    monkeypatch.setattr(module, "bake_lighting", lambda world, light: world)
     module.make_scene(seed, movers)
     return caught
 
@@ -97,7 +97,7 @@ def _blank(build: builder.Builder, painter: object, shape: tuple[int, int] = (4,
 def test_movers_scale_and_leave_the_still_world_as_it_is(
     module: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "lit", lambda world, light: world)
+    monkeypatch.setattr(module, "bake_lighting", lambda world, light: world)
     monkeypatch.setattr(builder, "build_world", lambda solids, *others: len(solids))
     monkeypatch.setattr(builder.Builder, "paint", _blank)
     empty, busy = (module.make_scene(5, movers) for movers in (0.0, 1.5))
@@ -131,7 +131,7 @@ def test_bodies_keep_off_the_course(name: str, request: pytest.FixtureRequest) -
     scene: Scene = request.getfixturevalue(name)
     lane, _ = _along(scene.course.waypoints, 0.5)
     for body in scene.bodies:
-        points, _ = _along(body.way, 1.0)
+        points, _ = _along(body.route, 1.0)
         apart = np.linalg.norm(points[:, None] - lane, axis=2).min()
         assert apart > 1.5 + 0.9, body.name  # beside a car's half width
 

@@ -43,7 +43,7 @@ def test_same_recording_gives_same_bytes(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", IN_FOLDERS)
 @pytest.mark.parametrize("codec", ["png", "jpeg"])
-def test_is_known_by_its_content_and_opens(name: str, codec: str, tmp_path: Path) -> None:
+def test_layout_is_detected_and_opens(name: str, codec: str, tmp_path: Path) -> None:
     recording = suited(name)
     source = open_source(write_layout(name, tmp_path / "a", recording, codec))
     assert source.format == name

@@ -1,4 +1,4 @@
-"""MCAP recordings, read back by other people's software."""
+"""MCAP recordings, read back by independent software."""
 
 from __future__ import annotations
 
@@ -43,9 +43,7 @@ def dialect(request: pytest.FixtureRequest) -> Dialect:
 
 
 @pytest.mark.parametrize("codec", ["raw", "png"])
-def test_images_and_stamps_are_what_was_filmed(
-    dialect: Dialect, codec: str, tmp_path: Path
-) -> None:
+def test_images_and_stamps_are_those_rendered(dialect: Dialect, codec: str, tmp_path: Path) -> None:
     recording = make_recording()
     path = write(dialect, tmp_path / "a.mcap", recording, codec)
     for camera in (0, 1):
@@ -70,7 +68,7 @@ def _pixels(message: Any, codec: str) -> Any:
     return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
 
 
-def test_jpeg_images_are_close_to_what_was_filmed(dialect: Dialect, tmp_path: Path) -> None:
+def test_jpeg_images_are_close_to_those_rendered(dialect: Dialect, tmp_path: Path) -> None:
     recording = make_recording(stereo=False, drops=((),))
     ramp = np.add.outer(np.arange(32), 4 * np.arange(48)).astype(np.uint8)
     shots = (Shot(i, (ramp,)) for i in range(FRAMES))
@@ -172,7 +170,7 @@ def test_mono_calibration_is_unrectified(dialect: Dialect, tmp_path: Path) -> No
     assert list(transforms(dialect, path, "/tf_static")) == [("body", "cam0")]
 
 
-def test_messages_lie_in_the_file_by_time(dialect: Dialect, tmp_path: Path) -> None:
+def test_messages_are_in_order_of_time(dialect: Dialect, tmp_path: Path) -> None:
     path = write(dialect, tmp_path / "a.mcap", make_recording())
     with path.open("rb") as stream:
         reader = make_reader(stream)
@@ -206,7 +204,7 @@ def test_without_inertial_sensor_and_depth(dialect: Dialect, stereo: bool, tmp_p
     assert not topics & absent
 
 
-def test_the_file_says_what_it_is(dialect: Dialect, tmp_path: Path) -> None:
+def test_metadata_describes_the_recording(dialect: Dialect, tmp_path: Path) -> None:
     path = write(dialect, tmp_path / "a.mcap", make_recording())
     with path.open("rb") as stream:
         reader = make_reader(stream)
@@ -228,7 +226,7 @@ def test_same_recording_same_bytes(dialect: Dialect, codec: str, tmp_path: Path)
     assert first == second
 
 
-def test_rerun_knows_the_file(dialect: Dialect, tmp_path: Path) -> None:
+def test_rerun_reads_the_file(dialect: Dialect, tmp_path: Path) -> None:
     path = write(dialect, tmp_path / "a.mcap", make_recording())
     done = subprocess.run(
         [RERUN, "mcap", "info", path], capture_output=True, text=True, check=True, timeout=60
@@ -255,12 +253,12 @@ def test_rosbags_reads_the_ros_file(tmp_path: Path) -> None:
     assert len(found) == len(expected) == 5
     for (_, message), image in zip(found, expected, strict=True):
         np.testing.assert_array_equal(message.data.reshape(32, 48), image)
-    # tf2 takes static transforms only from those who keep them for latecomers.
+    # tf2 accepts static transforms from transient-local publishers only.
     lasting = {t for t, q in qualities.items() if q.durability is QosDurability.TRANSIENT_LOCAL}
     assert (len(qualities), lasting) == (9, {"/tf_static"})
 
 
-def test_frames_that_everyone_dropped_are_passed_over(dialect: Dialect, tmp_path: Path) -> None:
+def test_frames_that_all_cameras_dropped_are_skipped(dialect: Dialect, tmp_path: Path) -> None:
     lost = (0, 2, *range(6, 15))  # the last ones are more than are encoded ahead
     recording = make_recording(drops=(lost, lost), frames=15)
     shots = make_shots(recording)
@@ -271,7 +269,7 @@ def test_frames_that_everyone_dropped_are_passed_over(dialect: Dialect, tmp_path
     assert len(read(dialect, tmp_path / "a.mcap", "/tf")) == 15
 
 
-def test_an_existing_file_is_left_alone(dialect: Dialect, tmp_path: Path) -> None:
+def test_existing_file_is_not_overwritten(dialect: Dialect, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_text("mine")
     with pytest.raises(FileExistsError):
@@ -279,7 +277,7 @@ def test_an_existing_file_is_left_alone(dialect: Dialect, tmp_path: Path) -> Non
     assert path.read_text() == "mine"
 
 
-def test_an_error_of_the_camera_comes_through(dialect: Dialect, tmp_path: Path) -> None:
+def test_errors_of_the_renderer_propagate(dialect: Dialect, tmp_path: Path) -> None:
     recording = make_recording(drops=((), ()))
 
     def breaking() -> Iterator[Shot]:
@@ -292,7 +290,7 @@ def test_an_error_of_the_camera_comes_through(dialect: Dialect, tmp_path: Path) 
         dialect.write(tmp_path / "a.mcap", recording, breaking(), "png")
 
 
-def test_a_full_disk_ends_all(dialect: Dialect, tmp_path: Path) -> None:
+def test_full_disk_is_an_os_error(dialect: Dialect, tmp_path: Path) -> None:
     big = Camera(1000, 500, 600.0, 600.0, 500.0, 250.0)
     recording = make_recording(big, stereo=False, depth=False, drops=((),))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -303,15 +301,15 @@ def test_a_full_disk_ends_all(dialect: Dialect, tmp_path: Path) -> None:
             write(dialect, tmp_path / "a.mcap", recording)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    # While the error is held, so is all that its frames refer to.
+    # A reference to the error keeps all that its frames refer to alive.
     assert caught.traceback
     assert not [each for each in threading.enumerate() if each.name.startswith("encode")]
 
 
-def test_too_few_shots_are_not_taken_for_all(dialect: Dialect, tmp_path: Path) -> None:
+def test_missing_shots_are_an_error(dialect: Dialect, tmp_path: Path) -> None:
     recording = make_recording(drops=((), ()))
     few = (shot for shot in make_shots(recording) if shot.index < 4)
-    with pytest.raises(RuntimeError, match="frame 4 was never filmed"):
+    with pytest.raises(RuntimeError, match="frame 4 was not rendered"):
         dialect.write(tmp_path / "a.mcap", recording, few, "raw")
 
 

@@ -73,13 +73,13 @@ def bake_faces(
 def bake_ground(
     world: World, band: tuple[int, int], lamps: Floats, lamp_points: Floats, to_sky: Floats
 ) -> None:
-    """Bake the light on rows band[0]…band[1] - 1 of the ground; `relief.light` is written."""
-    relief = world.relief
-    light, step = relief.light, relief.cell / relief.finer
+    """Bake the light on rows band[0]…band[1] - 1 of the ground; `height_field.light` is written."""
+    height_field = world.height_field
+    light, step = height_field.light, height_field.cell / height_field.finer
     nearby = np.empty(len(world.kinds), np.int64)
     for i in range(band[0], band[1]):
         for j in range(light.shape[1]):
-            x, y = relief.corner[0] + step * j, relief.corner[1] + step * i
+            x, y = height_field.corner[0] + step * j, height_field.corner[1] + step * i
             normal = smooth_ground_normal(world, x, y)
             point = add_scaled((x, y, ground_height(world, x, y)), normal, _LIFT_M)
             light[i, j] = total_light(

@@ -29,10 +29,13 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
     Source: Tevs et al., Maximum Mipmaps for Fast, Accurate, and Scalable Dynamic Height Field
     Rendering, 2008.
     """
-    relief = world.relief
-    rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
-    scale = relief.per_m
-    ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
+    height_field = world.height_field
+    rows, columns = height_field.heights.shape[0] - 1, height_field.heights.shape[1] - 1
+    scale = height_field.per_m
+    ox, oy = (
+        (start[0] - height_field.corner[0]) * scale,
+        (start[1] - height_field.corner[1]) * scale,
+    )
     dx, dy = scale * ray[0], scale * ray[1]
     ix, iy = reciprocal(dx), reciprocal(dy)
     first, second = -ox * ix, (columns - ox) * ix
@@ -43,14 +46,14 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
         return np.inf
     j = min(max(int(ox + t * dx), 0), columns - 1)
     i = min(max(int(oy + t * dy), 0), rows - 1)
-    level, top = 0, len(relief.starts) - 1  # as if the blocks before had been skipped
+    level, top = 0, len(height_field.starts) - 1  # as if the blocks before had been skipped
     while True:
         bj, bi = j >> level, i >> level
         tx = (((bj + (dx > 0.0)) << level) - ox) * ix if dx != 0.0 else np.inf
         ty = (((bi + (dy > 0.0)) << level) - oy) * iy if dy != 0.0 else np.inf
         out = max(min(tx, ty, far), t)
-        peak = relief.peaks[
-            index(relief.starts[index(level)] + bi * relief.widths[index(level)] + bj)
+        peak = height_field.peaks[
+            index(height_field.starts[index(level)] + bi * height_field.widths[index(level)] + bj)
         ]
         if start[2] + min(t * ray[2], out * ray[2]) <= peak:
             if level > 0:
@@ -87,10 +90,13 @@ def follow_ground(
     only one. Solve the quadratic equation of the cell at the guess; if the solution lies in another
     cell, go on from there.
     """
-    relief = world.relief
-    z, scale, t = relief.heights, relief.per_m, guess
+    height_field = world.height_field
+    z, scale, t = height_field.heights, height_field.per_m, guess
     rows, columns = z.shape[0] - 1, z.shape[1] - 1
-    ox, oy = (start[0] - relief.corner[0]) * scale, (start[1] - relief.corner[1]) * scale
+    ox, oy = (
+        (start[0] - height_field.corner[0]) * scale,
+        (start[1] - height_field.corner[1]) * scale,
+    )
     dx, dy = scale * ray[0], scale * ray[1]
     for _ in range(_MAX_STEPS):
         x, y = ox + t * dx, oy + t * dy
@@ -121,7 +127,7 @@ def intersect_cell(
 
     `o` and `d` are origin and direction in the frame of the cell: u, v, metres.
     """
-    z = world.relief.heights
+    z = world.height_field.heights
     z00, z01 = float(z[index(i), index(j)]), float(z[index(i), index(j + 1)])
     z10, z11 = float(z[index(i + 1), index(j)]), float(z[index(i + 1), index(j + 1)])
     a, b, c, e = z00, z01 - z00, z10 - z00, z11 - z10 - (z01 - z00)
@@ -146,9 +152,9 @@ def intersect_cell(
 @inlined
 def ground_normal(world: World, x: float, y: float) -> Vector:
     """Normal (-dz/dx, -dz/dy, 1), not of unit length, of the patch below a point."""
-    z = world.relief.heights
+    z = world.height_field.heights
     i, j, v, u = grid_position(world, x, y, 1, z)
-    scale = world.relief.per_m
+    scale = world.height_field.per_m
     z00, z01 = z[index(i), index(j)], z[index(i), index(j + 1)]
     z10, z11 = z[index(i + 1), index(j)], z[index(i + 1), index(j + 1)]
     across, beyond, up, after = z01 - z00, z11 - z10, z10 - z00, z11 - z01
@@ -159,14 +165,14 @@ def ground_normal(world: World, x: float, y: float) -> Vector:
 @inlined
 def ground_height(world: World, x: float, y: float) -> float:
     """Height of the ground at a point."""
-    heights = world.relief.heights
+    heights = world.height_field.heights
     return interpolate(heights, grid_position(world, x, y, 1, heights))
 
 
 @inlined
 def smooth_ground_normal(world: World, x: float, y: float) -> Vector:
     """Unit normal of the ground from heights a cell away, so that cells are not visible."""
-    cell = world.relief.cell
+    cell = world.height_field.cell
     gx = (ground_height(world, x + cell, y) - ground_height(world, x - cell, y)) / (2.0 * cell)
     gy = (ground_height(world, x, y + cell) - ground_height(world, x, y - cell)) / (2.0 * cell)
     scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
@@ -178,9 +184,9 @@ def grid_position(
     world: World, x: float, y: float, finer: int, grid: Floats32
 ) -> tuple[int, int, float, float]:
     """Row, column and their fractions of a point on a grid `finer` times as fine as the heights."""
-    relief = world.relief
-    scale = finer * relief.per_m
-    right, up = scale * (x - relief.corner[0]), scale * (y - relief.corner[1])
+    height_field = world.height_field
+    scale = finer * height_field.per_m
+    right, up = scale * (x - height_field.corner[0]), scale * (y - height_field.corner[1])
     right = min(max(right, 0.0), grid.shape[1] - 1.0)
     up = min(max(up, 0.0), grid.shape[0] - 1.0)
     j, i = min(int(right), grid.shape[1] - 2), min(int(up), grid.shape[0] - 2)

@@ -19,9 +19,9 @@ def ground_entry_bound(world: World, beam: Beam, begin: float) -> float:
 
     Steps grow with t, and shrink where the beam comes close.
     """
-    if world.relief.heights.shape[0] == 1 or begin == np.inf:
+    if world.height_field.heights.shape[0] == 1 or begin == np.inf:
         return np.inf
-    if beam.ray_min[2] >= 0.0 and beam.origin_min[2] > world.relief.peaks[-1]:
+    if beam.ray_min[2] >= 0.0 and beam.origin_min[2] > world.height_field.peaks[-1]:
         return np.inf
     step = 0.15 * begin + 0.5
     while begin < FAR_M:
@@ -38,7 +38,9 @@ def ground_entry_bound(world: World, beam: Beam, begin: float) -> float:
 def is_above_ground(world: World, beam: Beam, begin: float, end: float) -> bool:
     """Whether all rays of a beam are above the ground between two values of t."""
     lowest = beam.origin_min[2] + min(begin * beam.ray_min[2], end * beam.ray_min[2])
-    return bool(lowest > max_over_area(world, world.relief.peaks, beam_area(beam, begin, end)))
+    return bool(
+        lowest > max_over_area(world, world.height_field.peaks, beam_area(beam, begin, end))
+    )
 
 
 @inlined
@@ -50,19 +52,19 @@ def descent_end(world: World, beam: Beam, begin: float) -> float:
     """
     if not begin < FAR_M:
         return 0.0
-    relief, (_, _, low, high) = world.relief, beam
+    height_field, (_, _, low, high) = world.height_field, beam
     end = 1.15 * begin + 0.5
     area = beam_area(beam, begin, end)
-    rows, columns = relief.heights.shape
+    rows, columns = height_field.heights.shape
     if (
-        area[0] < relief.corner[0]
-        or area[1] > relief.corner[0] + relief.cell * (columns - 1)
-        or area[2] < relief.corner[1]
-        or area[3] > relief.corner[1] + relief.cell * (rows - 1)
+        area[0] < height_field.corner[0]
+        or area[1] > height_field.corner[0] + height_field.cell * (columns - 1)
+        or area[2] < height_field.corner[1]
+        or area[3] > height_field.corner[1] + height_field.cell * (rows - 1)
     ):
         return 0.0
     x, y = max(abs(low[0]), abs(high[0])), max(abs(low[1]), abs(high[1]))
-    fall = math.sqrt(x * x + y * y) * max_over_area(world, relief.slopes, area)
+    fall = math.sqrt(x * x + y * y) * max_over_area(world, height_field.slopes, area)
     return end if -high[2] > fall else 0.0
 
 
@@ -72,21 +74,21 @@ def max_over_area(world: World, values: Floats32, area: tuple[float, float, floa
 
     Read from the level of the pyramid at which the area is four blocks wide at most.
     """
-    relief, (x0, x1, y0, y1) = world.relief, area
-    rows, columns = relief.heights.shape[0] - 1, relief.heights.shape[1] - 1
-    scale = relief.per_m
-    left, right = (x0 - relief.corner[0]) * scale, (x1 - relief.corner[0]) * scale
-    top, bottom = (y0 - relief.corner[1]) * scale, (y1 - relief.corner[1]) * scale
+    height_field, (x0, x1, y0, y1) = world.height_field, area
+    rows, columns = height_field.heights.shape[0] - 1, height_field.heights.shape[1] - 1
+    scale = height_field.per_m
+    left, right = (x0 - height_field.corner[0]) * scale, (x1 - height_field.corner[0]) * scale
+    top, bottom = (y0 - height_field.corner[1]) * scale, (y1 - height_field.corner[1]) * scale
     if right < 0.0 or bottom < 0.0 or left > columns or top > rows:
         return -np.inf
     j0, j1 = int(min(max(left, 0.0), columns - 1.0)), int(min(right, columns - 1.0))
     i0, i1 = int(min(max(top, 0.0), rows - 1.0)), int(min(bottom, rows - 1.0))
     level = 0
-    while level + 1 < len(relief.starts) and max(j1 - j0, i1 - i0) >> level > 2:
+    while level + 1 < len(height_field.starts) and max(j1 - j0, i1 - i0) >> level > 2:
         level += 1
     greatest = -np.inf
     for i in range(i0 >> level, (i1 >> level) + 1):
         for j in range(j0 >> level, (j1 >> level) + 1):
-            at = relief.starts[level] + i * relief.widths[level] + j
+            at = height_field.starts[level] + i * height_field.widths[level] + j
             greatest = max(greatest, values[at])
     return greatest

@@ -61,5 +61,5 @@ def light_on_mover(world: World, mover: int, normal: Vector) -> float:
 @inlined
 def light_on_ground(world: World, x: float, y: float) -> float:
     """Light at a point of the ground."""
-    light = world.relief.light
-    return interpolate(light, grid_position(world, x, y, world.relief.finer, light))
+    light = world.height_field.light
+    return interpolate(light, grid_position(world, x, y, world.height_field.finer, light))

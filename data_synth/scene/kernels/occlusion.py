@@ -26,7 +26,7 @@ def ambient_visibility(
     """
     count = solids_within(world, point, ray_length(to_sky), nearby)
     first, second = tangent_basis(normal)
-    has_ground = world.relief.heights.shape[0] > 1
+    has_ground = world.height_field.heights.shape[0] > 1
     visible, guess = 0, 0
     if count > _MAX_TESTED_SINGLY:
         guess = nearby[0]
@@ -97,7 +97,10 @@ def find_occluder(world: World, start: Vector, ray: Vector, guess: int) -> int:
         if leaf >= 0 and occludes(world, leaf, start, ray):
             return int(leaf)
         node += 1
-    if world.relief.heights.shape[0] > 1 and intersect_ground(world, start, ray, 0.0, 1.0) < 1.0:
+    if (
+        world.height_field.heights.shape[0] > 1
+        and intersect_ground(world, start, ray, 0.0, 1.0) < 1.0
+    ):
         return GROUND
     return -1
 

@@ -124,7 +124,7 @@ def keep_nearest(packet: Floats, lane: int, near: float, far: float, number: flo
 def nearest_hit(
     world: World, packet: Floats, lane: int, candidates: Candidates, guess: float
 ) -> tuple[float, int]:
-    """T and surface of the nearest hit of a ray of a packet, the ground included.
+    """Value of t and surface of the nearest hit of a ray, the ground included.
 
     To be called after `intersect_solids`; `guess` is a t near which the ray may meet the ground.
     """

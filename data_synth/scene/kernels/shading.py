@@ -122,28 +122,28 @@ def choose_ground_filter(
     world: World, hit: Vector, ray: Vector, sides: tuple[Vector, Vector], t: float
 ) -> Filter:
     """Texture filter for a hit on the ground."""
-    relief = world.relief
+    height_field = world.height_field
     normal = ground_normal(world, hit[0], hit[1])
     facing = inverse_cosine(normal, ray)
     a, d = (
         hit_differential(ray, sides[0], normal, t, facing),
         hit_differential(ray, sides[1], normal, t, facing),
     )
-    k, scale = relief.density, 0.0
-    if relief.stain > 0.0:
-        scale = relief.stain_scale
+    k, scale = height_field.density, 0.0
+    if height_field.stain > 0.0:
+        scale = height_field.stain_scale
     return footprint_filter((a[0], a[1]), (d[0], d[1]), k, -k, scale)
 
 
 @inlined
 def ground_radiance(world: World, hit: Vector, filter_: Filter) -> float:
     """Radiance of the ground: its texture, projected from above, times stains and baked light."""
-    relief = world.relief
-    k = relief.density
-    value = sample_filtered(world, relief.texture, k * hit[0], -k * hit[1], filter_)
-    if relief.stain > 0.0:
-        k = relief.stain_scale
-        value *= 1.0 + 2.0 * relief.stain * (
+    height_field = world.height_field
+    k = height_field.density
+    value = sample_filtered(world, height_field.texture, k * hit[0], -k * hit[1], filter_)
+    if height_field.stain > 0.0:
+        k = height_field.stain_scale
+        value *= 1.0 + 2.0 * height_field.stain * (
             filtered_stain(world, k * hit[0], -k * hit[1], filter_) - 0.5
         )
     return value * light_on_ground(world, hit[0], hit[1])

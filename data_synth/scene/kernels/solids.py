@@ -14,7 +14,7 @@ from data_synth.scene.world import World
 
 @inlined
 def intersect_solid(world: World, solid: int, start: Vector, ray: Vector) -> Pair:
-    """T at which a ray enters and leaves a solid; entry > exit for a miss."""
+    """Values of t where a ray enters and leaves a solid; entry > exit for a miss."""
     o, d = to_local_point(world, solid, start), to_local(world, solid, ray)
     kind, shape = world.kinds[index(solid)], load_shape(world, solid)
     if kind == BOX:
@@ -28,7 +28,7 @@ def intersect_solid(world: World, solid: int, start: Vector, ray: Vector) -> Pai
 
 @inlined
 def intersect_box(o: Vector, d: Vector, shape: Shape) -> SlabHit:
-    """T at which a ray enters and leaves a box, and the face where it enters (slab method)."""
+    """Values of t where a ray enters and leaves a box, and the face of the entrance (slabs)."""
     hit = clip_to_slab((-np.inf, np.inf, 0.0), o[0], d[0], shape.half_x, 0.0)
     hit = clip_to_slab(hit, o[1], d[1], shape.half_y, 2.0)
     return clip_to_slab(hit, o[2], d[2], shape.half_z, 4.0)
@@ -36,7 +36,7 @@ def intersect_box(o: Vector, d: Vector, shape: Shape) -> SlabHit:
 
 @inlined
 def intersect_cylinder(o: Vector, d: Vector, shape: Shape) -> SlabHit:
-    """T at which a ray enters and leaves an upright cylinder; the face of its side is 0."""
+    """As `intersect_box`, of an upright cylinder; the face of its side is 0."""
     near, far, face = clip_to_slab((-np.inf, np.inf, 0.0), o[2], d[2], shape.half_z, 4.0)
     first, last = intersect_ellipsoid(o, d, shape.inverse_x, shape.inverse_y, 0.0)
     by_side = first > near
@@ -63,7 +63,7 @@ def clip_to_slab(hit: SlabHit, o: float, d: float, reach: float, face: float) ->
 
 @inlined
 def intersect_ellipsoid(o: Vector, d: Vector, x: float, y: float, z: float) -> Pair:
-    """T at which a ray enters and leaves the ellipsoid of half axes 1/x, 1/y, 1/z.
+    """Values of t where a ray enters and leaves the ellipsoid of half axes 1/x, 1/y, 1/z.
 
     Entry > exit for a miss. z = 0 gives an infinite upright cylinder. In coordinates scaled to the
     unit sphere, t = t_c ± sqrt((1 - |p|²) / |d|²), where p = o + t_c d is the point of the ray

@@ -14,7 +14,7 @@ def dot(a: Vector, b: Vector) -> float:
 
 @inlined
 def add_scaled(start: Vector, direction: Vector, by: float) -> Vector:
-    """Start + by * direction."""
+    """The point start + by * direction."""
     return (
         start[0] + by * direction[0],
         start[1] + by * direction[1],
@@ -24,7 +24,7 @@ def add_scaled(start: Vector, direction: Vector, by: float) -> Vector:
 
 @inlined
 def subtract(a: Vector, b: Vector) -> Vector:
-    """A - b."""
+    """The difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -42,13 +42,13 @@ def maximum(a: Vector, b: Vector) -> Vector:
 
 @inlined
 def rotate(rotation: Rotation, v: Vector) -> Vector:
-    """R v."""
+    """The product R v."""
     return dot(rotation[0], v), dot(rotation[1], v), dot(rotation[2], v)
 
 
 @inlined
 def rotate_xy(rotation: Rotation, v: Pair) -> Vector:
-    """R (x, y, 0)."""
+    """The product R (x, y, 0)."""
     return (
         rotation[0][0] * v[0] + rotation[0][1] * v[1],
         rotation[1][0] * v[0] + rotation[1][1] * v[1],
@@ -58,7 +58,7 @@ def rotate_xy(rotation: Rotation, v: Pair) -> Vector:
 
 @inlined
 def rotate_back(rotation: Rotation, v: Vector) -> Vector:
-    """R^T v."""
+    """The product R^T v."""
     return (
         rotation[0][0] * v[0] + rotation[1][0] * v[1] + rotation[2][0] * v[2],
         rotation[0][1] * v[0] + rotation[1][1] * v[1] + rotation[2][1] * v[2],

@@ -1,4 +1,4 @@
-"""Images are encoded ahead, in order, and not too far ahead."""
+"""Encoding of images in order, a few frames ahead."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from data_synth.records import Shot
+from data_synth.writers.encoding import FRAMES_AHEAD, encode, encoded_shots
 from data_synth.writers.image_files import float_tiff, tum_depth_png
-from data_synth.writers.images import FRAMES_AHEAD, encode, encoded_shots
 
 
 def _shots(count: int, taken: list[int]) -> Iterator[Shot]:
@@ -58,7 +58,7 @@ def test_stopping_early_ends_the_threads() -> None:
     assert len(taken) == 1 + FRAMES_AHEAD
 
 
-def test_an_error_of_the_renderer_passes_through() -> None:
+def test_errors_of_the_renderer_propagate() -> None:
     def broken() -> Iterator[Shot]:
         yield from _shots(2, [])
         raise RuntimeError("out of light")
@@ -68,7 +68,7 @@ def test_an_error_of_the_renderer_passes_through() -> None:
     assert not _encoding_threads()
 
 
-def test_each_codec_keeps_what_it_promises() -> None:
+def test_lossless_codecs_are_exact_and_jpeg_is_close() -> None:
     waves = 128 + 100 * np.outer(np.sin(np.arange(48) / 5), np.cos(np.arange(64) / 7))
     image = waves.astype(np.uint8)
     raw, png, jpeg = (encode(image, codec) for codec in ("raw", "png", "jpeg"))
@@ -92,7 +92,7 @@ def test_depth_as_float_is_exact() -> None:
     np.testing.assert_array_equal(again, depth)
 
 
-def test_depth_of_tum_counts_5000_a_metre_and_has_0_for_too_far() -> None:
+def test_depth_of_tum_has_5000_units_per_metre_and_0_for_too_far() -> None:
     depth = np.array([[0.5, 1.00009, 13.107, 13.1072, 500.0, np.inf]], dtype=np.float32)
     again = cv2.imdecode(np.frombuffer(tum_depth_png(depth), np.uint8), cv2.IMREAD_UNCHANGED)
     assert again.dtype == np.uint16

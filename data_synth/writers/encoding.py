@@ -1,4 +1,4 @@
-"""Compresses images in threads, a few frames ahead of the one who writes them."""
+"""Compression of images in threads, a few frames ahead of the writer."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from data_synth.records import Pixels, Shot
 from vo.types import Floats32
 
 FRAMES_AHEAD = 3
-"""How many frames are in memory besides the one in use."""
+"""Frames in memory besides the one in use."""
 
 JPEG_QUALITY = 92
 
 _THREADS = 4
-# Run lengths and one filter: twice as fast as OpenCV's own choice, and the files are smaller.
+# Run lengths and one filter: twice as fast as OpenCV's defaults, with smaller files.
 _PNG = (
     (cv2.IMWRITE_PNG_COMPRESSION, 1)
     + (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
@@ -29,14 +29,14 @@ _PNG = (
 
 @dataclass(frozen=True, eq=False)
 class EncodedShot:
-    """A frame ready for the disk.
+    """An encoded frame.
 
     Attributes:
         index: number of the frame, 0…F-1.
-        data: for each camera the encoded image, or None where it was dropped.
-        pixel_formats: for each camera what raw pixels are called; empty where it was dropped.
+        data: for each camera the encoded image, or None if dropped.
+        pixel_formats: for each camera the name of its raw pixel format; empty if dropped.
         depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
-        depth_data: the same as `encode_depth` gave it, or None.
+        depth_data: the same, encoded by `encode_depth`, or None.
     """
 
     index: int
@@ -47,7 +47,7 @@ class EncodedShot:
 
 
 def pixel_format(image: Pixels | None) -> str:
-    """What ROS and Foxglove call the pixels of an image; empty where there is none."""
+    """Name of the pixel format in ROS and Foxglove; empty for no image."""
     if image is None:
         return ""
     return f"{'mono' if image.ndim == 2 else 'bgr'}{8 if image.dtype == np.uint8 else 16}"
@@ -57,7 +57,7 @@ EncodeDepth = Callable[[Floats32], bytes]
 
 
 def encode(image: Pixels, codec: str) -> bytes:
-    """An image as a `png` or `jpeg` file (8 bits), or `raw`: its pixels row by row."""
+    """Encode an image as `png` or `jpeg` (8 bits), or `raw`: pixels row by row."""
     if codec == "raw":
         return image.astype(image.dtype.newbyteorder("<"), copy=False).tobytes()
     if codec == "png":
@@ -70,15 +70,15 @@ def encode(image: Pixels, codec: str) -> bytes:
 def encoded_shots(
     shots: Iterable[Shot], codec: str, encode_depth: EncodeDepth | None = None
 ) -> Generator[EncodedShot, None, None]:
-    """Encode frames while the next ones are rendered; they come in order.
+    """Encode frames, in order, while the next ones are rendered.
 
-    At most `FRAMES_AHEAD` frames more than were asked for are taken from `shots`. Who stops early
+    At most `FRAMES_AHEAD` frames are taken from `shots` in advance. A caller that stops early
     closes the generator (`contextlib.closing`), which ends the threads.
 
     Args:
         shots: the frames.
         codec: `png`, `jpeg` or `raw`.
-        encode_depth: makes `depth_data` of a depth image; without it there is none.
+        encode_depth: encoder for `depth_data`; None for no `depth_data`.
     """
     waiting: deque[_Job] = deque()
     with ThreadPoolExecutor(_THREADS, thread_name_prefix="encode") as pool:

@@ -7,8 +7,8 @@ import numpy as np
 from vo.types import Floats
 
 
-def smoothed_round(values: Floats, width: float) -> Floats:
-    """A closed series (M, C), three times averaged over a third of `width` rows."""
+def smoothed_closed(values: Floats, width: float) -> Floats:
+    """Smooth a closed series (M, C): three running means over a third of `width` rows each."""
     box = max(1, round(width / 3.0)) | 1
     for _ in range(3):
         values = _averaged(values, box, "wrap")
@@ -16,7 +16,7 @@ def smoothed_round(values: Floats, width: float) -> Floats:
 
 
 def smoothed(values: Floats, width: float) -> Floats:
-    """An open series (N,), the same, as if its ends went on for ever."""
+    """Smooth an open series (N,) in the same way; its end values are repeated."""
     box = max(1, round(width / 3.0)) | 1
     for _ in range(3):
         values = _averaged(values[:, None], box, "edge")[:, 0]
@@ -28,7 +28,7 @@ def wander(
     times_s: Floats,
     amplitude: float,
     periods_s: tuple[float, float],
-    whole_s: float | None = None,
+    repeat_s: float | None = None,
 ) -> Floats:
     """A smooth random series (N,) within ±amplitude, of three waves.
 
@@ -37,20 +37,20 @@ def wander(
         times_s: (N,).
         amplitude: largest value.
         periods_s: shortest and longest period of a wave.
-        whole_s: a time after which it repeats itself, if it must.
+        repeat_s: its period, or None for an aperiodic series.
     """
     total = np.zeros(len(times_s))
     for _ in range(3):
         frequency = float(rng.uniform(1.0 / periods_s[1], 1.0 / periods_s[0]))
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
-        if whole_s is not None:
-            frequency = max(1, round(frequency * whole_s)) / whole_s
+        if repeat_s is not None:
+            frequency = max(1, round(frequency * repeat_s)) / repeat_s
         total += np.sin(2.0 * np.pi * frequency * times_s + phase)
     return np.asarray(amplitude / 3.0 * total)
 
 
 def _averaged(values: Floats, box: int, mode: str) -> Floats:
-    """Running mean of (M, C) over an odd number of rows; sums stay small, digits are kept."""
+    """Running mean of (M, C) over an odd number of rows, relative to the mean for precision."""
     if box <= 1:
         return values
     middle = values.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Rolling ground as arrays, with a pyramid of its peaks that lets rays leap over what is below."""
+"""Height field of the ground as arrays, with a pyramid of maxima for ray casting."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import numpy as np
 from data_synth.scene.solids import Ground
 from vo.types import Floats, Floats32, Ints
 
-STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures: the two never repeat together
+STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures, so that their sum does not repeat
 
 
-class Relief(NamedTuple):
-    """Ground on a grid of R x C points, bilinear between.
+class HeightField(NamedTuple):
+    """Ground on a grid of R x C points, with bilinear interpolation.
 
     Attributes:
-        heights: (R, C); 1 x 1 where there is no ground.
+        heights: (R, C); 1 x 1 for no ground.
         corner: (2,) x and y of heights[0, 0].
         cell: metres between grid points.
         per_m: grid points in a metre.
         peaks: (P,) greatest heights of blocks of 1, 2, 4, … cells squared, level by level.
         slopes: (P,) upper bounds of the slope, rise over run, in the same blocks.
-        starts: (L,) where each level begins.
+        starts: (L,) start of each level.
         widths: (L,) blocks in a row of each level.
         texture: number of its texture.
         density: texels per metre.
         stain: strength of its stain.
         stain_scale: texels of the stain per metre.
         light: on a grid over the same area.
-        finer: how many times finer that grid is.
+        finer: factor by which the grid of light is finer.
     """
 
     heights: Floats32
@@ -48,17 +48,17 @@ class Relief(NamedTuple):
     finer: int
 
     @property
-    def is_there(self) -> bool:
-        """Whether there is any ground."""
+    def exists(self) -> bool:
+        """Whether there is ground."""
         return self.heights.size > 1
 
 
-def make_relief(ground: Ground | None) -> Relief:
-    """The ground as arrays, still dark."""
+def make_height_field(ground: Ground | None) -> HeightField:
+    """The ground as arrays, without light."""
     if ground is None:
         none = np.zeros((1, 1), np.float32)
         level = np.zeros(1, np.int64)
-        return Relief(
+        return HeightField(
             none,
             np.zeros(2),
             1.0,
@@ -75,10 +75,10 @@ def make_relief(ground: Ground | None) -> Relief:
             1,
         )
     heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
-    levels = _greatest(_cell_peaks(heights))
-    slopes = _greatest(_cell_slopes(heights, ground.cell))
+    levels = _max_pyramid(_cell_peaks(heights))
+    slopes = _max_pyramid(_cell_slopes(heights, ground.cell))
     sizes = [level.size for level in levels]
-    return Relief(
+    return HeightField(
         heights=heights,
         corner=np.array(ground.origin, dtype=np.float64),
         cell=float(ground.cell),
@@ -96,35 +96,37 @@ def make_relief(ground: Ground | None) -> Relief:
     )
 
 
-def heights_at(relief: Relief, points: Floats) -> Floats:
-    """Heights (N,) of the ground at points (N, 2 or more), bilinear; at its rim outside."""
-    rows, columns = relief.heights.shape
-    x = np.clip((points[:, 0] - relief.corner[0]) / relief.cell, 0.0, columns - 1.0)
-    y = np.clip((points[:, 1] - relief.corner[1]) / relief.cell, 0.0, rows - 1.0)
+def heights_at(height_field: HeightField, points: Floats) -> Floats:
+    """Heights (N,) of the ground at points (N, 2 or more), bilinear; at the border outside."""
+    rows, columns = height_field.heights.shape
+    x = np.clip((points[:, 0] - height_field.corner[0]) / height_field.cell, 0.0, columns - 1.0)
+    y = np.clip((points[:, 1] - height_field.corner[1]) / height_field.cell, 0.0, rows - 1.0)
     j = np.minimum(x.astype(np.int64), columns - 2)
     i = np.minimum(y.astype(np.int64), rows - 2)
-    u, v, z = x - j, y - i, relief.heights.astype(np.float64)
+    u, v, z = x - j, y - i, height_field.heights.astype(np.float64)
     near = (1.0 - u) * z[i, j] + u * z[i, j + 1]
     far = (1.0 - u) * z[i + 1, j] + u * z[i + 1, j + 1]
     return np.asarray((1.0 - v) * near + v * far)
 
 
 def _cell_peaks(heights: Floats32) -> Floats32:
-    """Greatest height of each cell."""
+    """Maximum height of each cell."""
     rows = np.maximum(heights[:-1], heights[1:])
     return np.asarray(np.maximum(rows[:, :-1], rows[:, 1:]))
 
 
 def _cell_slopes(heights: Floats32, cell: float) -> Floats32:
-    """Upper bound of the slope in each cell: of a bilinear patch, from its rims."""
+    """Upper bound of the slope in each cell: of a bilinear patch, from its edges."""
     z = heights.astype(np.float64)
     across, up = np.abs(np.diff(z, axis=1)), np.abs(np.diff(z, axis=0))
     steepest = np.hypot(np.maximum(across[:-1], across[1:]), np.maximum(up[:, :-1], up[:, 1:]))
-    return np.asarray(steepest / cell * (1.0 + 1e-6), dtype=np.float32)  # rounding lowers none
+    return np.asarray(
+        steepest / cell * (1.0 + 1e-6), dtype=np.float32
+    )  # so that rounding lowers none
 
 
-def _greatest(cells: Floats32) -> list[Floats32]:
-    """The greatest value of each cell, then of blocks of cells up to all of them."""
+def _max_pyramid(cells: Floats32) -> list[Floats32]:
+    """Pyramid of maxima: of each cell, of 2 x 2 cells, and so on up to all of them."""
     levels = [cells]
     while levels[-1].size > 1:
         last = levels[-1]

@@ -1,4 +1,4 @@
-"""A schedule along a way, as series in time that the motions are made of."""
+"""Motion along a route as time series, from which the carriers derive poses."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.motion.pace import Schedule
-from data_synth.motion.smooth import smoothed
-from data_synth.motion.way import Way
+from data_synth.motion.route import Route
+from data_synth.motion.smoothing import smoothed
+from data_synth.motion.speed_profile import Schedule
 from vo.types import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Ride:
-    """What happens along the way, at N equally spaced times.
+class MotionProfile:
+    """Position, direction and acceleration along a route at N equally spaced times.
 
     Attributes:
         times_s: (N,).
-        step_s: between them.
-        points: (N, 3) x, y and the levelled ground below.
-        heading: (N,) direction of the way, radians, without jumps.
-        slope: (N,) angle by which the way rises.
-        ahead_m_s2: (N,) acceleration along the way.
+        step_s: between the times.
+        points: (N, 3) x, y and the averaged height of the ground.
+        heading: (N,) direction of the route, radians, without jumps.
+        slope: (N,) angle of ascent of the route.
+        ahead_m_s2: (N,) acceleration along the route.
         left_m_s2: (N,) horizontal acceleration across it.
-        stir: (N,) speed as a share 0…1 of the usual one: how much a walker bobs and wheels shake.
+        stir: (N,) speed relative to the usual one, 0…1; scales bobbing and shaking.
     """
 
     times_s: Floats
@@ -37,23 +37,23 @@ class Ride:
     stir: Floats
 
     def smoothed(self, values: Floats, seconds: float) -> Floats:
-        """A series (N,) smoothed over a time."""
+        """Smooth a series (N,) over a time."""
         return smoothed(values, seconds / self.step_s)
 
 
-def make_ride(way: Way, schedule: Schedule, times_s: Floats, ease_s: float) -> Ride:
-    """Follow a schedule along a way, with changes of speed eased over a time."""
+def make_profile(route: Route, schedule: Schedule, times_s: Floats, ease_s: float) -> MotionProfile:
+    """Follow a schedule along a route, with changes of speed eased over a time."""
     step = float(times_s[1] - times_s[0])
     distances = smoothed(schedule.at(times_s), ease_s / step)
     speeds = np.gradient(distances, step)
-    first, second = way.at(distances, 1), way.at(distances, 2)
+    first, second = route.at(distances, 1), route.at(distances, 2)
     flat = np.hypot(first[:, 0], first[:, 1])
     bend = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / flat**2
     usual = max(float(np.median(np.abs(speeds))), 0.3)
-    return Ride(
+    return MotionProfile(
         times_s=times_s,
         step_s=step,
-        points=way.at(distances),
+        points=route.at(distances),
         heading=np.unwrap(np.arctan2(first[:, 1], first[:, 0])),
         slope=np.arctan2(first[:, 2], flat),
         ahead_m_s2=np.gradient(speeds, step),
@@ -62,8 +62,8 @@ def make_ride(way: Way, schedule: Schedule, times_s: Floats, ease_s: float) -> R
     )
 
 
-def stay(way: Way, at_m: float, times_s: Floats) -> Ride:
-    """Stand at one place of a way."""
+def stationary_profile(route: Route, at_m: float, times_s: Floats) -> MotionProfile:
+    """Profile of standing at one point of a route."""
     step = float(times_s[1] - times_s[0])
     still = Schedule(np.array([0.0, 1.0]), np.array([at_m, at_m]), np.zeros(2))
-    return make_ride(way, still, times_s, step)
+    return make_profile(route, still, times_s, step)

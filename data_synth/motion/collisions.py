@@ -1,4 +1,4 @@
-"""Whether a path keeps away from everything solid, along all of it."""
+"""Collision check of a whole path."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ _AT_ONCE = 128  # points; worlds of thousands of solids compare each point with 
 
 @dataclass(frozen=True, eq=False)
 class Collision:
-    """Where a path comes too near: the place (3,), its time and the distance left."""
+    """Where a path is too close to a solid: the point (3,), its time and the distance."""
 
-    place: Floats
+    point: Floats
     time_s: float
     distance_m: float
 
 
 def find_collision(path: PosePath, clearance: Clearance, margin_m: float) -> Collision | None:
-    """The worst of the places found where a path is nearer than a margin to something solid.
+    """Find a point where a path is closer than a margin to a solid; None if there is none.
 
-    A distance changes no faster than the point that it is measured from moves. So where there is
-    room to spare, a whole stretch is known to be free from its middle; other stretches are halved
-    until they are 3 cm long.
+    The distance to the nearest solid changes by at most the length moved (it is 1-Lipschitz), so
+    that a distance at the middle of a stretch bounds the whole stretch. Stretches that are not
+    proven to be free are halved until they are 3 cm long.
 
     Args:
         path: an open path.
         clearance: distances (N,) of points (N, 3) to the nearest solid.
         margin_m: least distance.
     """
-    # Bounds of the spline's speed by its controls give a measure that no stretch is longer than.
+    # The controls bound the speed of the spline, and so the length of every stretch.
     spans = np.linalg.norm(np.diff(path.controls[:, :3], axis=0), axis=1)
     longest = np.maximum(np.maximum(spans[:-2], spans[1:-1]), spans[2:])
     along = np.concatenate([[0.0], np.cumsum(longest + 1e-9)])

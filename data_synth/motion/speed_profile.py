@@ -1,0 +1,138 @@
+"""Speeds and schedules along a route, within limits of speed and acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_synth.motion.limits import Limits
+from data_synth.motion.route import Route
+from vo.types import Floats
+
+# Fraction of the limits for the plan; the rest is for easing, bumps and rounding.
+_PLANNED = 0.75
+
+_MIN_SQUARE_M2_S2 = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedProfile:
+    """Largest speed at each point of a closed route.
+
+    Attributes:
+        squared_speeds: (M,) squared speeds that the tangential acceleration can reach, m²/s².
+        step_m: length between points.
+        tangential_m_s2: largest acceleration along the route.
+    """
+
+    squared_speeds: Floats
+    step_m: float
+    tangential_m_s2: float
+
+    @property
+    def length_m(self) -> float:
+        """Length of the route."""
+        return len(self.squared_speeds) * self.step_m
+
+    @property
+    def lap_s(self) -> float:
+        """Duration of one lap without a stop."""
+        return float(np.sum(self.step_m / np.sqrt(self.squared_speeds)))
+
+    def limited(self, speed_m_s: float) -> SpeedProfile:
+        """The same profile with a lower top speed."""
+        return SpeedProfile(
+            np.minimum(self.squared_speeds, speed_m_s**2), self.step_m, self.tangential_m_s2
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """Distances along a route by time, with constant acceleration between the rows.
+
+    Attributes:
+        times_s: (N,) increasing, from 0.
+        distances_m: (N,).
+        speeds_m_s: (N,) negative when going back.
+    """
+
+    times_s: Floats
+    distances_m: Floats
+    speeds_m_s: Floats
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end."""
+        return float(self.times_s[-1])
+
+    def at(self, times_s: Floats) -> Floats:
+        """Distances at times; at rest before the start and after the end."""
+        inside = np.clip(times_s, 0.0, self.times_s[-1])
+        row = np.clip(np.searchsorted(self.times_s, inside, "right") - 1, 0, len(self.times_s) - 2)
+        since = inside - self.times_s[row]
+        gain = np.diff(self.speeds_m_s) / np.maximum(np.diff(self.times_s), 1e-12)
+        return np.asarray(
+            self.distances_m[row] + since * (self.speeds_m_s[row] + 0.5 * since * gain[row])
+        )
+
+
+def make_speed_profile(route: Route, limits: Limits, speed: float) -> SpeedProfile:
+    """The largest speeds within the limits, in curves too; `speed` scales the top speed."""
+    step = route.step_m
+    places = np.arange(len(route.controls), dtype=np.float64) * step
+    curvatures = np.maximum(route.curvatures(places), 1e-9)
+    squared_speeds = np.minimum(
+        _PLANNED * limits.lateral_m_s2 / curvatures,
+        (_PLANNED * limits.turn_rad_s / curvatures) ** 2,
+    )
+    squared_speeds = np.clip(squared_speeds, _MIN_SQUARE_M2_S2, (limits.speed_m_s * speed) ** 2)
+    tangential = _PLANNED * limits.tangential_m_s2
+    return SpeedProfile(_reachable(squared_speeds, 2.0 * tangential * step), step, tangential)
+
+
+def _reachable(squared_speeds: Floats, gain: float) -> Floats:
+    """The largest closed series below another one that changes by at most `gain` a step."""
+    count = len(squared_speeds)
+    three = np.tile(squared_speeds, 3)
+    ramp = gain * np.arange(3 * count)
+    rising = np.minimum.accumulate(three - ramp) + ramp
+    falling = (np.minimum.accumulate((three + ramp)[::-1]))[::-1] - ramp
+    return np.asarray(np.minimum(rising, falling)[count : 2 * count])
+
+
+def leg(speed_profile: SpeedProfile, start_m: float, end_m: float) -> Schedule:
+    """Schedule from rest at one point to rest at another, forwards or backwards."""
+    low, high = sorted((start_m, end_m))
+    count = 3 + int(
+        (high - low) / speed_profile.step_m
+    )  # at least one row between the ends, with a speed above 0
+    distances = np.linspace(low, high, count)
+    lap = np.append(speed_profile.squared_speeds, speed_profile.squared_speeds[0])
+    squared_speeds = np.interp(
+        distances % speed_profile.length_m / speed_profile.step_m, np.arange(len(lap)), lap
+    )
+    twice = 2.0 * speed_profile.tangential_m_s2
+    squared_speeds = np.minimum(
+        squared_speeds, twice * np.minimum(distances - low, high - distances)
+    )
+    speeds = np.sqrt(np.maximum(squared_speeds, 0.0))
+    steps = 2.0 * np.diff(distances) / (speeds[1:] + speeds[:-1])
+    if end_m < start_m:
+        distances, speeds, steps = distances[::-1], -speeds[::-1], steps[::-1]
+    return Schedule(np.concatenate([[0.0], np.cumsum(steps)]), distances, speeds)
+
+
+def rest(at_m: float, seconds: float) -> Schedule:
+    """Schedule of standing still."""
+    return Schedule(np.array([0.0, seconds]), np.array([at_m, at_m]), np.zeros(2))
+
+
+def chain(parts: list[Schedule]) -> Schedule:
+    """Schedules one after the other."""
+    starts = np.concatenate([[0.0], np.cumsum([part.duration_s for part in parts])])
+    return Schedule(
+        np.concatenate([p.times_s + s for p, s in zip(parts, starts[:-1], strict=True)]),
+        np.concatenate([p.distances_m for p in parts]),
+        np.concatenate([p.speeds_m_s for p in parts]),
+    )
