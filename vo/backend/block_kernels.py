@@ -52,7 +52,9 @@ def reduced(  # type: ignore[no-untyped-def]
     With `calibrates` six rows follow, of which the first are those of what the calibration leaves
     (`CalibrationResidual`): to the blocks it is one more pose, which all observations share.
     """
-    free = slot.max() + 1
+    free = 0
+    for k in slot:
+        free = max(free, k + 1)
     size = free + 1 if calibrates else free
     # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
     blocks, gradient = np.zeros(size * size * _BLOCK), np.zeros(size * _LANES)

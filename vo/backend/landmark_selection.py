@@ -8,6 +8,8 @@ from vo.backend.window_problem import WindowProblem
 from vo.compiling.function import compiled
 from vo.types import Bools, Ints
 
+_WORST = np.iinfo(np.int64).max  # rank before any is known
+
 
 def choose_landmarks(problem: WindowProblem, max_count: int) -> Bools:
     """Mask (M,) of at most `max_count` points with two observations, one of a free pose.
@@ -30,13 +32,13 @@ def choose_landmarks(problem: WindowProblem, max_count: int) -> Bools:
 
 def _best_ranks(keyframe: Ints, point: Ints, seen: Ints, keyframes: int) -> Ints:
     """(M,) best rank of each point within the keyframes that observe it; ties in order."""
-    return np.asarray(_ranked(keyframe, point, seen, keyframes))
+    return np.asarray(_ranked(keyframe, point, seen, int(seen.max()), keyframes))
 
 
 @compiled
-def _ranked(keyframe, point, seen, keyframes):  # type: ignore[no-untyped-def]
-    best = np.full(len(seen), np.iinfo(np.int64).max)
-    rank = np.zeros((keyframes, seen.max() + 1), dtype=np.int64)
+def _ranked(keyframe, point, seen, max_seen, keyframes):  # type: ignore[no-untyped-def]
+    best = np.full(len(seen), _WORST)
+    rank = np.zeros((keyframes, max_seen + 1), dtype=np.int64)
     for n in range(len(point)):
         rank[keyframe[n], seen[point[n]]] += 1
     for k in range(keyframes):  # from how many there are to where they begin

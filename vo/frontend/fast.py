@@ -183,20 +183,23 @@ def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-de
     is_kept = np.ones(n, dtype=np.bool_)
     if n <= count:
         return is_kept
-    strongest_first = _sorted_stably(255 - scores, np.arange(n))
+    weakness, rows = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        weakness[i], rows[i] = 255 - scores[i], i
+    strongest_first = _sorted_stably(weakness, rows, 256)
     seen, rank = np.zeros(cells, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in strongest_first:
         rank[i] = seen[cell_of[i]]
         seen[cell_of[i]] += 1
-    for i in _sorted_stably(rank, strongest_first)[count:]:
+    for i in _sorted_stably(rank, strongest_first, n)[count:]:
         is_kept[i] = False
     return is_kept
 
 
 @compiled
-def _sorted_stably(keys, rows):  # type: ignore[no-untyped-def]
-    """Rows in order of their keys, small numbers."""
-    starts = np.zeros(keys.max() + 2, dtype=np.int64)
+def _sorted_stably(keys, rows, count):  # type: ignore[no-untyped-def]
+    """Rows in order of their keys, which are less than `count`."""
+    starts = np.zeros(count + 1, dtype=np.int64)
     for i in rows:
         starts[keys[i] + 1] += 1
     for key in range(len(starts) - 1):

@@ -17,6 +17,7 @@ from vo.frontend.contracts import (
 from vo.types import Bools, Descriptors, Floats32, Ints
 
 _CELL_PX = 32.0
+_ROUNDING_PX = 1e-3  # added to tolerances where whole cells are skipped
 _ANGLE_BINS = 30
 _ANGLE_BINS_KEPT = 3
 NO_MATCH = -1
@@ -86,7 +87,7 @@ class HammingMatcher:
             return Matches(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
         limits = self._config.max_hamming, self._config.ratio if ratio is None else ratio
         matched, distance = self._nearest(query, train, region, *limits)
-        matched = _one_to_one(matched, distance)
+        matched = _one_to_one(matched, distance, len(train))
         rows = np.flatnonzero(matched >= 0)
         matches = Matches(rows, matched[rows], distance[rows].astype(np.float64))
         return with_common_rotation(matches, query, train) if check_rotation else matches
@@ -105,8 +106,8 @@ class HammingMatcher:
             nearest, distance = _best_of_all(query_words, train_words, max_distance, ratio)
             return nearest, distance
         train_xy = np.ascontiguousarray(train.xy, dtype=np.float64)
+        order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
         if isinstance(region, Windows):
-            order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
             nearest, distance = _best_in_windows(
                 np.ascontiguousarray(query.xy, dtype=np.float64),
                 query.octave,
@@ -124,15 +125,22 @@ class HammingMatcher:
                 ratio,
             )
             return nearest, distance
+        tolerance_px = np.ascontiguousarray(region.tolerance_px, dtype=np.float64)
         nearest, distance = _best_near_segments(
             query.octave,
             query_words,
             train_xy,
             train.octave,
             train_words,
+            order,
+            starts,
+            columns,
+            rows,
+            origin,
             np.ascontiguousarray(region.start, dtype=np.float64),
             np.ascontiguousarray(region.end, dtype=np.float64),
-            np.ascontiguousarray(region.tolerance_px, dtype=np.float64),
+            tolerance_px,
+            float(tolerance_px.max()) + _ROUNDING_PX,
             max_distance,
             ratio,
         )
@@ -166,23 +174,33 @@ def _agree(query_angle, train_angle):  # type: ignore[no-untyped-def]
         turn = np.float64(train_angle[n]) - np.float64(query_angle[n])
         bins[n] = int(np.floor(turn * (_ANGLE_BINS / (2.0 * np.pi)) + 0.5)) % _ANGLE_BINS
         counts[bins[n]] += 1
-    full = 0.1 * counts.max()
+    enough = 0.1 * counts[_fullest(counts)]
     is_kept = np.zeros(_ANGLE_BINS, dtype=np.bool_)
     for _ in range(_ANGLE_BINS_KEPT):
-        fullest = counts.argmax()
-        is_kept[fullest] = counts[fullest] >= full
-        counts[fullest] = -1
+        bin = _fullest(counts)
+        is_kept[bin] = counts[bin] >= enough
+        counts[bin] = -1
     agrees = np.empty(len(bins), dtype=np.bool_)
     for n in range(len(bins)):
         agrees[n] = is_kept[bins[n]]
     return agrees
 
 
+@compiled(**NO_REFCOUNT)
+def _fullest(counts):  # type: ignore[no-untyped-def]
+    """Index of the highest count, the first of equals."""
+    fullest = 0
+    for bin in range(len(counts)):
+        if counts[bin] > counts[fullest]:
+            fullest = bin
+    return fullest
+
+
 @compiled
-def _one_to_one(matched, distance):  # type: ignore[no-untyped-def]
-    """Of queries that chose the same train feature, keep the nearest (the first of equals)."""
+def _one_to_one(matched, distance, count):  # type: ignore[no-untyped-def]
+    """Of queries that chose the same of `count` train features, keep the nearest (or the first)."""
     result = np.full(len(matched), NO_MATCH)
-    winner = np.full(matched.max() + 1, -1)
+    winner = np.full(count, -1)
     for n in range(len(matched)):
         m = matched[n]
         if m >= 0 and (winner[m] < 0 or distance[n] < distance[winner[m]]):
@@ -196,9 +214,13 @@ def _one_to_one(matched, distance):  # type: ignore[no-untyped-def]
 @compiled
 def _grid(xy, cell):  # type: ignore[no-untyped-def]
     """Rows sorted by grid cell, and where each cell begins."""
-    left, top = xy[:, 0].min(), xy[:, 1].min()
-    columns = int((xy[:, 0].max() - left) / cell) + 1
-    rows = int((xy[:, 1].max() - top) / cell) + 1
+    left, top = xy[0, 0], xy[0, 1]
+    right, bottom = left, top
+    for i in range(len(xy)):
+        left, right = min(left, xy[i, 0]), max(right, xy[i, 0])
+        top, bottom = min(top, xy[i, 1]), max(bottom, xy[i, 1])
+    columns = int((right - left) / cell) + 1
+    rows = int((bottom - top) / cell) + 1
     starts = np.zeros(columns * rows + 1, dtype=np.int64)
     cells = np.empty(len(xy), dtype=np.int64)
     for i in range(len(xy)):
@@ -301,17 +323,21 @@ def _best_near_segments(  # type: ignore[no-untyped-def]
     train_xy,
     train_octave,
     train_words,
+    order,
+    starts,
+    columns,
+    rows,
+    origin,
     start,
     end,
     tolerance,
+    margin,
     max_distance,
     ratio,
 ):
     count = len(query_words)
     matched = np.full(count, -1, dtype=np.int64)
     distance = np.full(count, 512, dtype=np.int64)
-    order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
-    margin = tolerance.max() + 1e-3
     for i in range(count):
         x, y = start[i, 0], start[i, 1]
         dx, dy = end[i, 0] - x, end[i, 1] - y

@@ -191,7 +191,9 @@ def _exp(xi):  # type: ignore[no-untyped-def]
     k = np.zeros((3, 3))
     k[0, 1], k[0, 2], k[1, 2] = -xi[2], xi[1], -xi[0]
     k[1, 0], k[2, 0], k[2, 1] = xi[2], -xi[1], xi[0]
-    result = np.eye(4)
+    result = np.zeros((4, 4))
+    for i in range(4):
+        result[i, i] = 1.0
     if angle > 1e-12:
         a = np.sin(angle) / angle
         c = (1.0 - np.cos(angle)) / (angle * angle)

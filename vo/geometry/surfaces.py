@@ -129,7 +129,9 @@ def _by_cell(xy):  # type: ignore[no-untyped-def]
     column, row = np.zeros(len(xy), dtype=np.int64), np.zeros(len(xy), dtype=np.int64)
     columns, rows = 1, 1
     if len(xy) > 0:
-        left, top = xy[:, 0].min(), xy[:, 1].min()
+        left, top = xy[0, 0], xy[0, 1]
+        for n in range(len(xy)):
+            left, top = min(left, xy[n, 0]), min(top, xy[n, 1])
         for n in range(len(xy)):
             column[n] = int(min((xy[n, 0] - left) / _REACH_PX, _MOST_CELLS - 1))
             row[n] = int(min((xy[n, 1] - top) / _REACH_PX, _MOST_CELLS - 1))

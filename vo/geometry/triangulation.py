@@ -62,8 +62,10 @@ def _triangulate(pose, centre, first, second):  # type: ignore[no-untyped-def]
             along_b = (cosine * ahead_a - ahead_b) / sine_squared
             for i in range(3):
                 points[n, i] = 0.5 * (a[i] * along_a + centre[i] + b[i] * along_b)
-        if not (sine_squared > 0.0 and np.isfinite(points[n]).all()):
-            points[n] = np.inf
+        size = abs(points[n, 0]) + abs(points[n, 1]) + abs(points[n, 2])
+        if not (sine_squared > 0.0 and np.isfinite(size)):
+            for i in range(3):
+                points[n, i] = np.inf
     return points, angle
 
 

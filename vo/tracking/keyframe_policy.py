@@ -9,6 +9,7 @@ import numpy as np
 from vo.compiling.function import compiled
 from vo.config import KeyframeConfig
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.geometry.quantiles import median
 from vo.mapping.local_map import LocalMap
 from vo.mapping.tracked_frame import TrackedFrame
 from vo.types import Floats
@@ -77,11 +78,11 @@ def median_parallax(points: Floats, first_centre: Floats, second_centre: Floats)
     """Median angle (rad) between rays from points (N, 3) to two camera centres; 0 without any."""
     if len(points) == 0:
         return 0.0
-    return float(_median_parallax(np.ascontiguousarray(points), first_centre, second_centre))
+    return median(_parallaxes(np.ascontiguousarray(points), first_centre, second_centre))
 
 
 @compiled
-def _median_parallax(points, first, second):  # type: ignore[no-untyped-def]
+def _parallaxes(points, first, second):  # type: ignore[no-untyped-def]
     angles = np.empty(len(points))
     for n in range(len(points)):
         ax, ay, az = points[n, 0] - first[0], points[n, 1] - first[1], points[n, 2] - first[2]
@@ -89,4 +90,4 @@ def _median_parallax(points, first, second):  # type: ignore[no-untyped-def]
         lengths = np.sqrt(ax * ax + ay * ay + az * az) * np.sqrt(bx * bx + by * by + bz * bz)
         cosine = (ax * bx + ay * by + az * bz) / max(lengths, 1e-12)
         angles[n] = np.arccos(min(max(cosine, -1.0), 1.0))
-    return np.median(angles)
+    return angles
