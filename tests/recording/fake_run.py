@@ -14,6 +14,7 @@ from vo.types import (
     KeyframePose,
     Landmarks,
     Rig,
+    Sightings,
     Snapshot,
     State,
     Trajectory,
@@ -79,7 +80,11 @@ def keyframes(frame: int, first_ns: int = 0) -> tuple[KeyframePose, ...]:
 def landmarks(frame: int) -> Landmarks:
     ids = np.arange(LANDMARKS) + 5 * frame
     xyz = np.stack([ids * 0.1, ids % 7 - 3.0, 5.0 + ids * 0.2], axis=1)
-    return Landmarks(ids, xyz, (10 * ids % 256).astype(np.uint8), 0.01 + 0.001 * ids)
+    sightings = tuple(
+        Sightings(k.frame_index, ids, np.zeros((len(ids), 2))) for k in keyframes(frame)
+    )
+    grey = (10 * ids % 256).astype(np.uint8)
+    return Landmarks(ids, xyz, grey, 0.01 + 0.001 * ids, sightings)
 
 
 def estimate(frame: int, first_ns: int = 0) -> Estimate:

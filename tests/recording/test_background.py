@@ -45,7 +45,7 @@ def finish(recorder: BackgroundRecorder) -> None:
 def test_everything_arrives_in_order():
     inner = Slow()
     inner.go.set()
-    recorder = begun(inner, room=100)
+    recorder = begun(inner, queue_size=100)
     for frame in range(50):
         fake_run.record(recorder, frame)
     finish(recorder)
@@ -55,7 +55,7 @@ def test_everything_arrives_in_order():
 
 def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
     inner = Slow()
-    recorder = begun(inner, room=4)
+    recorder = begun(inner, queue_size=4)
     taken = []
 
     def take(frame):
@@ -73,12 +73,12 @@ def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
     left_out = 20 - len(inner.frames)
     assert 15 <= left_out <= 16
     assert len(taken) == len(inner.frames)  # of a frame that is left out no snapshot is taken
-    assert f"{left_out} frames are not in the recording" in caplog.text
+    assert f"{left_out} frames are missing in the recording" in caplog.text
 
 
 def test_a_hanging_recorder_is_given_up(caplog):
     inner = Slow()
-    recorder = begun(inner, patience_s=0.3)
+    recorder = begun(inner, timeout_s=0.3)
     fake_run.record(recorder, 0)
     with caplog.at_level(logging.WARNING):
         finish(recorder)

@@ -195,7 +195,7 @@ def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
 def test_the_recording_is_never_written_over(tmp_path: Path) -> None:
     image = orbit.view(0, orbit.PINHOLE).image0
     (tmp_path / "a.png").write_bytes(b"mine")
-    with pytest.raises(OSError, match="the recording's own"):
+    with pytest.raises(OSError, match="the images of the recording"):
         ImageFolder(tmp_path / ".." / tmp_path.name).add(
             0, tmp_path / "a.png", image, is_recorded=False
         )
@@ -255,7 +255,7 @@ def test_a_full_disk_ends_the_output_and_not_the_run(
             assert "No space left" in str(error)
             return
     assert [r.getMessage() for r in caplog.records if "stopped" in r.getMessage()] == [
-        "the Mcap output stopped and is not complete: No space left on device"
+        "the Mcap output stopped and is incomplete: No space left on device"
     ]
     assert (tmp_path / "model" / "sparse" / "0" / "images.txt").is_file()
 
@@ -316,7 +316,7 @@ def test_vo_run_goes_on_when_an_export_fails(synthetic_stereo: Path, tmp_path: P
     arguments += ["--colmap", str(tmp_path / "model"), "--ply", str(tmp_path / "map.ply")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    warning = "the Mcap output stopped and is not complete: No space left on device"
+    warning = "the Mcap output stopped and is incomplete: No space left on device"
     assert warning in " ".join(result.output.split())
     assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == 5
     assert (tmp_path / "model" / "sparse" / "0" / "points3D.txt").is_file()

@@ -26,7 +26,7 @@ import fake_run
 from vo.recording.background import BackgroundRecorder
 from vo.recording.rerun_recorder import RerunRecorder
 path, url, pid = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
-recorder = BackgroundRecorder(RerunRecorder(path, viewer=url), room=1000, patience_s=5.0)
+recorder = BackgroundRecorder(RerunRecorder(path, viewer=url), queue_size=1000, timeout_s=5.0)
 recorder.begin('x', fake_run.RIG, None)
 for frame in range(60):
     if frame == 20:
@@ -118,7 +118,7 @@ def test_addresses_as_people_type_them(typed, url):
 
 @pytest.mark.parametrize("typed", ["http://a:1", "a:b", "", "a:99999"])
 def test_other_addresses_are_one_line(typed):
-    with pytest.raises(OutputError, match="is no address of a viewer; give HOST:PORT"):
+    with pytest.raises(OutputError, match="is not the address of a viewer; use HOST:PORT"):
         viewer_url(typed)
 
 

@@ -220,7 +220,7 @@ def test_a_full_disk_ends_the_recording_not_the_run(tmp_path):
         "import fake_run\n"
         "from vo.recording.background import BackgroundRecorder\n"
         "from vo.recording.rerun_recorder import RerunRecorder\n"
-        "recorder = BackgroundRecorder(RerunRecorder(Path(sys.argv[1])), room=1000)\n"
+        "recorder = BackgroundRecorder(RerunRecorder(Path(sys.argv[1])), queue_size=1000)\n"
         "recorder.begin('x', fake_run.RIG, None)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))\n"
         "for frame in range(200): fake_run.record(recorder, frame)\n"

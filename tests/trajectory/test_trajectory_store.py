@@ -165,3 +165,12 @@ def test_without_frames_the_path_is_empty() -> None:
     trajectory = TrajectoryStore().trajectory()
     assert len(trajectory) == 0
     assert trajectory.positions.shape == (0, 3)
+
+
+def test_moved_keyframes_are_returned_once_old_ones_too() -> None:
+    store = _ten_frames()
+    assert [k.frame_index for k in store.take_moved()] == [0, 4, 8]
+    assert store.take_moved() == ()
+    _put(store, 0, 0, _pose(0.5))
+    (moved,) = store.take_moved()
+    np.testing.assert_array_equal(moved.world_from_cam0, _pose(0.5))

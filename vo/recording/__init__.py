@@ -1,1 +1,1 @@
-"""Recorders: what a run shows to people while it goes on."""
+"""Recorders of a run: for the rerun viewer and as files for other programs."""

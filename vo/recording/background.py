@@ -1,4 +1,4 @@
-"""A recorder that works in a thread of its own, so that the run never waits for it."""
+"""A recorder that works in a separate thread, so that the run never waits for it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import logging
 import queue
 import threading
 import time
+from dataclasses import replace
 from typing import NamedTuple
 
 from vo.recording.recorder import Recorder, TakeSnapshot
-from vo.types import Estimate, Rig, Snapshot, Trajectory
+from vo.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
 
-_ROOM = 32  # frames; their images are what takes space
-_PATIENCE_S = 20.0
+_QUEUE_SIZE = 32  # frames; their images take most of the memory
+_TIMEOUT_S = 20.0
 
 _log = logging.getLogger(__name__)
 
@@ -23,62 +24,75 @@ class _Frame(NamedTuple):
 
 
 class BackgroundRecorder:
-    """Hands frames to another recorder through a queue.
+    """Passes frames to another recorder through a queue.
 
-    Frames that come while the queue is full are left out of the recording; a recorder that fails or
-    hangs is given up. Both are told as warnings.
+    While the queue is full, frames are left out of the recording; the keyframe poses of these
+    frames are passed with the next frame. A recorder that fails or hangs is stopped. A warning
+    reports each of these cases.
 
     Args:
-        recorder: what records.
-        room: frames that may wait.
-        patience_s: how long the end waits for a recorder that gets nothing done.
+        recorder: the recorder to run in the thread.
+        queue_size: maximum number of frames in the queue.
+        timeout_s: time without progress after which `finish` no longer waits.
     """
 
     def __init__(
-        self, recorder: Recorder, *, room: int = _ROOM, patience_s: float = _PATIENCE_S
+        self, recorder: Recorder, *, queue_size: int = _QUEUE_SIZE, timeout_s: float = _TIMEOUT_S
     ) -> None:
         self._recorder = recorder
-        self._waiting: queue.Queue[_Frame | tuple[Trajectory, Trajectory]] = queue.Queue(room)
-        self._patience_s = patience_s
+        self._queue: queue.Queue[_Frame | tuple[Trajectory, Trajectory]] = queue.Queue(queue_size)
+        self._timeout_s = timeout_s
         self._thread: threading.Thread | None = None
         self._progress = 0
         self._left_out = 0
+        self._keyframes: dict[int, KeyframePose] = {}  # of frames that were left out
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
-        """Before the first frame; here, so that what is wrong is said before the run."""
+        """Begin in the calling thread, so that errors are raised before the run."""
         self._recorder.begin(name, rig, ground_truth)
-        # A daemon: a recorder that hangs must not keep the program from ending.
+        # A daemon thread: a recorder that hangs must not prevent the program from ending.
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """Queue a frame if there is room."""
-        if self._waiting.full():
+        """Add a frame to the queue unless it is full."""
+        if self._queue.full():
             self._left_out += 1
+            self._keyframes.update({k.frame_index: k for k in estimate.keyframes})
         else:
-            self._waiting.put_nowait(_Frame(estimate, snapshot()))
+            self._queue.put_nowait(_Frame(self._with_missed_keyframes(estimate), snapshot()))
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """Wait until all is recorded, as long as it gets on."""
+        """Wait until all frames are recorded, as long as there is progress."""
         if self._thread is None or not self._thread.is_alive():
             return
         if self._left_out:
-            _log.warning("%d frames are not in the recording: it is too slow", self._left_out)
-        seen, since = -1, time.monotonic()
-        handed_over = False
+            _log.warning(
+                "%d frames are missing in the recording: recording is too slow", self._left_out
+            )
+        progress, since = -1, time.monotonic()
+        is_queued = False
         while self._thread.is_alive():
-            if not handed_over:
-                handed_over = self._hand_over((causal, smoothed))
+            if not is_queued:
+                is_queued = self._try_to_queue((causal, smoothed))
             self._thread.join(0.05)
-            if self._progress != seen:
-                seen, since = self._progress, time.monotonic()
-            elif time.monotonic() - since > self._patience_s:
-                _log.warning("the recording hangs and is not complete")
+            if self._progress != progress:
+                progress, since = self._progress, time.monotonic()
+            elif time.monotonic() - since > self._timeout_s:
+                _log.warning("recording hangs and is incomplete")
                 return
 
-    def _hand_over(self, paths: tuple[Trajectory, Trajectory]) -> bool:
+    def _with_missed_keyframes(self, estimate: Estimate) -> Estimate:
+        """Add the keyframe poses of frames that were left out."""
+        if not self._keyframes:
+            return estimate
+        missed, self._keyframes = self._keyframes, {}
+        keyframes = missed | {k.frame_index: k for k in estimate.keyframes}
+        return replace(estimate, keyframes=tuple(keyframes[k] for k in sorted(keyframes)))
+
+    def _try_to_queue(self, paths: tuple[Trajectory, Trajectory]) -> bool:
         try:
-            self._waiting.put_nowait(paths)
+            self._queue.put_nowait(paths)
         except queue.Full:
             return False
         return True
@@ -86,14 +100,14 @@ class BackgroundRecorder:
     def _work(self) -> None:
         try:
             while True:
-                what = self._waiting.get()
+                item = self._queue.get()
                 self._progress += 1
-                if isinstance(what, _Frame):
-                    self._recorder.record(what.estimate, _returning(what.snapshot))
+                if isinstance(item, _Frame):
+                    self._recorder.record(item.estimate, _returning(item.snapshot))
                 else:
-                    self._recorder.finish(*what)
+                    self._recorder.finish(*item)
                     return
-        except Exception as error:  # whatever it is, the run goes on
+        except Exception as error:  # of any kind: the run goes on
             _log.warning("recording stopped: %s: %s", type(error).__name__, error)
 
 

@@ -1,4 +1,4 @@
-"""How the viewer lays a recording out when it is opened."""
+"""Layout of a recording in the viewer."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import rerun.blueprint as rrb
 from vo.recording import entities
 from vo.types import Rig
 
-_WIDE = 1.8  # images of this shape, width to height, stand one over the other
-_USUAL_MS = (0.0, 300.0)  # the first frame, which compiles, would flatten all others
+_WIDE = 1.8  # width by height above which the images are placed one above the other
+_SHOWN_MS = (0.0, 300.0)  # the first frame takes much longer than the others
 
 
 def make_blueprint(rig: Rig, *, has_truth: bool, has_images: bool = True) -> rrb.Blueprint:
-    """The map, events and summary on the left; images and time series on the right."""
-    left = rrb.Vertical(_map_view(), _words(), row_shares=[7, 3])
+    """Map, events and summary on the left; images and time series on the right."""
+    left = rrb.Vertical(_map_view(), _texts(), row_shares=[7, 3])
     right: list[rrb.Container | rrb.View] = [_plots(has_truth=has_truth)]
     if has_images:
         right.insert(0, _images(rig))
@@ -56,7 +56,7 @@ def _images(rig: Rig) -> rrb.Container:
 
 
 def _image_view(name: str, origin: str) -> rrb.Spatial2DView:
-    """Epipolar lines are there, but hidden until someone asks for them."""
+    """One image with its overlays; epipolar lines are hidden by default."""
     return rrb.Spatial2DView(
         name=name,
         origin=origin,
@@ -73,7 +73,7 @@ def _plots(*, has_truth: bool) -> rrb.Container:
             name="Milliseconds",
             origin=entities.TIME_PLOT,
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-            axis_y=rrb.ScalarAxis(range=_USUAL_MS),
+            axis_y=rrb.ScalarAxis(range=_SHOWN_MS),
         ),
     ]
     if has_truth:
@@ -81,7 +81,7 @@ def _plots(*, has_truth: bool) -> rrb.Container:
     return rrb.Horizontal(matches, rrb.Tabs(*others, active_tab=0))
 
 
-def _words() -> rrb.Container:
+def _texts() -> rrb.Container:
     events = rrb.TextLogView(name="Events", origin=entities.EVENTS, columns=_event_columns())
     summary = rrb.TextDocumentView(name="Summary", origin=entities.SUMMARY)
     return rrb.Horizontal(events, summary, column_shares=[3, 2])
@@ -92,7 +92,7 @@ def _plot(name: str, origin: str, legend: rrb.Corner2D) -> rrb.TimeSeriesView:
 
 
 def _event_columns() -> rrb.TextLogColumns:
-    """No entity path, which is the same in each row, and one time: text needs the room."""
+    """One time and no entity path, which is the same in each row, to leave space for the text."""
     return rrb.TextLogColumns(
         timeline_columns=[entities.FRAME_TIMELINE],
         text_log_columns=["LogLevel", "Body"],
@@ -104,7 +104,7 @@ def _timelines() -> tuple[str, str]:
 
 
 def _until_now(timeline: str) -> rr.VisibleTimeRange:
-    """What grows is logged piece by piece; the view shows all pieces up to the time cursor."""
+    """Show all rows up to the time cursor, of an entity that is logged piece by piece."""
     return rrb.VisibleTimeRange(
         timeline,
         start=rrb.TimeRangeBoundary.infinite(),

@@ -1,4 +1,4 @@
-"""Records keyframes and points as a COLMAP model, with the images it belongs to."""
+"""Records keyframes and points as a COLMAP model, with its images."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _IMAGES, _MODELS = "images", "sparse"
 
 
 class ColmapRecorder:
-    """Writes `images/` as the run goes on, and `sparse/0`, `sparse/1`, … when it ends.
+    """Writes `images/` during the run, and `sparse/0`, `sparse/1`, … at its end.
 
-    A model for each segment, the one with most keyframes first: where one lies against another is
-    not known. Images are as the odometry saw them: rectified in stereo, as recorded in mono (then
-    in colour if they were), and free of distortion where COLMAP does not know the lens.
+    Each segment is a model, because the relative poses of segments are unknown; the one with most
+    keyframes is first. Images are those used by the odometry: rectified in stereo, as recorded in
+    mono (in colour if available). They are undistorted if COLMAP does not support the lens.
 
     Args:
-        folder: made if it is missing; models of an earlier run in it are removed.
+        folder: created if it is missing; models of an earlier run in it are removed.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -42,10 +42,10 @@ class ColmapRecorder:
         self._maps: tuple[Floats32, Floats32] | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
-        """Make the folder.
+        """Create the folder.
 
         Raises:
-            OutputError: it cannot be written to.
+            OutputError: the folder cannot be written to.
         """
         self._is_rectified = rectified_rig(rig).maps[0] is not None
         try:
@@ -60,17 +60,17 @@ class ColmapRecorder:
             ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """Take in a frame; a keyframe's image is written.
+        """Add a frame; the image of a keyframe is written.
 
         Raises:
             OSError: the disk is full.
         """
-        shown = snapshot()
-        self._reconstruction.add(estimate, shown)
+        current = snapshot()
+        self._reconstruction.add(estimate, current)
         if self._camera is None:
-            self._camera, self._maps = _output_camera(shown.view)
+            self._camera, self._maps = _output_camera(current.view)
         if estimate.is_keyframe:
-            self._names[estimate.frame_index] = self._write_image(estimate, shown.view)
+            self._names[estimate.frame_index] = self._write_image(estimate, current.view)
 
     def _write_image(self, estimate: Estimate, view: View) -> str:
         image = view.image0
@@ -83,14 +83,14 @@ class ColmapRecorder:
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the models that have points.
 
-        Keyframes that were not shown, as the first of a mono map, are left out.
+        Keyframes without an image, such as the first one of a mono map, are left out.
 
         Raises:
             OSError: the disk is full.
         """
         models = self._reconstruction.models(smoothed, self._names)
-        whole = [model for model in models if len(model.xyz)]
-        for number, model in enumerate(whole or models[:1]):
+        with_points = [model for model in models if len(model.xyz)]
+        for number, model in enumerate(with_points or models[:1]):
             self._write(self._folder / _MODELS / str(number), model)
 
     def _write(self, folder: Path, model: Model) -> None:
@@ -99,7 +99,7 @@ class ColmapRecorder:
         xy = _undistorted(model.camera, self._camera, model.xy) if is_pinhole else model.xy
         write_model(
             folder,
-            # Of images as recorded, with what was found to be wrong with their lens on the way.
+            # Of recorded images, with the correction of the lens that was estimated during the run.
             camera=self._camera if is_pinhole else model.camera,
             names=[self._names[int(frame)] for frame in model.frame_index],
             world_from_cam=model.world_from_image0,
@@ -109,7 +109,7 @@ class ColmapRecorder:
 
 
 def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None]:
-    """The camera of the written images, and OpenCV's maps that undistort them if it must be."""
+    """The camera of the written images, and maps of `cv2.remap` if they are to be undistorted."""
     camera, pinhole = camera_of(view), pinhole_of(view)
     if knows_lens(camera):
         return camera, None

@@ -1,7 +1,7 @@
-"""Names of what a recording holds, and its colours; entity tree = frame tree.
+"""Entities and colours of a recording; the entity tree is the frame tree.
 
-Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart. `cam0` is the
-recorded left camera; `left` and `right` under it are the ideal cameras that are computed with.
+The colours are those of Okabe and Ito (2008), which are distinct for all kinds of colour vision.
+`cam0` is the recorded left camera; `left` and `right` below it are the rectified cameras.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ Colour = tuple[int, int, int]
 
 ORANGE: Colour = (230, 159, 0)
 SKY: Colour = (86, 180, 233)
-GREEN: Colour = (0, 200, 130)  # lighter than theirs, for thin lines
-BLUE: Colour = (60, 130, 210)  # lighter than theirs, for a dark ground
+GREEN: Colour = (0, 200, 130)  # lighter than the original, for thin lines
+BLUE: Colour = (60, 130, 210)  # lighter than the original, for a dark background
 VERMILION: Colour = (225, 85, 20)
 PINK: Colour = (204, 121, 167)
 YELLOW: Colour = (240, 228, 66)
@@ -55,8 +55,4 @@ FEATURE_COLOURS: dict[str, Colour] = {
     REJECTED: VERMILION,
 }
 STAGE_COLOURS: tuple[Colour, ...] = (ORANGE, SKY, GREEN, PINK, VERMILION, YELLOW, BLUE)
-MAP_BACKGROUND: Colour = (
-    22,
-    24,
-    29,
-)  # landmarks are grey, as in the images: the ground must be dark
+MAP_BACKGROUND: Colour = (22, 24, 29)  # dark: landmarks are grey as in the images

@@ -1,4 +1,4 @@
-"""Where in this image a point of the last one can be, whatever its depth."""
+"""Epipolar lines of points of the last image in this image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from vo.geometry import cameras
 from vo.geometry.transforms import inverse
 from vo.types import Floats, Floats32, View
 
-_NEAREST_IN_STEPS = 4.0  # depths from this many times the camera's step to infinity
+_MIN_DEPTH_IN_STEPS = 4.0  # depths from this multiple of the camera's step to infinity
 _POINTS_ON_CURVE = 6
 
 
@@ -24,11 +24,12 @@ def epipolar_lines(
         world_from_cam0: (4, 4) of cam0 in this frame.
 
     Returns:
-        (n, k, 2) pixels: ends of a line, or points on a curve where a lens bends it; fewer rows
-        where it is not in view, none where the camera has not moved.
+        (n, k, 2) pixels: ends of a line, or points on a curve with lens distortion. Points
+        behind the camera have no line; without camera motion there are no lines.
     """
-    turn = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
-    now_from_previous = inverse(world_from_cam0 @ turn) @ world_from_previous @ turn
+    cam0_from_image0 = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
+    world_from_image0 = world_from_cam0 @ cam0_from_image0
+    now_from_previous = inverse(world_from_image0) @ world_from_previous @ cam0_from_image0
     step = float(np.linalg.norm(now_from_previous[:3, 3]))
     count = 2 if view.lens is None else _POINTS_ON_CURVE
     if step < 1e-9:
@@ -40,12 +41,12 @@ def epipolar_lines(
     else:
         plane = cameras.normalise(view.lens, np.asarray(previous_xy, dtype=np.float64))
     rays = np.column_stack([plane, np.ones(len(plane))])
-    inverse_depths = np.arange(count) / ((count - 1) * _NEAREST_IN_STEPS * step)
-    # Homogeneous points (ray, 1 / depth), so that infinity is a depth like any other.
-    turned = rays @ now_from_previous[:3, :3].T
-    points = turned[:, None] + inverse_depths[:, None] * now_from_previous[:3, 3]
-    good = (points[:, :, 2] > 1e-3).all(axis=1) & np.isfinite(points).all(axis=(1, 2))
-    seen = points[good, :, :2] / points[good, :, 2:]
+    inverse_depths = np.arange(count) / ((count - 1) * _MIN_DEPTH_IN_STEPS * step)
+    # Homogeneous points (ray, 1 / depth), so that infinite depth needs no special case.
+    rotated = rays @ now_from_previous[:3, :3].T
+    points = rotated[:, None] + inverse_depths[:, None] * now_from_previous[:3, 3]
+    valid = (points[:, :, 2] > 1e-3).all(axis=1) & np.isfinite(points).all(axis=(1, 2))
+    projected = points[valid, :, :2] / points[valid, :, 2:]
     if view.lens is None:
-        return np.asarray(seen * focal + centre)
-    return cameras.distort(view.lens, seen.reshape(-1, 2)).reshape(seen.shape)
+        return np.asarray(projected * focal + centre)
+    return cameras.distort(view.lens, projected.reshape(-1, 2)).reshape(projected.shape)

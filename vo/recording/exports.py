@@ -1,4 +1,4 @@
-"""What a run is recorded as, and the recorders that do it."""
+"""Files for other programs, and the recorders that write them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Exports:
-    """Files for other programs, each written if it has a place.
+    """Files for other programs; None where a file is not requested.
 
     Attributes:
-        mcap: file for Foxglove.
-        colmap: folder for COLMAP and what builds on it.
-        ply: file of the map's points.
+        mcap: MCAP file for Foxglove.
+        colmap: folder for a COLMAP model.
+        ply: PLY file of the map's points.
     """
 
     mcap: Path | None = None
@@ -30,7 +30,7 @@ class Exports:
     ply: Path | None = None
 
     def recorders(self) -> list[Recorder]:
-        """One for each that was asked for."""
+        """One recorder for each requested file."""
         recorders: list[Recorder] = []
         if self.mcap is not None:
             from vo.recording.mcap_recorder import McapRecorder  # protobuf takes long to import
@@ -48,51 +48,51 @@ class Exports:
 
 
 def with_exports(recorder: Recorder, exports: Exports) -> Recorder:
-    """A recorder and, beside it, those of the exports in a thread of their own."""
-    beside = exports.recorders()
-    if not beside:
+    """A recorder, together with those of the exports in a separate thread."""
+    others = exports.recorders()
+    if not others:
         return recorder
-    return SeveralRecorders([recorder, BackgroundRecorder(SeveralRecorders(beside))])
+    return SeveralRecorders([recorder, BackgroundRecorder(SeveralRecorders(others))])
 
 
 class SeveralRecorders:
-    """Hands a run to several recorders; one that fails is left out from then on.
+    """Passes a run to several recorders; one that fails is removed.
 
     Args:
-        recorders: any number.
+        recorders: any number of recorders.
     """
 
     def __init__(self, recorders: Sequence[Recorder]) -> None:
         self._recorders = list(recorders)
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
-        """Before the first frame.
+        """Begin all recorders.
 
         Raises:
-            OutputError: what one of them writes cannot be written; nothing has been computed yet.
+            OutputError: an output of one of them cannot be written.
         """
         for recorder in self._recorders:
             recorder.begin(name, rig, ground_truth)
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """After each frame."""
+        """Record a frame with all recorders; the snapshot is taken once."""
         snapshot = cache(snapshot)
         for recorder in list(self._recorders):
             try:
                 recorder.record(estimate, snapshot)
-            except Exception as error:  # whatever it is, the run goes on
-                self._give_up(recorder, error)
+            except Exception as error:  # of any kind: the run goes on
+                self._remove(recorder, error)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """After the last frame."""
+        """Finish all recorders."""
         for recorder in list(self._recorders):
             try:
                 recorder.finish(causal, smoothed)
             except Exception as error:
-                self._give_up(recorder, error)
+                self._remove(recorder, error)
 
-    def _give_up(self, recorder: Recorder, error: Exception) -> None:
+    def _remove(self, recorder: Recorder, error: Exception) -> None:
         self._recorders.remove(recorder)
         reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
         name = type(recorder).__name__.removesuffix("Recorder")
-        _log.warning("the %s output stopped and is not complete: %s", name, reason)
+        _log.warning("the %s output stopped and is incomplete: %s", name, reason)

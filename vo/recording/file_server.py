@@ -1,6 +1,6 @@
-"""Serves one recording over HTTP to the web viewer, which fetches it as a whole.
+"""Serves one recording over HTTP to the web viewer, which downloads it as a whole.
 
-Rerun's own server of files keeps a core busy for as long as it runs.
+Rerun's own file server uses one core permanently.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ NAME = "recording.rrd"
 
 
 class FileServer:
-    """Serves a file at `/recording.rrd` while it is entered.
+    """Context manager that serves a file at `/recording.rrd`.
 
     Args:
         file: the recording.
         bind: address to listen on.
 
     Raises:
-        OutputError: it cannot listen there.
+        OutputError: the address cannot be used.
     """
 
     def __init__(self, file: Path, bind: str) -> None:
@@ -60,17 +60,19 @@ def _handler_of(file: Path) -> type[BaseHTTPRequestHandler]:
                 self.send_response(200)
                 self.send_header("Content-Type", "application/octet-stream")
                 self.send_header("Content-Length", str(file.stat().st_size))
-                self.send_header("Access-Control-Allow-Origin", "*")  # the page has another port
+                self.send_header(
+                    "Access-Control-Allow-Origin", "*"
+                )  # the page has a different port
                 self.end_headers()
                 shutil.copyfileobj(opened, self.wfile)
 
         def log_message(self, format: str, *args: object) -> None:
-            """Say nothing: the terminal is for the user."""
+            """Suppress the log, which would go to the terminal."""
 
         def handle(self) -> None:
             try:
                 super().handle()
             except ConnectionError:
-                return  # the page was closed while it was loading
+                return  # the page was closed during the download
 
     return Handler

@@ -1,4 +1,4 @@
-"""The images of keyframes as files, in colour where the recording has it."""
+"""Images of keyframes as files, in colour where the recording is in colour."""
 
 from __future__ import annotations
 
@@ -12,34 +12,35 @@ from numpy.typing import NDArray
 
 from vo.types import Bytes
 
-_COLOURS = 3
+_COLOUR_DIMENSIONS = 3
 
 
 class ImageFolder:
-    """Writes images under the names that they have in the recording.
+    """Writes images under their names in the recording.
 
     Args:
-        folder: made if it is missing; files of the same name are replaced.
+        folder: must exist; files of the same name are replaced.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._names: set[str] = set()
 
-    def add(self, frame_index: int, path: Path | None, shown: Bytes, *, is_recorded: bool) -> str:
-        """Write the image of a frame; gives its name, which has no white space.
+    def add(self, frame_index: int, path: Path | None, image: Bytes, *, is_recorded: bool) -> str:
+        """Write the image of a frame; its file name, without white space.
 
         Args:
-            frame_index: of the frame.
-            path: file of its recorded image, or None.
-            shown: its image as it is to be seen.
-            is_recorded: whether that is the recorded one, so that a colour image may be copied.
+            frame_index: number of the frame.
+            path: file of its recorded image, None without one.
+            image: the image to write.
+            is_recorded: whether `image` equals the recorded image, so that a colour image can be
+                copied instead.
 
         Raises:
-            OSError: it cannot be written, or the folder is that of the recording.
+            OSError: the file cannot be written, or the folder is that of the recording.
         """
         if path is not None and path.parent.resolve() == self._folder.resolve():
-            raise OSError(f"{self._folder} holds the recording's own images")
+            raise OSError(f"{self._folder} contains the images of the recording")
         recorded = _in_colour(path) if is_recorded and path is not None else None
         suffix = ".png" if recorded is None else recorded.suffix
         stem = "frame" if path is None else re.sub(r"\s", "_", path.stem)
@@ -48,20 +49,20 @@ class ImageFolder:
             name = f"{stem}_{frame_index:06d}{suffix}"
         self._names.add(name)
         if recorded is None:
-            (self._folder / name).write_bytes(_png(shown))
+            (self._folder / name).write_bytes(_png(image))
         else:
             shutil.copyfile(recorded, self._folder / name)
         return name
 
 
 def _in_colour(path: Path) -> Path | None:
-    """The file, if it can be read and holds a colour image of 8 bits."""
+    """The file, if it is a readable colour image of 8 bits."""
     try:
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
         image: NDArray[np.generic] | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except (OSError, cv2.error):
         return None
-    if image is None or image.ndim != _COLOURS or image.dtype != np.uint8:
+    if image is None or image.ndim != _COLOUR_DIMENSIONS or image.dtype != np.uint8:
         return None
     return path
 

@@ -1,12 +1,13 @@
 """Records a run as an MCAP file for Foxglove.
 
-Topics: `/tf` (world, cam0 and the camera of the shown images), `/pose` as known at the time,
-`/path` so far and, in the end, smoothed; `/map`, the landmarks of the local map; `/image`,
-`/calibration` and `/features` of each frame.
+Topics: `/tf` (world, cam0 and the camera of the images), `/pose` (causal), `/path` (causal, moved
+with keyframes that are re-posed; smoothed at the end), `/map` (landmarks of the local map),
+`/image`, `/calibration` and `/features` of each frame.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
@@ -26,16 +27,27 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
+from vo.recording.keyframe_history import KeyframeHistory
 from vo.recording.reconstruction import camera_of
 from vo.recording.recorder import TakeSnapshot
-from vo.types import Estimate, FeatureState, Floats, Rig, Trajectory, View
+from vo.types import (
+    Estimate,
+    FeatureState,
+    Floats,
+    KeyframePose,
+    Landmarks,
+    Rig,
+    Snapshot,
+    Trajectory,
+    View,
+)
 
-_WORLD, _CAM0, _SHOWN = "world", "cam0", "cam0_image"
+_WORLD, _CAM0, _IMAGE0 = "world", "cam0", "cam0_image"
 _JPEG_QUALITY = 80
 _MARK_PX = 3.0
-_GROWTH = 1.05  # the whole path is written again when it is so much longer
+_GROWTH = 1.05  # factor by which the path grows before the whole of it is written again
 _MID_GREY = 128
-# Okabe and Ito's colours, as in the other pictures.
+# Of Okabe and Ito (2008), as in the viewer and the report.
 _COLOURS = {
     FeatureState.NEW: Colour(0.34, 0.71, 0.91),
     FeatureState.TRACKED: Colour(0.0, 0.62, 0.45),
@@ -47,12 +59,14 @@ class McapRecorder:
     """Writes a run with Foxglove's protobuf messages, in chunks packed with zstd.
 
     Args:
-        path: the file; one that exists is replaced.
+        path: the file; an existing one is replaced.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._poses: list[Floats] = []
+        self._keyframe: list[int] = []  # frame number of the newest keyframe at each pose
+        self._keyframes = KeyframeHistory()
         self._poses_written = 0
         self._stamp_ns = 0
 
@@ -60,7 +74,7 @@ class McapRecorder:
         """Open the file.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: the file cannot be written.
         """
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -79,20 +93,18 @@ class McapRecorder:
         Raises:
             OSError: the disk is full.
         """
-        shown = snapshot()
+        current = snapshot()
         self._stamp_ns = estimate.stamp_ns
         pose = estimate.world_from_cam0
-        self._write_transforms(shown.view, pose)
+        self._update_path(estimate.keyframes, current)
+        self._write_transforms(current.view, pose)
         if pose is not None:
             self._write("/pose", PoseMessage(self._stamp_ns, _WORLD, pose))
             self._poses.append(pose)
-        self._write_image(shown.view)
-        if shown.landmarks is not None:
-            found = shown.landmarks
-            grey = found.grey
-            if grey is None:
-                grey = np.full(len(found.ids), _MID_GREY, dtype=np.uint8)
-            self._send("/map", cloud_message(self._stamp_ns, _WORLD, found.xyz, grey))
+            self._keyframe.append(self._keyframes.newest)
+        self._write_image(current.view)
+        if current.landmarks is not None:
+            self._write_landmarks(current.landmarks)
         if len(self._poses) > _GROWTH * self._poses_written:
             self._write_path(np.stack(self._poses))
             self._poses_written = len(self._poses)
@@ -110,9 +122,26 @@ class McapRecorder:
         finally:
             self._file.close()
 
+    def _update_path(self, keyframes: Sequence[KeyframePose], snapshot: Snapshot) -> None:
+        """Move earlier poses with keyframes that were re-posed."""
+        moves = self._keyframes.update(keyframes, snapshot).moves
+        if not moves:
+            return
+        self._poses = [
+            moves[keyframe] @ pose if keyframe in moves else pose
+            for keyframe, pose in zip(self._keyframe, self._poses, strict=True)
+        ]
+        self._poses_written = 0  # write the whole path again
+
+    def _write_landmarks(self, landmarks: Landmarks) -> None:
+        grey = landmarks.grey
+        if grey is None:
+            grey = np.full(len(landmarks.ids), _MID_GREY, dtype=np.uint8)
+        self._send("/map", cloud_message(self._stamp_ns, _WORLD, landmarks.xyz, grey))
+
     def _write_transforms(self, view: View, pose: Floats | None) -> None:
-        turn = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
-        transforms = [FrameTransform(_CAM0, _SHOWN, turn)]
+        cam0_from_image0 = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
+        transforms = [FrameTransform(_CAM0, _IMAGE0, cam0_from_image0)]
         if pose is not None:
             transforms.append(FrameTransform(_WORLD, _CAM0, pose))
         self._write("/tf", TransformsMessage(self._stamp_ns, tuple(transforms)))
@@ -121,9 +150,9 @@ class McapRecorder:
         stamp_ns, camera = self._stamp_ns, camera_of(view)
         done, data = cv2.imencode(".jpg", view.image0, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         assert done
-        self._write("/image", CompressedImageMessage(stamp_ns, _SHOWN, "jpeg", data.tobytes()))
+        self._write("/image", CompressedImageMessage(stamp_ns, _IMAGE0, "jpeg", data.tobytes()))
         projection = np.column_stack([view.camera_matrix, np.zeros(3)])
-        calibration = CalibrationMessage(stamp_ns, _SHOWN, camera, np.eye(3), projection)
+        calibration = CalibrationMessage(stamp_ns, _IMAGE0, camera, np.eye(3), projection)
         self._write("/calibration", calibration)
         marks = {colour: view.xy[view.feature_state == state] for state, colour in _COLOURS.items()}
         self._send("/features", marks_message(stamp_ns, marks, _MARK_PX))

@@ -1,4 +1,4 @@
-"""Time series of how tracking goes and how long it takes, and the log of what happened."""
+"""Time series of tracking, errors and wall time, and the log of events."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import rerun as rr
 from vo.failures import describe
 from vo.geometry.quantiles import percentiles
 from vo.recording import entities
-from vo.recording.tape import Tape
+from vo.recording.batch import Batch
 from vo.recording.timelines import Moment
 from vo.types import Estimate, FeatureState, State, View
 
@@ -32,23 +32,23 @@ _CHANGES = {
 class PlotLayer:
     """Logs numbers and events of each frame."""
 
-    def __init__(self, tape: Tape) -> None:
-        self._tape = tape
+    def __init__(self, batch: Batch) -> None:
+        self._batch = batch
         self._stages: list[str] = []
         self._state: State | None = None
         self._segment = 0
 
-    def fix_styles(self) -> None:
-        """Log names and colours of the series known beforehand."""
+    def log_styles(self) -> None:
+        """Log names and colours of the series, except for the stages, which are not known yet."""
         for entity, (name, colour) in _SERIES.items():
-            self._fix_style(entity, name, colour)
+            self._log_style(entity, name, colour)
         crosses = rr.SeriesPoints(
             names="lost", colors=[entities.VERMILION], markers="cross", marker_sizes=5.0
         )
-        self._tape.fix(_LOST, crosses)
+        self._batch.log_static(_LOST, crosses)
 
     def add(self, moment: Moment, estimate: Estimate, view: View) -> None:
-        """Note a frame's numbers, and what changed."""
+        """Add the numbers and events of a frame."""
         self.add_number(moment, f"{entities.TRACKING_PLOT}/matches", estimate.matches)
         self.add_number(moment, f"{entities.TRACKING_PLOT}/inliers", estimate.inliers)
         if estimate.state == State.LOST:
@@ -58,8 +58,8 @@ class PlotLayer:
         self._add_events(moment, estimate)
 
     def add_number(self, moment: Moment, entity: str, number: float) -> None:
-        """Note a point of a series."""
-        self._tape.add(moment, entity, rr.Scalars, scalars=np.array([number], dtype=np.float64))
+        """Add a point of a series."""
+        self._batch.add(moment, entity, rr.Scalars, scalars=np.array([number], dtype=np.float64))
 
     def _add_reprojection(self, moment: Moment, view: View) -> None:
         if view.error_px is None:
@@ -78,28 +78,28 @@ class PlotLayer:
             if stage not in self._stages:
                 colours = entities.STAGE_COLOURS
                 colour = colours[len(self._stages) % len(colours)]
-                self._fix_style(f"{entities.TIME_PLOT}/{stage}", stage, colour)
+                self._log_style(f"{entities.TIME_PLOT}/{stage}", stage, colour)
                 self._stages.append(stage)
             self.add_number(moment, f"{entities.TIME_PLOT}/{stage}", milliseconds)
 
     def _add_events(self, moment: Moment, estimate: Estimate) -> None:
-        """Note changes of state and segment, and keyframes."""
+        """Add changes of state and segment, and keyframes."""
         before, self._state = self._state, estimate.state
         segment, self._segment = self._segment, estimate.segment
         if estimate.segment != segment:
-            self._say(moment, "WARN", f"new segment {estimate.segment}")
+            self._add_event(moment, "WARN", f"new segment {estimate.segment}")
         if estimate.state != before:
-            level, what = _CHANGES[estimate.state]
+            level, event = _CHANGES[estimate.state]
             if before == State.LOST:
-                what = "recovered" if estimate.state == State.TRACKING else what
-            why = f": {describe(estimate.failure)}" if estimate.failure else ""
-            self._say(moment, level, what + why)
+                event = "recovered" if estimate.state == State.TRACKING else event
+            reason = f": {describe(estimate.failure)}" if estimate.failure else ""
+            self._add_event(moment, level, event + reason)
         if estimate.is_keyframe:
             counts = f"{estimate.inliers} of {estimate.matches} matches agree"
-            self._say(moment, "DEBUG", f"keyframe: {counts}")
+            self._add_event(moment, "DEBUG", f"keyframe: {counts}")
 
-    def _say(self, moment: Moment, level: str, text: str) -> None:
-        self._tape.add(moment, entities.EVENTS, rr.TextLog, text=[text], level=[level])
+    def _add_event(self, moment: Moment, level: str, text: str) -> None:
+        self._batch.add(moment, entities.EVENTS, rr.TextLog, text=[text], level=[level])
 
-    def _fix_style(self, entity: str, name: str, colour: entities.Colour) -> None:
-        self._tape.fix(entity, rr.SeriesLines(names=name, colors=[colour], widths=1.5))
+    def _log_style(self, entity: str, name: str, colour: entities.Colour) -> None:
+        self._batch.log_static(entity, rr.SeriesLines(names=name, colors=[colour], widths=1.5))

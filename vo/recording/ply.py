@@ -1,4 +1,4 @@
-"""Records the map's points as a PLY file."""
+"""Records the points of the map as a PLY file."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from vo.types import Estimate, Rig, Trajectory
 
 
 class PlyRecorder:
-    """Writes all points that were ever in the map, when the run ends.
+    """Writes all points that were in the map during the run, at its end.
 
     Args:
-        path: the file; one that exists is replaced.
+        path: the file; an existing one is replaced.
     """
 
     def __init__(self, path: Path) -> None:
@@ -25,10 +25,10 @@ class PlyRecorder:
         self._reconstruction = Reconstruction()
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
-        """See that the file can be written.
+        """Check that the file can be written.
 
         Raises:
-            OutputError: it cannot.
+            OutputError: it cannot be written.
         """
         self._name = name
         try:
@@ -41,7 +41,7 @@ class PlyRecorder:
             ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """Take in a frame."""
+        """Add a frame."""
         self._reconstruction.add(estimate, snapshot())
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:

@@ -1,7 +1,8 @@
-"""Keeps what leaves the map, so that the whole of it can be written in the end.
+"""Collects all keyframes and landmarks of a run, to be written at its end.
 
-The map holds the newest keyframes only. A keyframe that leaves keeps what it saw last, and a
-landmark where it was last.
+The local map holds the newest keyframes only. Of a keyframe or landmark that leaves it, the last
+observations and positions are kept. If a keyframe gets a new pose later, the landmarks move with
+the last keyframe that observes them.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from vo.types import (
     View,
 )
 
-_GATE_PX = 3.0  # observations further off are left out
-_LEAST_SIGHTINGS = 2
+_MAX_ERROR_PX = 3.0  # observations with a larger reprojection error are left out
+_MIN_OBSERVATIONS = 2
 _MID_GREY = 128
 
 
@@ -62,10 +63,11 @@ class Model:
 
 
 class Reconstruction:
-    """Everything that was ever in the map."""
+    """All keyframes and landmarks that were in the map."""
 
     def __init__(self) -> None:
         self._keyframes: dict[int, KeyframePose] = {}
+        self._last_in_map: dict[int, KeyframePose] = {}  # as the landmarks were last updated
         self._sightings: dict[int, Sightings] = {}
         self._xyz = np.full((1024, 3), np.nan)  # rows are ids
         self._grey = np.full(1024, _MID_GREY, dtype=np.uint8)
@@ -73,18 +75,21 @@ class Reconstruction:
         self._cam0_from_image0 = np.eye(4)
 
     def add(self, estimate: Estimate, snapshot: Snapshot) -> None:
-        """Take in a frame."""
+        """Add a frame."""
         self._camera = camera_of(snapshot.view)
         if snapshot.view.cam0_from_image0 is not None:
             self._cam0_from_image0 = snapshot.view.cam0_from_image0
         for keyframe in estimate.keyframes:
             self._keyframes[keyframe.frame_index] = keyframe
         if snapshot.landmarks is not None:
-            self._take_in(snapshot.landmarks)
+            self._add_landmarks(snapshot.landmarks)
 
-    def _take_in(self, landmarks: Landmarks) -> None:
+    def _add_landmarks(self, landmarks: Landmarks) -> None:
         for sightings in landmarks.sightings:
-            self._sightings[sightings.frame_index] = sightings
+            frame = sightings.frame_index
+            self._sightings[frame] = sightings
+            if frame in self._keyframes:
+                self._last_in_map[frame] = self._keyframes[frame]
         if not len(landmarks.ids):
             return
         missing = int(landmarks.ids[-1]) + 1 - len(self._xyz)
@@ -101,12 +106,12 @@ class Reconstruction:
         """A model for each segment, the one with most keyframes first.
 
         Args:
-            smoothed: the final path; points move with the last keyframe that saw them.
-            frames: only keyframes of these frames take part.
+            smoothed: the final path; points move with the last keyframe that observes them.
+            frames: if given, only keyframes of these frames are used.
         """
         if self._camera is None:
             return []
-        known = [k for k in sorted(self._keyframes) if k in self._sightings]
+        known = sorted(self._last_in_map)
         known = [k for k in known if frames is None or k in frames]
         segments = [self._keyframes[k].segment for k in known]
         models = [
@@ -117,15 +122,18 @@ class Reconstruction:
 
     def _model(self, frames: list[int], smoothed: Trajectory) -> Model:
         assert self._camera is not None
-        seen = _everything_seen([self._sightings[frame] for frame in frames])
-        before = np.stack([self._keyframes[frame].world_from_cam0 for frame in frames])
+        observations = _all_observations([self._sightings[frame] for frame in frames])
+        before = np.stack([self._last_in_map[frame].world_from_cam0 for frame in frames])
+        newest = np.stack([self._keyframes[frame].world_from_cam0 for frame in frames])
         stamps_ns = np.array([self._keyframes[frame].stamp_ns for frame in frames])
-        after = _poses_at(stamps_ns, smoothed, before)
-        points = self._carried(seen, after @ inverse(before))
+        after = _poses_at(stamps_ns, smoothed, newest)
+        points = self._moved_points(observations, after @ inverse(before))
         world_from_image0 = after @ self._cam0_from_image0
-        errors = _errors(self._camera, points, world_from_image0, seen)
-        good = _agreeing(seen, errors)
-        ids, first, point = np.unique(seen.ids[good], return_index=True, return_inverse=True)
+        errors = _errors(self._camera, points, world_from_image0, observations)
+        good = _agreeing(observations, errors)
+        ids, first, point = np.unique(
+            observations.ids[good], return_index=True, return_inverse=True
+        )
         sums = np.bincount(point, weights=errors[good], minlength=len(ids))
         return Model(
             camera=self._camera,
@@ -134,21 +142,22 @@ class Reconstruction:
             xyz=points[good][first],
             grey=self._grey[ids],
             error_px=sums / np.bincount(point, minlength=len(ids)),
-            keyframe=seen.keyframe[good],
+            keyframe=observations.keyframe[good],
             point=point.astype(np.int64),
-            xy=seen.xy[good],
+            xy=observations.xy[good],
         )
 
-    def _carried(self, seen: _Seen, moves: Floats) -> Floats:
-        """The point (N, 3) of each observation, moved as the last keyframe that saw it was."""
-        carrier = np.full(len(self._xyz), -1)
-        carrier[seen.ids] = seen.keyframe  # of several the last one stays
-        move = moves[carrier[seen.ids]]
-        turned = np.einsum("nij,nj->ni", move[:, :3, :3], self._xyz[seen.ids])
-        return np.asarray(turned + move[:, :3, 3])
+    def _moved_points(self, observations: _Observations, moves: Floats) -> Floats:
+        """The point (N, 3) of each observation, moved with the last keyframe that observes it."""
+        ids = observations.ids
+        last_keyframe = np.full(len(self._xyz), -1)
+        last_keyframe[ids] = observations.keyframe  # rows are in time order: the last one remains
+        move = moves[last_keyframe[ids]]
+        rotated = np.einsum("nij,nj->ni", move[:, :3, :3], self._xyz[ids])
+        return np.asarray(rotated + move[:, :3, 3])
 
 
-class _Seen(NamedTuple):
+class _Observations(NamedTuple):
     """Observations: ids (N,) of landmarks, row (N,) of the keyframe, pixels (N, 2)."""
 
     ids: Ints
@@ -156,42 +165,44 @@ class _Seen(NamedTuple):
     xy: Floats
 
 
-def _everything_seen(sightings: Sequence[Sightings]) -> _Seen:
+def _all_observations(sightings: Sequence[Sightings]) -> _Observations:
     counts = [len(each.ids) for each in sightings]
-    return _Seen(
+    return _Observations(
         np.concatenate([each.ids for each in sightings]),
         np.repeat(np.arange(len(sightings)), counts),
         np.concatenate([each.xy for each in sightings]),
     )
 
 
-def _agreeing(seen: _Seen, errors: Floats) -> Bools:
-    """Which observations (N,) are near their point, and their point has enough of such."""
-    good = errors < _GATE_PX
-    count = np.bincount(seen.ids[good], minlength=int(seen.ids.max(initial=0)) + 1)
-    return np.asarray(good & (count[seen.ids] >= _LEAST_SIGHTINGS))
+def _agreeing(observations: _Observations, errors: Floats) -> Bools:
+    """Observations (N,) with a small error whose point has enough of them."""
+    good = errors < _MAX_ERROR_PX
+    count = np.bincount(observations.ids[good], minlength=int(observations.ids.max(initial=0)) + 1)
+    return np.asarray(good & (count[observations.ids] >= _MIN_OBSERVATIONS))
 
 
-def _errors(camera: Camera, points: Floats, world_from_image0: Floats, seen: _Seen) -> Floats:
-    """Pixels (N,) between projection and observation; infinite where there is no projection."""
-    image0_from_world = inverse(world_from_image0)[seen.keyframe]
+def _errors(
+    camera: Camera, points: Floats, world_from_image0: Floats, observations: _Observations
+) -> Floats:
+    """Distances (N,) between projection and observation; infinite without a projection."""
+    image0_from_world = inverse(world_from_image0)[observations.keyframe]
     local = np.einsum("nij,nj->ni", image0_from_world[:, :3, :3], points)
     projected = cameras.project(camera, local + image0_from_world[:, :3, 3])
-    errors = np.linalg.norm(projected - seen.xy, axis=1)
+    errors = np.linalg.norm(projected - observations.xy, axis=1)
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
 def _poses_at(stamps_ns: Ints, path: Trajectory, otherwise: Floats) -> Floats:
-    """The path's poses (K, 4, 4) at stamps that it has, and `otherwise` at others."""
+    """Poses (K, 4, 4) of the path at stamps (K,); `otherwise` at other stamps."""
     if not len(path):
         return otherwise
     rows = np.minimum(np.searchsorted(path.stamps_ns, stamps_ns), len(path) - 1)
-    is_there = path.stamps_ns[rows] == stamps_ns
-    return np.where(is_there[:, None, None], path.world_from_cam[rows], otherwise)
+    exists = path.stamps_ns[rows] == stamps_ns
+    return np.where(exists[:, None, None], path.world_from_cam[rows], otherwise)
 
 
 def camera_of(view: View) -> Camera:
-    """The camera of `view.image0`, with its lens if the image is as recorded."""
+    """The camera of `view.image0`, with its distortion if the image is as recorded."""
     return view.lens if view.lens is not None else pinhole_of(view)
 
 

@@ -1,4 +1,4 @@
-"""What every recorder offers, and the one that records nothing."""
+"""Interface of recorders, and a recorder that records nothing."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ TakeSnapshot = Callable[[], Snapshot]
 
 
 class Recorder(Protocol):
-    """Takes in a run as it goes on; never changes it."""
+    """Observer of a run, which it never changes.
+
+    Any keyframe, old ones too, may get a new pose at any time: `Estimate.keyframes` contains those
+    that were added or moved.
+    """
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Before the first frame."""
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """After each frame; `snapshot` may be called before this returns, and takes time then."""
+        """After each frame; `snapshot` takes time and can only be called before this returns."""
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """After the last frame, also of an interrupted run, with both whole paths; closes."""
+        """After the last frame, also of an interrupted run, with both complete paths; closes."""
 
 
 class NullRecorder:

@@ -1,4 +1,4 @@
-"""Which frame is which moment of a run, and whole trajectories as rows."""
+"""Moments and segments of the recorded frames, and complete trajectories as rows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from vo.geometry.transforms import quat_xyzw_from_rotation
-from vo.recording.tape import Tape
+from vo.recording.batch import Batch
 from vo.recording.timelines import Moment
 from vo.types import Estimate, Floats, Trajectory
 
@@ -14,7 +14,7 @@ _POSE_NAMES = ["tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
 class RunIndex:
-    """The frames recorded so far: their moments, and where segments begin."""
+    """The frames recorded so far: their moments, and the ends of segments."""
 
     def __init__(self) -> None:
         self._moments: dict[int, Moment] = {}
@@ -24,7 +24,7 @@ class RunIndex:
         return len(self._moments)
 
     def add(self, estimate: Estimate) -> Moment:
-        """Take in a frame."""
+        """Add a frame; its moment."""
         moment = Moment(estimate.frame_index, estimate.stamp_ns)
         self._moments[estimate.stamp_ns] = moment
         if estimate.world_from_cam0 is not None:
@@ -42,13 +42,13 @@ class RunIndex:
         return self._moments[next(reversed(self._moments))]
 
     def moment(self, stamp_ns: int) -> Moment | None:
-        """The frame taken then, or None if it was not recorded."""
+        """The moment of the frame with this stamp, None if it was not recorded."""
         return self._moments.get(stamp_ns)
 
     def by_segment(self, trajectory: Trajectory) -> list[Trajectory]:
-        """A trajectory cut where segments end; empty pieces are left out.
+        """A trajectory divided at the ends of segments; empty pieces are left out.
 
-        Not where they begin: frames may be placed in a mono map that were taken before it was made.
+        Not at their beginnings: frames before the first mono map may get a pose in it later.
         """
         ends = list(self._last_stamp.values())[:-1]
         cuts = np.searchsorted(trajectory.stamps_ns, ends, side="right")
@@ -58,13 +58,13 @@ class RunIndex:
         return [Trajectory(stamp, pose) for stamp, pose in pairs if len(stamp)]
 
 
-def add_trajectory(tape: Tape, entity: str, trajectory: Trajectory, index: RunIndex) -> None:
-    """Note poses as rows of seven float64 (tx ty tz qx qy qz qw): transforms hold only float32."""
-    tape.fix(entity, rr.SeriesLines(names=_POSE_NAMES))
+def add_trajectory(batch: Batch, entity: str, trajectory: Trajectory, index: RunIndex) -> None:
+    """Add poses as rows of seven float64 (tx ty tz qx qy qz qw); transforms are only float32."""
+    batch.log_static(entity, rr.SeriesLines(names=_POSE_NAMES))
     for stamp_ns, row in zip(trajectory.stamps_ns.tolist(), _pose_rows(trajectory), strict=True):
         moment = index.moment(stamp_ns)
         if moment is not None:
-            tape.add(moment, entity, rr.Scalars, scalars=row)
+            batch.add(moment, entity, rr.Scalars, scalars=row)
 
 
 def _pose_rows(trajectory: Trajectory) -> Floats:

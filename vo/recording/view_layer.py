@@ -1,4 +1,4 @@
-"""The images with features and matches, at the size they are recorded in."""
+"""The images with features and matches."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ import rerun as rr
 
 from vo.geometry.transforms import make_transform, quat_xyzw_from_rotation
 from vo.recording import entities
+from vo.recording.batch import Batch, Strips
 from vo.recording.epipolar import epipolar_lines
 from vo.recording.recorder import ImageChoice
-from vo.recording.tape import Strips, Tape
 from vo.recording.timelines import Moment
 from vo.types import Bools, Bytes, Estimate, FeatureState, Floats, Floats32, View
 
-_LEFT_QUALITY, _RIGHT_QUALITY = 60, 50  # of JPEG; the right one is there for comparison only
-_MOST_LINES = 150  # of each kind: more of them hide the image
-_MOST_EPIPOLAR = 20
-_SMALLEST, _LARGEST, _STEPS = 1.2, 3.6, 4  # ui points, radius of a feature by its error
-_LARGE_ERROR_PX = 3.0
+_LEFT_QUALITY, _RIGHT_QUALITY = 60, 50  # of JPEG
+_MAX_LINES = 150  # of each kind: more would hide the image
+_MAX_EPIPOLAR = 20
+_MIN_RADIUS, _MAX_RADIUS, _STEPS = 1.2, 3.6, 4  # ui points, by reprojection error
+_LARGE_ERROR_PX = 3.0  # of the largest radius
 
 
 class ViewLayer:
     """Logs images, features and matches of each frame.
 
-    rerun puts the top-left corner of an image at (0, 0), this project the centre of its top-left
-    pixel; hence the half pixels.
+    In rerun, (0, 0) is the corner of the top-left pixel, in this project its centre; hence the
+    offsets of half a pixel.
     """
 
-    def __init__(self, tape: Tape, images: ImageChoice, *, has_right: bool) -> None:
-        self._tape = tape
+    def __init__(self, batch: Batch, images: ImageChoice, *, has_right: bool) -> None:
+        self._batch = batch
         self._images = images
         self._has_right = has_right
         self._scale = 0.5 if images == "half" else 1.0
         self._cameras_known = False
         self._previous_pose: Floats | None = None
 
-    def fix_styles(self) -> None:
+    def log_styles(self) -> None:
         """Log the colours and sizes that never change."""
         for order, (name, colour) in enumerate(entities.FEATURE_COLOURS.items()):
             style = rr.Points2D.from_fields(colors=[colour], draw_order=20.0 + order)
-            self._tape.fix(f"{entities.FEATURES}/{name}", style)
-        new = rr.Points2D.from_fields(radii=rr.Radius.ui_points(_SMALLEST))
-        self._tape.fix(f"{entities.FEATURES}/{entities.NEW}", new)
+            self._batch.log_static(f"{entities.FEATURES}/{name}", style)
+        new = rr.Points2D.from_fields(radii=rr.Radius.ui_points(_MIN_RADIUS))
+        self._batch.log_static(f"{entities.FEATURES}/{entities.NEW}", new)
         for entity, colour in (
             (entities.MATCHES, entities.YELLOW),
             (entities.STEREO_MATCHES, entities.YELLOW),
@@ -50,28 +50,28 @@ class ViewLayer:
         ):
             thin = rr.Radius.ui_points(0.6)
             lines = rr.LineStrips2D.from_fields(colors=[colour], radii=thin, draw_order=10.0)
-            self._tape.fix(entity, lines)
+            self._batch.log_static(entity, lines)
 
     def add(self, moment: Moment, estimate: Estimate, view: View) -> None:
-        """Note what the cameras saw in this frame."""
+        """Add the images of a frame, with its features and matches."""
         if not self._cameras_known:
             self._cameras_known = True
-            self._fix_cameras(view)
+            self._log_cameras(view)
         self._add_image(moment, entities.LEFT_IMAGE, view.image0, _LEFT_QUALITY)
         self._add_image(moment, entities.RIGHT_IMAGE, view.image1, _RIGHT_QUALITY)
         self._add_features(moment, view)
         self._add_matches(moment, view)
         self._add_epipolar(moment, view, estimate.world_from_cam0)
 
-    def _fix_cameras(self, view: View) -> None:
-        """Log where both ideal cameras are on cam0; it is the same in every frame."""
+    def _log_cameras(self, view: View) -> None:
+        """Log the constant poses of both rectified cameras relative to cam0."""
         cam0_from_left = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
-        self._fix_camera(entities.LEFT, cam0_from_left, view)
+        self._log_camera(entities.LEFT, cam0_from_left, view)
         if self._has_right:
             left_from_right = make_transform(np.eye(3), np.array([view.baseline_m, 0.0, 0.0]))
-            self._fix_camera(entities.RIGHT, cam0_from_left @ left_from_right, view)
+            self._log_camera(entities.RIGHT, cam0_from_left @ left_from_right, view)
 
-    def _fix_camera(self, entity: str, cam0_from_camera: Floats, view: View) -> None:
+    def _log_camera(self, entity: str, cam0_from_camera: Floats, view: View) -> None:
         transform = rr.Transform3D(
             translation=cam0_from_camera[:3, 3],
             quaternion=rr.Quaternion(xyzw=quat_xyzw_from_rotation(cam0_from_camera[:3, :3])),
@@ -84,33 +84,33 @@ class ViewLayer:
             resolution=[width, height],
             camera_xyz=rr.ViewCoordinates.RDF,
         )
-        self._tape.fix(entity, transform)
-        self._tape.fix(entity, pinhole)
+        self._batch.log_static(entity, transform)
+        self._batch.log_static(entity, pinhole)
 
     def _add_image(self, moment: Moment, entity: str, image: Bytes | None, quality: int) -> None:
         if self._images == "none" or image is None:
             return
-        shown = _halved(image) if self._images == "half" else image
-        _, jpeg = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        scaled = _halved(image) if self._images == "half" else image
+        _, jpeg = cv2.imencode(".jpg", scaled, [cv2.IMWRITE_JPEG_QUALITY, quality])
         fields = {"blob": [jpeg.tobytes()], "media_type": ["image/jpeg"]}
-        self._tape.add(moment, entity, rr.EncodedImage, **fields)
+        self._batch.add(moment, entity, rr.EncodedImage, **fields)
 
     def _add_features(self, moment: Moment, view: View) -> None:
-        xy = self._to_recorded(view.xy)
+        xy = self._to_pixels(view.xy)
         radii = _radii(view)
         for name, chosen in _by_state(view).items():
             fields = {"positions": xy[chosen]}
             if name != entities.NEW:
                 fields["radii"] = radii[chosen]
-            self._tape.add(moment, f"{entities.FEATURES}/{name}", rr.Points2D, **fields)
+            self._batch.add(moment, f"{entities.FEATURES}/{name}", rr.Points2D, **fields)
 
     def _add_matches(self, moment: Moment, view: View) -> None:
         tracked = view.feature_state == FeatureState.TRACKED
-        moved = _some(tracked & ~np.isnan(view.previous_xy[:, 0]))
+        moved = _rows_of(tracked & ~np.isnan(view.previous_xy[:, 0]))
         self._add_lines(moment, entities.MATCHES, view.previous_xy[moved], view.xy[moved])
         if view.image1 is None or view.right_u is None:
             return
-        both = _some(tracked & ~np.isnan(view.right_u))
+        both = _rows_of(tracked & ~np.isnan(view.right_u))
         right_xy = np.column_stack([view.right_u[both], view.xy[both, 1]])
         self._add_lines(moment, entities.STEREO_MATCHES, view.xy[both], right_xy)
 
@@ -118,22 +118,22 @@ class ViewLayer:
         before, self._previous_pose = self._previous_pose, pose
         if before is None or pose is None:
             return
-        moved = _some(~np.isnan(view.previous_xy[:, 0]), _MOST_EPIPOLAR)
+        moved = _rows_of(~np.isnan(view.previous_xy[:, 0]), _MAX_EPIPOLAR)
         lines = epipolar_lines(view, view.previous_xy[moved], before, pose)
-        strips = Strips.alike(self._to_recorded(lines))
-        self._tape.add(moment, entities.EPIPOLAR, rr.LineStrips2D, strips=strips)
+        strips = Strips.of_equal_size(self._to_pixels(lines))
+        self._batch.add(moment, entities.EPIPOLAR, rr.LineStrips2D, strips=strips)
 
     def _add_lines(self, moment: Moment, entity: str, start: Floats32, end: Floats32) -> None:
-        strips = Strips.alike(self._to_recorded(np.stack([start, end], axis=1)))
-        self._tape.add(moment, entity, rr.LineStrips2D, strips=strips)
+        strips = Strips.of_equal_size(self._to_pixels(np.stack([start, end], axis=1)))
+        self._batch.add(moment, entity, rr.LineStrips2D, strips=strips)
 
-    def _to_recorded(self, xy: Floats | Floats32) -> Floats32:
-        """Pixels of the recorded image, to a sixteenth: finer is not seen, but takes space."""
+    def _to_pixels(self, xy: Floats | Floats32) -> Floats32:
+        """Pixels of the recorded image, rounded to 1/16 px to save space."""
         return np.asarray(np.round((xy + 0.5) * (16 * self._scale)) / 16, dtype=np.float32)
 
 
 def _by_state(view: View) -> dict[str, Bools]:
-    """Which features are drawn how; those of landmarks also by whether they come back into view."""
+    """Features by the way they are drawn; `LANDMARK` was not tracked in the previous frame."""
     tracked = view.feature_state == FeatureState.TRACKED
     seen_before = ~np.isnan(view.previous_xy[:, 0])
     return {
@@ -145,22 +145,24 @@ def _by_state(view: View) -> dict[str, Bools]:
 
 
 def _radii(view: View) -> Floats32:
-    """The larger the reprojection error, the larger the dot; negative means ui points."""
+    """Radii (N,) that grow with the reprojection error; negative means ui points."""
     if view.error_px is None:
-        return np.full(len(view.xy), -_SMALLEST, np.float32)
-    share = np.fmin(np.fmax(view.error_px / _LARGE_ERROR_PX, 0.0), 1.0)  # of NaN, 0
-    step = np.round(share * _STEPS) / _STEPS
-    return np.asarray(-(_SMALLEST + (_LARGEST - _SMALLEST) * step), dtype=np.float32)
+        return np.full(len(view.xy), -_MIN_RADIUS, np.float32)
+    ratio = np.fmin(np.fmax(view.error_px / _LARGE_ERROR_PX, 0.0), 1.0)  # 0 for NaN
+    step = np.round(ratio * _STEPS) / _STEPS
+    return np.asarray(-(_MIN_RADIUS + (_MAX_RADIUS - _MIN_RADIUS) * step), dtype=np.float32)
 
 
-def _some(mask: Bools, most: int = _MOST_LINES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Rows of a mask, evenly chosen if there are too many."""
+def _rows_of(mask: Bools, max_count: int = _MAX_LINES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Rows of a mask, a uniform subset if there are too many."""
     rows = np.flatnonzero(mask)
-    return rows if len(rows) <= most else rows[np.arange(most) * (len(rows) - 1) // (most - 1)]
+    if len(rows) <= max_count:
+        return rows
+    return rows[np.arange(max_count) * (len(rows) - 1) // (max_count - 1)]
 
 
 def _halved(image: Bytes) -> Bytes:
-    """Half the size; an odd last row or column is left out, so that each pixel has just four."""
+    """The image at half the size, by 2x2 means; an odd last row or column is left out."""
     even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
     halved = cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     return np.asarray(halved, dtype=np.uint8)

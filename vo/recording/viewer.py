@@ -1,4 +1,4 @@
-"""The rerun viewer as a program: where it is, whether one answers, starting one."""
+"""The rerun viewer as a process: its address, a check that it runs, and its start."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ DEFAULT_PORT = 9876
 _LOCALHOST = "127.0.0.1"
 _ANSWER_TIMEOUT_S = 3.0
 _START_TIMEOUT_S = 20.0
-# Source: RFC 9113, sec. 3.4: the preface and empty settings, which every gRPC server answers.
+# Source: RFC 9113, sec. 3.4: the connection preface and empty settings; every server answers.
 _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")
 
 
-def viewer_url(where: str) -> str:
-    """The whole URL of what people type: a URL, `host:port`, a host or a port.
+def viewer_url(address: str) -> str:
+    """The complete URL of an address: a URL, `host:port`, a host or a port.
 
     Raises:
-        OutputError: it is none of these.
+        OutputError: the address is none of these.
     """
-    text = where if "://" in where else f"rerun+http://{_with_host(where)}"
+    text = address if "://" in address else f"rerun+http://{_with_host(address)}"
     parts = urlsplit(text)
     try:
         port = parts.port or DEFAULT_PORT
@@ -39,17 +39,17 @@ def viewer_url(where: str) -> str:
         port = 0
     if parts.scheme not in _SCHEMES or not parts.hostname or not port:
         raise OutputError(
-            f"{where!r} is no address of a viewer; give HOST:PORT or "
+            f"{address!r} is not the address of a viewer; use HOST:PORT or "
             f"rerun+http://{_LOCALHOST}:{DEFAULT_PORT}/proxy"
         )
     return f"{parts.scheme}://{parts.hostname}:{port}/proxy"
 
 
 def check_viewer(url: str) -> None:
-    """Make sure that something answers: rerun itself would wait, and drop what is logged.
+    """Check that a viewer answers; rerun itself would wait, and drop the logged data.
 
     Raises:
-        OutputError: nothing does.
+        OutputError: no viewer answers.
     """
     parts = urlsplit(url)
     host, port = parts.hostname or _LOCALHOST, parts.port or DEFAULT_PORT
@@ -57,20 +57,20 @@ def check_viewer(url: str) -> None:
         with socket.create_connection((host, port), timeout=_ANSWER_TIMEOUT_S) as connection:
             connection.sendall(_HTTP2_GREETING)
             if not connection.recv(1):
-                raise ConnectionError("it hangs up")
+                raise ConnectionError("connection closed")
     except OSError as error:
         raise OutputError(
             f"no viewer answers at {host}:{port} ({error.strerror or str(error)}); start one there "
-            "with `rerun`, or let --spawn or --serve do it"
+            "with `rerun`, or use --spawn or --serve"
         ) from error
 
 
 class ViewerProcess:
-    """A viewer that was started here.
+    """A viewer process started by this program.
 
     Attributes:
-        url: where data can be streamed to.
-        page: address for the browser; None of a native viewer.
+        url: address to stream data to.
+        page: address for a browser; None for a native viewer.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], port: int, page: str | None) -> None:
@@ -79,17 +79,17 @@ class ViewerProcess:
         self.page = page
 
     def wait(self) -> None:
-        """Until it is closed.
+        """Wait until the viewer is closed.
 
         Raises:
-            OutputError: it ended by itself, and not well.
+            OutputError: it ended with an error.
         """
         status = self._process.wait()
         if status:
             raise OutputError(f"the viewer ended with status {status}; use --serve or --web")
 
     def stop(self) -> None:
-        """Close it."""
+        """Close the viewer."""
         if self._process.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(signal.SIGTERM)
@@ -101,12 +101,12 @@ class ViewerProcess:
 
 
 def start_native(file: Path | None = None) -> ViewerProcess:
-    """Open the native viewer on a port of its own, showing a file if one is given.
+    """Open the native viewer on a free port, with a file if one is given.
 
-    It is not a part of this process: it stays when `vo` ends.
+    It stays open when `vo` ends.
 
     Raises:
-        OutputError: it does not start, most often because there is no display.
+        OutputError: it does not start, usually because there is no display.
     """
     problem, advice = "a viewer cannot be opened here", "use --serve or --web"
     if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
@@ -119,14 +119,14 @@ def start_native(file: Path | None = None) -> ViewerProcess:
 
 
 def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
-    """Serve the web viewer, showing what will be streamed to it.
+    """Serve the web viewer, for data that are streamed to it.
 
     Args:
-        port: of the web page; 0 takes a free one.
-        bind: address to listen on; other machines reach `0.0.0.0` only.
+        port: of the web page; 0 selects a free one.
+        bind: address to listen on; `0.0.0.0` is reachable from other machines.
 
     Raises:
-        OutputError: it cannot be served.
+        OutputError: the server does not start.
     """
     web, data = port or _free_port(), _free_port()
     ports = ["--web-viewer-port", str(web), "--port", str(data), "--bind", bind]
@@ -138,22 +138,22 @@ def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
 
 
 def host_of(bind: str) -> str:
-    """The name under which an address that is listened on can be reached."""
+    """The host name under which an address to listen on can be reached."""
     return socket.gethostname() if bind in ("0.0.0.0", "::") else bind
 
 
 def _start(
     arguments: list[str], ports: tuple[int, ...], problem: str, advice: str
 ) -> subprocess.Popen[bytes]:
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as output:
         try:
             process = subprocess.Popen(
                 [_program(), *arguments],
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
+                stdout=output,
+                stderr=output,
                 env={**os.environ, "RUST_LOG": "warn"},
-                start_new_session=True,  # Ctrl-C is for the one who started it
+                start_new_session=True,  # so that Ctrl-C does not reach it
             )
         except OSError as error:
             raise OutputError(f"{problem}: {error.strerror or error}; {advice}") from error
@@ -161,16 +161,16 @@ def _start(
             return process
         process.kill()
         process.wait()
-        said.seek(0)
-        raise OutputError(f"{problem}: {_last_words(said.read())}; {advice}")
+        output.seek(0)
+        raise OutputError(f"{problem}: {_last_line(output.read())}; {advice}")
 
 
 def _listens(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> bool:
-    """Wait until every port answers, and the program has not ended at once."""
+    """Wait until every port answers; whether the program still runs then."""
     give_up = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < give_up and process.poll() is None:
         if all(_answers(port) for port in ports):
-            time.sleep(0.5)  # without a display it listens first and ends then
+            time.sleep(0.5)  # without a display it first listens and then ends
             return process.poll() is None
         time.sleep(0.1)
     return False
@@ -181,16 +181,16 @@ def _answers(port: int) -> bool:
         return probe.connect_ex((_LOCALHOST, port)) == 0
 
 
-def _last_words(said: bytes) -> str:
-    lines = [line.strip() for line in said.decode(errors="replace").splitlines() if line.strip()]
+def _last_line(output: bytes) -> str:
+    lines = [line.strip() for line in output.decode(errors="replace").splitlines() if line.strip()]
     if not lines:
-        return "it ended without a word"
-    reason = lines[-1].rpartition(": ")[2]  # where in the code it happened comes before
+        return "it ended without output"
+    reason = lines[-1].rpartition(": ")[2]  # without the place in the code
     return " ".join(reason.split()).rstrip(".")[:200]
 
 
 def _program() -> str:
-    """The viewer itself: the command `rerun` is a wrapper, which would not pass signals on."""
+    """The executable of the viewer; the command `rerun` does not forward signals to it."""
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -206,5 +206,5 @@ def _free_port() -> int:
     return port
 
 
-def _with_host(where: str) -> str:
-    return f"{_LOCALHOST}:{where}" if where.isdigit() else where
+def _with_host(address: str) -> str:
+    return f"{_LOCALHOST}:{address}" if address.isdigit() else address

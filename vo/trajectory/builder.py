@@ -30,7 +30,6 @@ class TrajectoryBuilder:
         self._cam0_from_rectified = cam0_from_rectified
         self._rectified_from_cam0 = inverse(cam0_from_rectified)
         self._adjoint = adjoint(cam0_from_rectified)
-        self._moved: set[int] = set()
 
     def add_frame(
         self, frame: PreprocessedFrame, keyframe: Keyframe, world_from_cam: Floats
@@ -59,12 +58,10 @@ class TrajectoryBuilder:
                 keyframe.id,
                 KeyframePose(frame.index, frame.stamp_ns, frame.segment, pose, covariance),
             )
-            self._moved.add(keyframe.id)
 
     def take_moved(self) -> tuple[KeyframePose, ...]:
         """Keyframes that were added or moved since the last call."""
-        moved, self._moved = sorted(self._moved), set()
-        return tuple(self.store.keyframes_by_id(moved))
+        return self.store.take_moved()
 
     def world_from_cam0(self, world_from_rectified: Floats) -> Floats:
         """Poses (..., 4, 4) of the recorded cam0."""

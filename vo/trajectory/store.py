@@ -72,6 +72,7 @@ class TrajectoryStore:
         self._frames = Table(_FRAME)
         self._keyframes = Table(_KEYFRAME)
         self._changed = self._changed_keyframe = 0
+        self._moved: set[int] = set()  # ids of keyframes
 
     @property
     def frames(self) -> NDArray[Any]:
@@ -94,7 +95,8 @@ class TrajectoryStore:
         self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
 
     def store(self, keyframe: int, pose: KeyframePose) -> None:
-        """Add a keyframe, or replace its pose and covariance."""
+        """Add a keyframe by its id, or replace its pose and covariance."""
+        self._moved.add(keyframe)
         place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
         triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
         fields = (*place, pose.world_from_cam0[:3], triangle)
@@ -112,6 +114,11 @@ class TrajectoryStore:
         changed = self._changed, self._changed_keyframe
         self._changed, self._changed_keyframe = len(self._frames), len(self._keyframes)
         return changed
+
+    def take_moved(self) -> tuple[KeyframePose, ...]:
+        """Keyframes that were added or moved since the last call, in order of ids."""
+        moved, self._moved = sorted(self._moved), set()
+        return tuple(self.keyframes_by_id(moved))
 
     def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
         """Keyframes by increasing ids."""

@@ -1,4 +1,4 @@
-"""What is to be recorded, collected for some frames and sent as columns."""
+"""Rows to record, collected over several frames and sent as columns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from vo.recording.outlet import Outlet
+from vo.recording.sink import Sink
 from vo.recording.timelines import Moment, Timelines
 from vo.types import Floats, Floats32
 
@@ -17,57 +17,57 @@ _Key = tuple[str, type[Any], tuple[str, ...]]
 
 
 class Strips(NamedTuple):
-    """Lines one after the other: their points (N, 2 or 3), and how many each has."""
+    """Lines one after another: their points (N, 2 or 3) and the number of points of each."""
 
     points: Floats32
     sizes: Sequence[int]
 
     @classmethod
-    def alike(cls, lines: Floats | Floats32) -> Strips:
+    def of_equal_size(cls, lines: Floats | Floats32) -> Strips:
         """Lines (L, n, 2 or 3) of n points each."""
         return cls(
             lines.reshape(-1, lines.shape[2]).astype(np.float32), (lines.shape[1],) * len(lines)
         )
 
 
-class Tape:
-    """Rows of entities, sent to every outlet at once, because each chunk has a header of 1 kB.
+class Batch:
+    """Rows by entity, sent to every sink together, because each chunk has a header of 1 kB.
 
     Args:
-        outlets: where to send to.
-        timelines: what turns moments into columns of time.
+        sinks: receive the rows.
+        timelines: converts moments to time columns.
     """
 
-    def __init__(self, outlets: Sequence[Outlet], timelines: Timelines) -> None:
-        self._outlets = outlets
+    def __init__(self, sinks: Sequence[Sink], timelines: Timelines) -> None:
+        self._sinks = sinks
         self._timelines = timelines
         self._rows: dict[_Key, list[tuple[Moment, tuple[Any, ...]]]] = {}
 
-    def fix(self, entity: str, archetype: Any) -> None:
-        """Log what holds at all times; what was there before is replaced."""
-        for outlet in self._outlets:
-            outlet.fix(entity, archetype)
+    def log_static(self, entity: str, archetype: Any) -> None:
+        """Log data that are valid at all times, instead of earlier ones."""
+        for sink in self._sinks:
+            sink.log_static(entity, archetype)
 
     def add(self, moment: Moment, entity: str, archetype: type[Any], **fields: Any) -> None:
-        """Note a row of an archetype's fields: a sequence of instances each."""
+        """Add a row of an archetype's fields, each a sequence of instances."""
         key = (entity, archetype, tuple(fields))
         self._rows.setdefault(key, []).append((moment, tuple(fields.values())))
 
     def send(self) -> None:
-        """Hand all rows to the outlets."""
+        """Send all rows to the sinks."""
         rows, self._rows = self._rows, {}
-        for (entity, archetype, names), noted in rows.items():
-            times = self._timelines.columns([moment for moment, _ in noted])
-            values = zip(*(row for _, row in noted), strict=True)
+        for (entity, archetype, names), added in rows.items():
+            times = self._timelines.columns([moment for moment, _ in added])
+            values = zip(*(row for _, row in added), strict=True)
             columns = [
                 column
                 for name, value in zip(names, values, strict=True)
                 for column in _column(archetype, name, value)
             ]
-            for outlet in self._outlets:
-                outlet.send(entity, times, columns)
-        for outlet in self._outlets:
-            outlet.flush()
+            for sink in self._sinks:
+                sink.send(entity, times, columns)
+        for sink in self._sinks:
+            sink.flush()
 
 
 def _column(archetype: type[Any], name: str, rows: tuple[Any, ...]) -> Any:
@@ -80,7 +80,7 @@ def _column(archetype: type[Any], name: str, rows: tuple[Any, ...]) -> Any:
 
 
 def _strip_column(archetype: type[Any], rows: tuple[Strips, ...]) -> rr.ComponentColumn:
-    """Built by hand: rerun's own way takes 30 us a line."""
+    """Build the column directly: rerun's own conversion takes 30 us per line."""
     points = np.concatenate([row.points for row in rows])
     sizes = [size for row in rows for size in row.sizes]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
@@ -93,7 +93,7 @@ def _strip_column(archetype: type[Any], rows: tuple[Strips, ...]) -> rr.Componen
 
 
 class _Arrow:
-    """An array as rerun's columns take it."""
+    """Adapter of an array for rerun's columns."""
 
     def __init__(self, array: pa.Array) -> None:
         self._array = array

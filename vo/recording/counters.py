@@ -1,4 +1,4 @@
-"""What a recording says of its run in words."""
+"""Summary of a run as text in its recording."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from vo.types import Estimate, Floats, Rig, State
 
 
 @dataclass
-class Tally:
-    """Counts frames while they are recorded; as Markdown in the end."""
+class Counters:
+    """Counts frames while they are recorded, and describes the run in Markdown."""
 
     name: str
     rig: Rig
@@ -24,7 +24,7 @@ class Tally:
     offset_px: float = 0.0
 
     def add(self, estimate: Estimate) -> None:
-        """Take in a frame."""
+        """Add a frame."""
         self.states[estimate.state] += 1
         self.keyframes |= {keyframe.frame_index for keyframe in estimate.keyframes}
         self.offset_px = estimate.disparity_offset_px
@@ -32,29 +32,27 @@ class Tally:
             self.segments.add(estimate.segment)
             self.inliers.append(estimate.inliers)
 
-    def beginning(self) -> str:
-        """What is known before the first frame; it stays if the run is killed."""
-        return f"{self._title()}\nThe run has not come to its end yet.\n"
+    def initial_text(self) -> str:
+        """Text before the first frame; it remains if the run is killed."""
+        return f"{self._title()}\nThe run has not finished yet.\n"
 
-    def ending(self, tracked: int, path_length: float, errors: Mapping[str, Floats]) -> str:
-        """The whole run.
+    def final_text(self, tracked: int, path_length: float, errors: Mapping[str, Floats]) -> str:
+        """Text at the end of the run.
 
         Args:
-            tracked: frames that have a pose in the end.
+            tracked: number of frames with a smoothed pose.
             path_length: of the smoothed path.
-            errors: position errors of each path against the truth, where they are known.
+            errors: position errors of each path against the ground truth, where known.
         """
         frames = sum(self.states.values())
         unit = "m" if self.rig.is_metric else "map units"
-        # The first keyframe of a mono map is never smoothed, and so never told of.
-        untold = 0 if self.rig.is_metric else len(self.segments)
         rows = {
             "frames": str(frames),
             "tracked": f"{tracked} ({tracked / max(frames, 1):.0%})",
             "lost": str(self.states[State.LOST]),
             "without a map": str(max(frames - tracked - self.states[State.LOST], 0)),
             "segments": str(len(self.segments)),
-            "keyframes": str(len(self.keyframes) + untold),
+            "keyframes": str(len(self.keyframes)),
             "path": f"{path_length:.2f} {unit}",
             "inliers, median": f"{median(self.inliers):.0f}" if self.inliers else "-",
         }

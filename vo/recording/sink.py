@@ -1,4 +1,4 @@
-"""Where a recording goes: a file, or a viewer that is running; each may fail on its own."""
+"""Sinks of a recording: a file or a running viewer; a failure of one does not affect the other."""
 
 from __future__ import annotations
 
@@ -13,28 +13,30 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vo.errors import OutputError
-from vo.recording.growing_rrd import GrowingRrd
+from vo.recording.piped_file import PipedFile
 from vo.recording.viewer import check_viewer
 
 _APPLICATION = "vo"
 _FILE_TIMEOUT_S, _VIEWER_TIMEOUT_S = 20.0, 2.0
-_open: list[rr.RecordingStream] = []  # kept: one that is dropped waits for its viewer for ever
+_open: list[
+    rr.RecordingStream
+] = []  # kept: the destructor of a stream may wait for its viewer forever
 
 _log = logging.getLogger(__name__)
 
 
-class Outlet:
-    """A stream to a file or a viewer; what fails ends it with a warning, never the run."""
+class Sink:
+    """A stream to a file or a viewer; a failure ends the stream with a warning, not the run."""
 
-    def __init__(self, name: str, stream: rr.RecordingStream, file: GrowingRrd | None) -> None:
+    def __init__(self, name: str, stream: rr.RecordingStream, file: PipedFile | None) -> None:
         self._name = name
         self._stream = stream
         self._file = file
         self._timeout_s = _VIEWER_TIMEOUT_S if file is None else _FILE_TIMEOUT_S
         self._is_open = True
 
-    def fix(self, entity: str, archetype: Any) -> None:
-        """Log what holds at all times."""
+    def log_static(self, entity: str, archetype: Any) -> None:
+        """Log data that are valid at all times."""
         self._try(lambda: self._stream.log(entity, archetype, static=True, strict=True))
 
     def send(self, entity: str, times: Sequence[Any], columns: Sequence[Any]) -> None:
@@ -42,14 +44,14 @@ class Outlet:
         self._try(lambda: self._stream.send_columns(entity, times, columns, strict=True))
 
     def flush(self) -> None:
-        """Wait until all is written; this is where a full disk shows."""
+        """Wait until all is written; detects a full disk."""
         self._try(lambda: self._stream.flush(timeout_sec=self._timeout_s))
 
     def close(self) -> None:
-        """Write what is left, with the footer."""
+        """Write the remaining data and the footer."""
         self.flush()
         if self._file is not None:
-            self._stream.disconnect()  # returns also after a failure: the pipe is always emptied
+            self._stream.disconnect()  # returns after a failure, too: the pipe is emptied
             self._file.wait(_FILE_TIMEOUT_S)
             self._try(lambda: None)
             _open.remove(self._stream)
@@ -70,29 +72,29 @@ class Outlet:
             self._is_open = False
 
 
-def open_file(path: Path, title: str, blueprint: rrb.Blueprint) -> Outlet:
-    """An outlet to a new file; one that exists is replaced.
+def open_file(path: Path, title: str, blueprint: rrb.Blueprint) -> Sink:
+    """Open a new file; an existing one is replaced.
 
     Raises:
         OutputError: it cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = GrowingRrd(path)
+        file = PipedFile(path)
         stream = _new_stream()
-        stream.save(file.inlet, default_blueprint=blueprint)
+        stream.save(file.pipe_path, default_blueprint=blueprint)
     except (RuntimeError, OSError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(
             f"cannot write the recording {path}: {reason}; choose another file"
         ) from error
-    file.opened()
+    file.close_pipe()
     stream.send_recording_name(title)
-    return Outlet(str(path), stream, file)
+    return Sink(str(path), stream, file)
 
 
-def open_viewer(url: str, title: str, blueprint: rrb.Blueprint) -> Outlet:
-    """An outlet to a viewer that is running.
+def open_viewer(url: str, title: str, blueprint: rrb.Blueprint) -> Sink:
+    """Connect to a running viewer.
 
     Raises:
         OutputError: no viewer answers there.
@@ -101,11 +103,11 @@ def open_viewer(url: str, title: str, blueprint: rrb.Blueprint) -> Outlet:
     stream = _new_stream()
     stream.connect_grpc(url, default_blueprint=blueprint)
     stream.send_recording_name(title)
-    return Outlet(url, stream, None)
+    return Sink(url, stream, None)
 
 
 def _new_stream() -> rr.RecordingStream:
-    """A stream that cannot keep the program from ending."""
+    """A stream that cannot prevent the program from ending."""
     stream = rr.RecordingStream(_APPLICATION)
     _open.append(stream)
     atexit.unregister(rr.rerun_shutdown)
@@ -115,8 +117,10 @@ def _new_stream() -> rr.RecordingStream:
 
 
 def _shut_down() -> None:
-    """What rerun does when a program ends, unless it would wait for ever."""
+    """Shut rerun down at the end of the program, unless that would wait forever."""
     for stream in _open:
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream.inner))  # never freed: that waits too
+        ctypes.pythonapi.Py_IncRef(
+            ctypes.py_object(stream.inner)
+        )  # never freed: freeing waits, too
     if not _open:
         rr.rerun_shutdown()
