@@ -204,7 +204,7 @@ def test_a_killed_run_leaves_every_pose(synthetic_stereo: Path, tmp_path: Path) 
     run(synthetic_stereo, whole, config=FAST, end=FRAMES)
     same = (killed / "causal.tum.partial", whole / "causal.tum")
     assert same[0].read_bytes() == same[1].read_bytes()
-    # The smoother's last answers, which a whole run waits for, are not in it yet.
+    # The optimizer's last results, for which a whole run waits, are not in it yet.
     left, all_ = (
         read_tum(p) for p in (killed / "trajectory.tum.partial", whole / "trajectory.tum")
     )

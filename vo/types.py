@@ -243,10 +243,10 @@ class FeatureState:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What can be shown of one tracked frame.
+    """A tracked frame for display.
 
     Attributes:
-        image0: the image that was tracked: rectified in stereo, as recorded in mono.
+        image0: the tracked image: rectified in stereo, as recorded in mono.
         image1: its rectified partner, or None.
         xy: (N, 2) float32 pixels of the features in image0.
         feature_state: (N,) uint8, codes of `FeatureState`.
@@ -254,10 +254,10 @@ class View:
         camera_matrix: (3, 3) of image0 as an ideal pinhole camera.
         right_u: (N,) float32 where the feature is in image1, in the same row, or NaN.
         error_px: (N,) float32 reprojection error of the feature's landmark, NaN without one.
-        lens: what bends image0 against the ideal pinhole camera, or None.
+        lens: the distorted camera of image0, None for an ideal pinhole camera.
         baseline_m: distance from image0's camera to image1's, 0 in mono.
-        cam0_from_image0: (4, 4) turns the camera of image0 into the recorded cam0.
-        path: the file that holds cam0's image as recorded; None if none does.
+        cam0_from_image0: (4, 4) from the camera of image0 to the recorded cam0.
+        path: the file with the image of cam0 as recorded, or None.
     """
 
     image0: Bytes
@@ -276,7 +276,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class KeyframePose:
-    """A keyframe's pose after smoothing.
+    """The optimised pose of a keyframe.
 
     Attributes:
         frame_index: number of its frame in the source.
@@ -284,7 +284,7 @@ class KeyframePose:
         segment: number of its segment, from 0.
         world_from_cam0: (4, 4).
         covariance: (6, 6) of the tangent (rx ry rz tx ty tz), rad and m, in the cam0 frame:
-            true = world_from_cam0 @ exp(xi); None where the smoother has not given one.
+            true = world_from_cam0 @ exp(xi); None before the first optimisation.
     """
 
     frame_index: int
@@ -296,7 +296,7 @@ class KeyframePose:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Where a keyframe of the map sees landmarks.
+    """Observations of a keyframe of the map.
 
     Attributes:
         frame_index: number of its frame in the source.
@@ -316,9 +316,9 @@ class Landmarks:
     Attributes:
         ids: (M,).
         xyz: (M, 3) in the world.
-        grey: (M,) grey level in the image of the keyframe whose patch stands for the point.
-        sigma: (M,) standard deviation of the position, all axes together, poses taken for exact.
-        sightings: of every keyframe in the map, in time order.
+        grey: (M,) grey level at the centre of the reference patch.
+        sigma: (M,) standard deviation of the position, all axes together, given exact poses.
+        sightings: of all keyframes in the map, in time order.
     """
 
     ids: Ints

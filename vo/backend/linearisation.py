@@ -18,7 +18,7 @@ from vo.geometry.projection import (
 )
 from vo.types import Bools, Floats, Ints
 
-if TYPE_CHECKING:  # the smoother's process does without the settings, see `vo.backend.process`
+if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.config import SmoothingConfig
 
 

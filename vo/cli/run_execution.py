@@ -28,20 +28,20 @@ def execute(request: RunRequest) -> None:
     outputs = request.outputs
     with stop_signals_as_interrupts(outputs.folder), ExitStack() as stack:
         with collection_paused():
-            config, smoother = _start_smoother(request.settings, stack)
-            import vo.run  # noqa: F401 - loaded while the smoother's process loads, too
+            config, optimizer_process = _start_optimizer(request.settings, stack)
+            import vo.run  # noqa: F401 - loaded while the optimizer's process loads, too
             from vo.cli.console import standard_error
             from vo.cli.progress import warnings_on
             from vo.cli.run_table import print_summary
         console = standard_error()
         stack.enter_context(warnings_on(console, quiet=outputs.quiet))
-        summary = _run(request, config, smoother, console, stack)
+        summary = _run(request, config, optimizer_process, console, stack)
         if not outputs.quiet:
             print_summary(summary, outputs.folder, request.visualisation.rrd)
 
 
-def _start_smoother(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
-    """Load the settings and start the smoother's process, before this one loads its modules."""
+def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
+    """Load the settings and start the optimizer's process, before this one loads its modules."""
     from vo.backend.launch import child_started_early
     from vo.config import load_config
     from vo.scheduling import available_cores
@@ -54,7 +54,7 @@ def _start_smoother(settings: Settings, stack: ExitStack) -> tuple[Config, Popen
 def _run(
     request: RunRequest,
     config: Config,
-    smoother: Popen[bytes] | None,
+    optimizer_process: Popen[bytes] | None,
     console: Console,
     stack: ExitStack,
 ) -> Summary:
@@ -86,5 +86,5 @@ def _run(
         source_name=NAME if given.is_piped else None,
         progress=make_progress(console, quiet=outputs.quiet),
         profile_since=outputs.profile_since,
-        optimizer_process=smoother,
+        optimizer_process=optimizer_process,
     )

@@ -22,7 +22,7 @@ def triangulate(
         rays_second: (N, 2) the same in the second view.
 
     The point is the middle of the shortest line between the two rays (Hartley and Sturm, 1997,
-    call it the mid-point method), which needs no SVD; the smoother refines it. Depths may come
+    call it the mid-point method), which needs no SVD; the optimizer refines it. Depths may come
     out negative: check them. Rays that are parallel give infinite points.
     """
     centre = -second_from_first[:3, :3].T @ second_from_first[:3, 3]

@@ -1,4 +1,4 @@
-"""The length of a translation whose direction is known, from points of the map."""
+"""Scale of a translation of known direction, from points of the map."""
 
 from __future__ import annotations
 

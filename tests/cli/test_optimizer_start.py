@@ -1,4 +1,4 @@
-"""`vo run` starts the smoother's process before loading anything else, and always ends it."""
+"""`vo run` starts the optimizer's process before loading anything else, and always ends it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 VO = Path(sys.executable).with_name("vo")
 HEAVY = {"cv2", "gtsam", "numba", "numpy"}
 
-# Loaded by Python at start-up, also in the smoother: records all processes, and the modules loaded
+# Loaded by Python at start-up, also in the optimizer: records all processes, and the modules loaded
 # when a process is started.
 NOTES = """
 import os, sys
@@ -26,7 +26,7 @@ def note(event, arguments):
 sys.addaudithook(note)
 (Path(__file__).parent / f"{os.getpid()}.pid").touch()
 """
-# Waits, before the odometry is loaded, until the smoother's process has recorded itself.
+# Waits, before the odometry is loaded, until the optimizer's process has recorded itself.
 WAIT = """
 import time
 
