@@ -58,7 +58,7 @@ def _segments(xy, motion, least, farthest, smallest, intrinsics):  # type: ignor
         possible[n] = min(near_z, far_z) > _LEAST_DEPTH * farthest
         if possible[n]:
             x, y = (rx * nearest + motion[0, 3]) / near_z, (ry * nearest + motion[1, 3]) / near_z
-            ends[0, n] = pixel(intrinsics, x, y, 1.0)
+            ends[0, n, 0], ends[0, n, 1] = pixel(intrinsics, x, y, 1.0)
             x, y = (rx * farthest + motion[0, 3]) / far_z, (ry * farthest + motion[1, 3]) / far_z
-            ends[1, n] = pixel(intrinsics, x, y, 1.0)
+            ends[1, n, 0], ends[1, n, 1] = pixel(intrinsics, x, y, 1.0)
     return ends[0], ends[1], possible
