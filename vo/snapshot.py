@@ -10,6 +10,7 @@ from vo.failures import Failure
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
+from vo.geometry.projection import PixelObservations
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
@@ -130,9 +131,12 @@ def _landmarks(local_map: LocalMap, sigma_disparity_px: float) -> Landmarks:
         np.stack([k.world_from_cam[:3, 3] for k in keyframes]),
         row,
         number,
-        np.concatenate([k.disparity for k in keyframes]),
-        np.concatenate([k.sigma_px for k in keyframes]),
-        sigma_disparity_px,
+        PixelObservations(
+            np.concatenate([k.xy for k in keyframes]),
+            np.concatenate([k.disparity for k in keyframes]),
+            np.concatenate([k.sigma_px for k in keyframes]),
+            sigma_disparity_px,
+        ),
         rig.fx,
         rig.fx * rig.baseline_m,
     )

@@ -1,4 +1,4 @@
-"""The stated spread of points is that of points found from noisy pixels."""
+"""The predicted standard deviation of points is that of points refined on noisy pixels."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import pytest
 
 from vo.geometry.point_uncertainty import position_sigma
 from vo.geometry.points import best_points, point_views
-from vo.geometry.projection import Intrinsics
+from vo.geometry.projection import Intrinsics, PixelObservations
 from vo.geometry.transforms import make_transform
 
 FOCAL, BASELINE, SIGMA_PX, SIGMA_DISPARITY = 500.0, 0.2, 0.5, 0.3
 
 
 @pytest.mark.parametrize("stereo", [True, False])
-def test_spread_is_that_of_many_noisy_trials(stereo: bool) -> None:
+def test_standard_deviation_is_that_of_many_noisy_trials(stereo: bool) -> None:
     rng = np.random.default_rng(0)
     true, trials = np.array([0.5, -0.3, 6.0]), 2000
     centres = np.array([[0.0, 0.0, 0.0], [0.4, 0.1, 0.0], [0.8, 0.0, 0.3]])
@@ -27,38 +27,36 @@ def test_spread_is_that_of_many_noisy_trials(stereo: bool) -> None:
         disparity = FOCAL * BASELINE / in_cam[:, 2] + noise
     focal_baseline = FOCAL * BASELINE if stereo else 0.0
     point, camera = np.repeat(np.arange(trials), 3), np.tile(np.arange(3), trials)
-    sigma_px = np.full(3 * trials, SIGMA_PX)
+    observed = PixelObservations(
+        xy.reshape(-1, 2), disparity.ravel(), np.full(3 * trials, SIGMA_PX), SIGMA_DISPARITY
+    )
     views = point_views(
         np.ones(trials, dtype=bool),
         point,
         camera,
-        xy.reshape(-1, 2),
-        disparity.ravel(),
-        sigma_px,
-        SIGMA_DISPARITY,
+        observed,
         Intrinsics(FOCAL, FOCAL, 0.0, 0.0),
         focal_baseline,
         huber=1e9,
     )
     found, _ = best_points(np.tile(true, (trials, 1)), cam_from_world, views, tolerance=1e-6)
     measured = np.sqrt(((found - true) ** 2).sum(axis=1).mean())
-    stated = position_sigma(
+    predicted = position_sigma(
         np.tile(true, (trials, 1)),
         centres,
         point,
         camera,
-        disparity.ravel(),
-        sigma_px,
-        SIGMA_DISPARITY,
+        observed,
         FOCAL,
         focal_baseline,
     )
-    assert stated == pytest.approx(measured, rel=0.1)
+    assert predicted == pytest.approx(measured, rel=0.1)
 
 
-def test_one_ray_tells_no_depth() -> None:
+def test_one_ray_determines_no_depth() -> None:
     one = np.zeros(1, dtype=np.int64)
-    unknown, sigma_px = np.array([np.nan]), np.ones(1)
+    mono = PixelObservations(np.zeros((1, 2)), np.array([np.nan]), np.ones(1), 1.0)
+    stereo = mono._replace(disparity=np.ones(1))
     arguments = (np.ones((1, 3)), np.zeros((1, 3)), one, one)
-    assert np.isinf(position_sigma(*arguments, unknown, sigma_px, 1.0, FOCAL, 0.0)).all()
-    assert np.isfinite(position_sigma(*arguments, np.ones(1), sigma_px, 1.0, FOCAL, 50.0)).all()
+    assert np.isinf(position_sigma(*arguments, mono, FOCAL, 0.0)).all()
+    assert np.isfinite(position_sigma(*arguments, stereo, FOCAL, 50.0)).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vo.geometry.points import best_points, point_views
-from vo.geometry.projection import Intrinsics
+from vo.geometry.projection import Intrinsics, PixelObservations
 from vo.geometry.transforms import se3_exp, transform_points
 from vo.types import Bools, Floats, Ints
 
@@ -18,7 +18,7 @@ VIEWS = 5
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Points that all of some cameras see, exactly where they are, and a first guess of them."""
+    """Exact observations of points by several cameras, and a first guess of the points."""
 
     truth: Floats
     guess: Floats
@@ -35,10 +35,7 @@ class Scene:
             np.ones(len(self.guess), dtype=bool),
             self.point,
             self.camera,
-            self.xy,
-            disparity,
-            self.sigma_px,
-            SIGMA_DISPARITY,
+            PixelObservations(self.xy, disparity, self.sigma_px, SIGMA_DISPARITY),
             INTRINSICS,
             FX * BASELINE if stereo else 0.0,
             huber,
@@ -46,7 +43,7 @@ class Scene:
         return best_points(self.guess, self.cam_from_world, views, steps=10)[0]
 
     def errors(self, found: Floats) -> Floats:
-        """Distances from the truth as a share of the depth."""
+        """Distances from the truth relative to the depth."""
         return np.asarray(np.linalg.norm(found - self.truth, axis=1) / self.truth[:, 2])
 
     def only(self, kept: Bools | Ints) -> Scene:
@@ -107,14 +104,14 @@ def test_noise_moves_points_by_little(stereo: bool, seed: int) -> None:
     assert errors.max() < 0.03
 
 
-def test_disparities_make_noisy_points_better() -> None:
+def test_disparities_improve_noisy_points() -> None:
     scene = _scene(400)
     scene = scene.only(np.isin(scene.camera, (0, 2))).with_noise(0)
     mono, stereo = (scene.errors(scene.refine(stereo=s)) for s in (False, True))
     assert np.mean(stereo) < 0.97 * np.mean(mono)
 
 
-def test_one_image_and_its_disparity_place_a_point() -> None:
+def test_one_image_and_its_disparity_determine_a_point() -> None:
     scene = _scene()
     scene = scene.only(scene.camera == 2)
     np.testing.assert_allclose(scene.refine(stereo=True), scene.truth, atol=1e-6)
@@ -130,7 +127,7 @@ def test_an_outlier_hardly_moves_its_point_and_no_other(stereo: bool) -> None:
     assert harm > 5 * errors[7]
 
 
-def test_a_surer_observation_counts_more() -> None:
+def test_a_less_certain_observation_counts_less() -> None:
     scene = _scene(1)
     scene.xy[0] += (0.0, 1.0)
     before = float(scene.errors(scene.refine())[0])
@@ -138,14 +135,14 @@ def test_a_surer_observation_counts_more() -> None:
     assert scene.errors(scene.refine())[0] < 0.1 * before
 
 
-def test_a_point_that_only_one_camera_sees_stays_where_it_was() -> None:
+def test_a_point_that_only_one_camera_sees_keeps_its_position() -> None:
     scene = _scene()
     scene = scene.only(scene.camera == 0)
     np.testing.assert_array_equal(scene.refine(), scene.guess)
 
 
 @pytest.mark.parametrize("stereo", [False, True])
-def test_a_point_behind_its_cameras_stays_where_it_was(stereo: bool) -> None:
+def test_a_point_behind_its_cameras_keeps_its_position(stereo: bool) -> None:
     scene = _scene()
     scene.guess[3] = (0.5, 0.2, -6.0)
     found = scene.refine(stereo=stereo)
@@ -153,7 +150,7 @@ def test_a_point_behind_its_cameras_stays_where_it_was(stereo: bool) -> None:
     np.testing.assert_allclose(np.delete(found, 3, 0), np.delete(scene.truth, 3, 0), atol=1e-7)
 
 
-def test_a_point_behind_one_of_its_cameras_stays_where_it_was() -> None:
+def test_a_point_behind_one_of_its_cameras_keeps_its_position() -> None:
     scene = _scene()
     away = se3_exp(np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0]))
     cams = np.concatenate([scene.cam_from_world, away[None]])
@@ -169,7 +166,7 @@ def test_a_point_behind_one_of_its_cameras_stays_where_it_was() -> None:
     np.testing.assert_array_equal(scene.refine()[3], scene.guess[3])
 
 
-def test_points_without_observations_stay_where_they_were() -> None:
+def test_points_without_observations_keep_their_position() -> None:
     scene = _scene()
     unseen = np.isin(scene.point, (0, 5, 39))
     scene = scene.only(~unseen)
@@ -179,14 +176,14 @@ def test_points_without_observations_stay_where_they_were() -> None:
     np.testing.assert_allclose(found[rest], scene.truth[rest], atol=1e-7)
 
 
-def test_the_first_guess_is_not_written_to() -> None:
+def test_the_first_guess_is_not_modified() -> None:
     scene = _scene()
     before = scene.guess.copy()
     scene.refine(stereo=True)
     np.testing.assert_array_equal(scene.guess, before)
 
 
-def test_nothing_gives_nothing() -> None:
+def test_no_observations_and_no_points() -> None:
     scene = _scene().only(np.empty(0, np.int64))
     assert replace(scene, guess=np.empty((0, 3))).refine().shape == (0, 3)
     np.testing.assert_array_equal(scene.refine(), scene.guess)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vo.geometry.pnp import PoseFit, refine_pose
-from vo.geometry.projection import Intrinsics
+from vo.geometry.projection import Intrinsics, PixelObservations
 from vo.geometry.transforms import inverse, rotation_angle, se3_exp, se3_log, transform_points
 from vo.types import Floats
 
@@ -37,8 +37,8 @@ class Scene:
         self.disparity = self.exact_disparity + error
         return self
 
-    def with_outliers(self, share: float) -> Scene:
-        count = int(share * len(self.points))
+    def with_outliers(self, ratio: float) -> Scene:
+        count = int(ratio * len(self.points))
         self.xy[:count] = self.rng.uniform((0, 0), (640, 480), (count, 2))
         return self
 
@@ -50,13 +50,13 @@ class Scene:
         return refine_pose(
             self.start() if start is None else start,
             self.points,
-            self.xy,
-            self.disparity,
-            np.full(len(self.points), SIGMA),
-            SIGMA_DISPARITY,
+            self.observed(np.full(len(self.points), SIGMA)),
             INTRINSICS,
             FX * BASELINE,
         )
+
+    def observed(self, sigma_px: Floats) -> PixelObservations:
+        return PixelObservations(self.xy, self.disparity, sigma_px, SIGMA_DISPARITY)
 
     def error(self, fit: PoseFit) -> Floats:
         """xi with truth = exp(xi) @ estimate."""
@@ -79,7 +79,7 @@ def test_the_pose_is_found_from_far_off() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_30_percent_of_outliers_are_told_from_the_rest(seed: int) -> None:
+def test_30_percent_of_outliers_are_rejected(seed: int) -> None:
     scene = Scene(300, seed).with_noise().with_outliers(0.3)
     fit = scene.fit()
     error = scene.error(fit)
@@ -95,7 +95,7 @@ def test_the_rotation_stays_a_rotation() -> None:
     assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
-def test_disparities_tell_the_distance_where_pixels_hardly_do() -> None:
+def test_disparities_determine_the_distance_where_pixels_hardly_do() -> None:
     mono, stereo = [], []
     for seed in range(40):
         scene = Scene(60, seed, spread=0.03).with_noise()
@@ -113,7 +113,7 @@ def test_disparities_add_information() -> None:
     assert gained.max() > 1.0
 
 
-def test_rows_without_disparity_count_as_mono() -> None:
+def test_observations_without_disparity_count_as_mono() -> None:
     half = Scene().with_noise().with_disparity(SIGMA_DISPARITY)
     half.disparity[::2] = np.nan
     fit = half.fit()
@@ -127,9 +127,7 @@ def test_disparities_are_ignored_without_a_baseline() -> None:
     plain = scene.fit()
     scene.disparity[:] = 1e3
     sigma = np.full(len(scene.points), SIGMA)
-    fit = refine_pose(
-        scene.start(), scene.points, scene.xy, scene.disparity, sigma, 0.4, INTRINSICS, 0.0
-    )
+    fit = refine_pose(scene.start(), scene.points, scene.observed(sigma), INTRINSICS, 0.0)
     np.testing.assert_array_equal(fit.cam_from_world, plain.cam_from_world)
 
 
@@ -148,14 +146,12 @@ def test_less_certain_pixels_count_less() -> None:
     scene = Scene(40)
     scene.xy[:20] += (2.0, 0.0)
     sigma = np.where(np.arange(40) < 20, 20.0, 0.1)
-    fit = refine_pose(
-        scene.start(), scene.points, scene.xy, scene.disparity, sigma, 0.4, INTRINSICS, 0.0
-    )
+    fit = refine_pose(scene.start(), scene.points, scene.observed(sigma), INTRINSICS, 0.0)
     assert rotation_angle((scene.cam_from_world @ inverse(fit.cam_from_world))[:3, :3]) < 1e-4
 
 
 @pytest.mark.parametrize("stereo", [False, True])
-def test_the_information_tells_the_scatter_of_noisy_trials(stereo: bool) -> None:
+def test_the_information_predicts_the_scatter_of_noisy_trials(stereo: bool) -> None:
     errors, information = [], []
     for seed in range(200):
         scene = Scene(80)
@@ -165,7 +161,7 @@ def test_the_information_tells_the_scatter_of_noisy_trials(stereo: bool) -> None
         errors.append(scene.error(fit))
         information.append(fit.information)
     scatter = np.array(errors).T @ np.array(errors) / len(errors)
-    told = np.linalg.inv(np.mean(information, axis=0))
-    np.testing.assert_allclose(np.diag(scatter) / np.diag(told), 1.0, atol=0.3)
+    predicted = np.linalg.inv(np.mean(information, axis=0))
+    np.testing.assert_allclose(np.diag(scatter) / np.diag(predicted), 1.0, atol=0.3)
     mahalanobis = [e @ i @ e for e, i in zip(errors, information, strict=True)]
     assert np.mean(mahalanobis) / 6.0 == pytest.approx(1.0, abs=0.3)

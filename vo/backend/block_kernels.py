@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, Intrinsic, compiled
+from vo.geometry.points import SINGULAR
 from vo.geometry.projection import (
     MIN_DEPTH,
     by_world_axis,
@@ -19,7 +20,6 @@ from vo.geometry.projection import (
 
 _LANES = 8
 _UNSEEN = 1e-12  # information on a point in every direction, against all it has
-_SINGULAR = 1e-13  # pivot of a point's normal matrix, against its trace, below which it is dropped
 
 # Of one observation or point: derivatives by a pose, by a point, and errors; of a pair: a block.
 _ROWS, _POINT, _ERRORS, _BLOCK = 3 * _LANES, 9, 3, 6 * _LANES
@@ -219,7 +219,7 @@ def _invert(m, inverse):  # type: ignore[no-untyped-def]
 def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a symmetric (3, 3); False if it is singular."""
     determinant, trace = _cofactors(m, inverse), m[0, 0] + m[1, 1] + m[2, 2]
-    if not determinant > _SINGULAR * trace * trace * trace:
+    if not determinant > SINGULAR * trace * trace * trace:
         return False
     _divide(inverse, determinant)
     return True

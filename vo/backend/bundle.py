@@ -17,6 +17,7 @@ import numpy as np
 from vo.backend import block_kernels
 from vo.backend.window_problem import WindowProblem
 from vo.geometry.points import PointViews, best_points, point_views
+from vo.geometry.projection import PixelObservations
 from vo.geometry.transforms import inverse
 from vo.types import Bools, Floats
 
@@ -109,10 +110,9 @@ def views_of(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -
         point_ok,
         problem.point,
         problem.keyframe,
-        problem.xy,
-        problem.disparity,
-        problem.sigma_px,
-        problem.sigma_disparity_px,
+        PixelObservations(
+            problem.xy, problem.disparity, problem.sigma_px, problem.sigma_disparity_px
+        ),
         problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
         config.huber,

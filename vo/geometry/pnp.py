@@ -1,4 +1,4 @@
-"""A camera's pose from known points: robust refinement of the pose alone."""
+"""Robust refinement of a camera's pose from known points."""
 
 from __future__ import annotations
 
@@ -7,12 +7,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, compiled
-from vo.geometry.projection import MIN_DEPTH, Intrinsics, by_cam_from_world, pixel, to_camera
+from vo.geometry.projection import (
+    MIN_DEPTH,
+    Intrinsics,
+    PixelObservations,
+    by_cam_from_world,
+    pixel,
+    to_camera,
+)
 from vo.geometry.transforms import orthonormalised
 from vo.types import Bools, Floats
 
-# Squared length of a step, in standard deviations of the pose it leads to, that ends the search.
-_SETTLED = 1e-6
+# Squared Mahalanobis length of a step below which the iteration has converged.
+_CONVERGED = 1e-6
+_MAX_ITERATIONS = 12  # Gauss-Newton
+_HUBER = 2.0  # residual, in standard deviations, from which a match is weighted down
 
 
 class PoseFit(NamedTuple):
@@ -21,8 +30,9 @@ class PoseFit(NamedTuple):
     Attributes:
         cam_from_world: (4, 4).
         inlier: (N,) observations within the gate.
-        residual: (N,) length of the weighted residual, in standard deviations.
-        information: (6, 6) J^T W J of the inliers, tangent (rx ry rz tx ty tz) in the camera.
+        residual: (N,) length of the residual in standard deviations, infinite behind the camera.
+        information: (6, 6) J^T W J of the inliers; tangent xi = (rx ry rz tx ty tz) of
+            exp(xi) @ cam_from_world.
     """
 
     cam_from_world: Floats
@@ -34,61 +44,55 @@ class PoseFit(NamedTuple):
 def refine_pose(
     cam_from_world: Floats,
     points: Floats,
-    xy: Floats,
-    disparity: Floats,
-    sigma_px: Floats,
-    sigma_disparity_px: float,
+    observed: PixelObservations,
     intrinsics: Intrinsics,
     focal_baseline: float,
     *,
-    huber: float = 2.0,
     gate: float = 3.5,
-    iterations: int = 12,
 ) -> PoseFit:
     """Minimise Huber-weighted reprojection (and disparity) errors over the pose.
+
+    First with all observations, then, after convergence or half of the iterations, without
+    outliers.
 
     Args:
         cam_from_world: (4, 4) first guess.
         points: (N, 3) in the world.
-        xy: (N, 2) ideal pixels.
-        disparity: (N,) u_left - u_right in pixels, NaN where there is no right match.
-        sigma_px: (N,) standard deviation of xy.
-        sigma_disparity_px: standard deviation of disparity.
+        observed: their N observations.
         intrinsics: of the camera.
-        focal_baseline: fx * baseline, 0 in mono.
-        huber: residual, in standard deviations, from which a match counts less.
-        gate: residual from which a match is an outlier; it counts nothing once the pose has settled
-            with all, or half of the steps are done.
-        iterations: most Gauss-Newton steps.
+        focal_baseline: fx * baseline in px m, 0 in mono.
+        gate: residual, in standard deviations, from which an observation is an outlier.
 
-    Source: Huber 1964; the two-stage rejection follows Mur-Artal 2015, sec. V.
+    Source: Huber, "Robust Estimation of a Location Parameter", 1964; the two-stage rejection
+        follows Mur-Artal et al., "ORB-SLAM", 2015, sec. V.
     """
     transform, residual, information = _gauss_newton(
         np.ascontiguousarray(cam_from_world),
         np.ascontiguousarray(points, dtype=np.float64),
-        np.ascontiguousarray(xy, dtype=np.float64),
-        np.ascontiguousarray(disparity, dtype=np.float64),
-        np.ascontiguousarray(sigma_px, dtype=np.float64),
-        sigma_disparity_px,
+        np.ascontiguousarray(observed.xy, dtype=np.float64),
+        np.ascontiguousarray(observed.disparity, dtype=np.float64),
+        np.ascontiguousarray(observed.sigma_px, dtype=np.float64),
+        observed.sigma_disparity_px,
         intrinsics,
         focal_baseline,
-        huber,
+        _HUBER,
         gate,
-        iterations,
+        _MAX_ITERATIONS,
     )
     return PoseFit(orthonormalised(transform), residual < gate, residual, information)
 
 
 @compiled
 def take_step(h: Any, b: Any, transform: Any) -> Any:
-    """One Gauss-Newton step of a pose: the pose after it, and the squared length of the step in h.
-
-    Where h determines no step, none is taken.
+    """One Gauss-Newton step xi = h^-1 b of a pose, to exp(xi) @ transform.
 
     Args:
-        h: (6, 6) J^T W J, tangent (rx ry rz tx ty tz) in the camera.
+        h: (6, 6) J^T W J, tangent (rx ry rz tx ty tz). If it is not positive definite, xi is 0.
         b: (6,) -J^T W e.
-        transform: (4, 4) to the camera.
+        transform: (4, 4) cam_from_world.
+
+    Returns:
+        The new transform, and the squared Mahalanobis length xi^T h xi of the step.
     """
     change = _solve(h, b)
     return _product(_exp(change), transform), _inner(change, b)
@@ -98,6 +102,7 @@ def take_step(h: Any, b: Any, transform: Any) -> Any:
 def _gauss_newton(  # type: ignore[no-untyped-def]
     start, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, gate, iterations
 ):
+    """Iterate from `start`; gives the transform, residuals (N,) and information (6, 6)."""
     transform = start.copy()
     residual = np.full(len(points), np.inf)
     rows = np.zeros((7, 3 * len(points)))
@@ -111,13 +116,13 @@ def _gauss_newton(  # type: ignore[no-untyped-def]
         if step == iterations:
             break
         information = h.copy()
-        for m in range(6):
+        for m in range(6):  # slightly damped, so that too few points do not make it singular
             h[m, m] += 1e-9 + 1e-9 * h[m, m]
         change = _solve(h, b)
-        settled = _inner(change, b) < _SETTLED
-        if settled and limit == gate:
+        converged = _inner(change, b) < _CONVERGED
+        if converged and limit == gate:
             return transform, residual, information
-        if settled or step == iterations // 2:
+        if converged or step == iterations // 2:
             limit = gate
         transform = _product(_exp(change), transform)
     return transform, residual, h
@@ -127,7 +132,12 @@ def _gauss_newton(  # type: ignore[no-untyped-def]
 def _weigh(  # type: ignore[no-untyped-def]
     t, points, xy, disparity, sigma, sigma_d, intrinsics, fb, huber, limit, rows, residual
 ):
-    """Fill rows (7, 3 N): derivatives by the six of the tangent, then the error, weighted."""
+    """Fill `rows` (7, 3 N) with weighted J^T and, in the last row, weighted errors.
+
+    Columns 3 i to 3 i + 2 belong to u, v and disparity of observation i. In this layout J^T J
+    and J^T e are scalar products of contiguous rows, which become vector instructions.
+    Observations behind the camera, or with residuals of `limit` or more, have weight 0.
+    """
     for i in range(len(points)):
         x, y, z = to_camera(t, points[i, 0], points[i, 1], points[i, 2])
         k = 3 * i
@@ -153,13 +163,14 @@ def _weigh(  # type: ignore[no-untyped-def]
         by_u, by_v = by_cam_from_world(su, sv, x, y, iz)
         for m in range(6):
             rows[m, k], rows[m, k + 1] = by_u[m], by_v[m]
+        # Disparity, with sd = z dd/dz: a rotation moves p by r x p, whose z is (rx y - ry x) z.
         rows[0, k + 2], rows[1, k + 2], rows[5, k + 2] = sd * y, -sd * x, sd * iz
         rows[6, k], rows[6, k + 1], rows[6, k + 2] = ex * weight, ey * weight, ed * weight
 
 
 @compiled
 def _normal_equations(rows):  # type: ignore[no-untyped-def]
-    """J^T J and -J^T e of all rows."""
+    """J^T J (6, 6) and -J^T e (6,) of `rows` as in `_weigh`."""
     h, b = np.empty((6, 6)), np.empty(6)
     for m in range(6):
         b[m] = -_dot(rows[m], rows[6])
@@ -186,7 +197,10 @@ def _inner(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _exp(xi):  # type: ignore[no-untyped-def]
-    """First the rotation (Rodrigues), then the translation as it is: enough for small steps."""
+    """Rotation by Rodrigues' formula, translation unchanged: exp(xi) to first order.
+
+    The iteration converges to the same pose as with the exact exponential map.
+    """
     angle = np.sqrt(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
     k = np.zeros((3, 3))
     k[0, 1], k[0, 2], k[1, 2] = -xi[2], xi[1], -xi[0]
@@ -218,7 +232,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _solve(h, b):  # type: ignore[no-untyped-def]
-    """X of h x = b for a symmetric positive definite h (Cholesky); zeros where it is not."""
+    """Solve h x = b by Cholesky; zeros if h is not positive definite."""
     n = len(b)
     low = np.zeros((n, n))
     x = b.copy()

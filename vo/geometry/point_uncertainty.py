@@ -1,10 +1,11 @@
-"""How far positions of points can be trusted, from who sees them."""
+"""Standard deviation of points from their observations, with exact poses."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from vo.compiling.function import compiled
+from vo.geometry.projection import PixelObservations
 from vo.types import Floats, Ints
 
 
@@ -13,27 +14,23 @@ def position_sigma(
     centres: Floats,
     point: Ints,
     camera: Ints,
-    disparity: Floats,
-    sigma_px: Floats,
-    sigma_disparity_px: float,
+    observed: PixelObservations,
     focal_px: float,
     focal_baseline: float,
 ) -> Floats:
-    """Standard deviation (M,) of points, all axes together, from cameras whose poses are exact.
+    """Standard deviation (M,) of points in metres: the root of the trace of their covariance.
 
     Args:
         points: (M, 3) in the world.
-        centres: (K, 3) of the cameras, in the world.
+        centres: (K, 3) camera centres in the world.
         point: (N,) row in points of each observation.
         camera: (N,) row in centres of each observation.
-        disparity: (N,) pixels, NaN where there is none.
-        sigma_px: (N,) standard deviation of each observation across its ray.
-        sigma_disparity_px: standard deviation of disparity.
+        observed: the N observations; pixels are taken to be near the principal point.
         focal_px: focal length.
-        focal_baseline: focal_px * baseline, 0 in mono.
+        focal_baseline: focal_px * baseline in px m, 0 in mono.
 
     Returns:
-        (M,); infinite where the observations do not tell the depth.
+        (M,); infinite where the observations do not determine the depth.
     """
     return np.asarray(
         _position_sigma(
@@ -41,9 +38,9 @@ def position_sigma(
             np.ascontiguousarray(centres),
             point,
             camera,
-            disparity,
-            sigma_px,
-            sigma_disparity_px,
+            observed.disparity,
+            observed.sigma_px,
+            observed.sigma_disparity_px,
             focal_px,
             focal_baseline,
         )
@@ -54,7 +51,8 @@ def position_sigma(
 def _position_sigma(  # type: ignore[no-untyped-def]
     points, centres, point, camera, disparity, sigma_px, sigma_d, focal, fb
 ):
-    # across * (I - r r^T) + along * r r^T, with r the unit ray, summed over each point's rays.
+    # The information of a ray with unit direction r is across * (I - r r^T) + along * r r^T. The
+    # sum for each point is stored as xx, yy, zz, xy, xz, yz.
     information = np.zeros((len(points), 6))
     for n in range(len(point)):
         at, centre = points[point[n]], centres[camera[n]]
@@ -63,16 +61,17 @@ def _position_sigma(  # type: ignore[no-untyped-def]
         across = (focal / sigma_px[n]) ** 2 / squared
         along = 0.0 if np.isnan(disparity[n]) else (fb / sigma_d / squared) ** 2
         weight = (along - across) / squared
-        told = information[point[n]]
-        told[0] += across + weight * x * x
-        told[1] += across + weight * y * y
-        told[2] += across + weight * z * z
-        told[3] += weight * x * y
-        told[4] += weight * x * z
-        told[5] += weight * y * z
+        total = information[point[n]]
+        total[0] += across + weight * x * x
+        total[1] += across + weight * y * y
+        total[2] += across + weight * z * z
+        total[3] += weight * x * y
+        total[4] += weight * x * z
+        total[5] += weight * y * z
     sigma = np.full(len(points), np.inf)
     for m in range(len(points)):
         xx, yy, zz, xy, xz, yz = information[m]
+        # The trace of the inverse is the sum of the principal minors over the determinant.
         minors = yy * zz - yz * yz + (xx * zz - xz * xz) + (xx * yy - xy * xy)
         determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         if determinant > 1e-9 * (xx + yy + zz) ** 3:

@@ -1,4 +1,4 @@
-"""Points seen from known poses: each put where its observations want it."""
+"""Point refinement with fixed poses."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.projection import (
     MIN_DEPTH,
     Intrinsics,
+    PixelObservations,
     by_world_axis,
     pixel,
     point_derivatives,
@@ -17,25 +18,27 @@ from vo.geometry.projection import (
 )
 from vo.types import Bools, Floats, Ints
 
-_SINGULAR = 1e-13  # determinant of a point's normal matrix against its trace cubed
-_DAMPING = 1e-6  # of a point's step at first, against that trace
-_LESS_BOLD = 30.0  # times the damping after a step that went too far
-_BEHIND = 1e3  # what a point behind one of its cameras costs
+# A (3, 3) normal matrix is singular if its determinant is at most this times its cubed trace.
+SINGULAR = 1e-13
+# Levenberg-Marquardt: initial damping relative to that trace, and the factor for it after a step
+# that raises the cost; it is divided by the same factor after other steps.
+_DAMPING, _DAMPING_FACTOR = 1e-6, 30.0
+_COST_BEHIND = 1e3  # cost of a point behind one of its cameras
 
 
 class PointViews(NamedTuple):
-    """N observations of M points, those of a point side by side, and how they are weighed.
+    """N observations of M points, ordered by point, and their weights.
 
     Attributes:
         starts: (M + 1,) first observation of each point.
-        camera: (N,) row of the pose it was made from.
-        xy: (N, 2) ideal pixels.
+        camera: (N,) row of the observing pose.
+        xy: (N, 2) undistorted pixels.
         disparity: (N,) pixels, NaN where there is none.
         inverse_sigma: (N,) 1 over the standard deviation of xy.
         intrinsics: of all cameras.
-        focal_baseline: fx * baseline, 0 in mono.
+        focal_baseline: fx * baseline in px m, 0 in mono.
         inverse_sigma_disparity: 1 over the standard deviation of a disparity.
-        huber: residual, in standard deviations, from which an observation counts less.
+        huber: residual, in standard deviations, from which an observation is weighted down.
     """
 
     starts: Ints
@@ -53,38 +56,32 @@ def point_views(
     point_ok: Bools,
     point: Ints,
     camera: Ints,
-    xy: Floats,
-    disparity: Floats,
-    sigma_px: Floats,
-    sigma_disparity_px: float,
+    observed: PixelObservations,
     intrinsics: Intrinsics,
     focal_baseline: float,
     huber: float = 1.5,
 ) -> PointViews:
-    """Order observations by their points; those of points (M,) that are not ok are left out.
+    """Order observations by point, without those of points (M,) that are not ok.
 
     Args:
         point_ok: (M,).
         point: (N,) row of the point of each observation.
-        camera: (N,) row of its pose.
-        xy: (N, 2) ideal pixels.
-        disparity: (N,) pixels, NaN where there is none.
-        sigma_px: (N,) standard deviation of xy.
-        sigma_disparity_px: standard deviation of disparity.
+        camera: (N,) row of the observing pose.
+        observed: the N observations.
         intrinsics: of all cameras.
-        focal_baseline: fx * baseline, 0 in mono.
-        huber: residual, in standard deviations, from which an observation counts less.
+        focal_baseline: fx * baseline in px m, 0 in mono.
+        huber: residual, in standard deviations, from which an observation is weighted down.
     """
     starts, order = _by_points(point_ok, point)
     return PointViews(
         starts,
         camera.take(order),
-        xy.take(order, axis=0),
-        disparity.take(order),
-        1.0 / sigma_px.take(order),
+        observed.xy.take(order, axis=0),
+        observed.disparity.take(order),
+        1.0 / observed.sigma_px.take(order),
         intrinsics,
         focal_baseline,
-        1.0 / sigma_disparity_px,
+        1.0 / observed.sigma_disparity_px,
         huber,
     )
 
@@ -97,19 +94,19 @@ def best_points(
     steps: int = 8,
     tolerance: float = 1e-3,
 ) -> tuple[Floats, float]:
-    """Minimise the Huber-weighted errors of each point's observations, the poses held.
+    """Minimise the Huber-weighted errors of each point's observations with fixed poses.
 
     Args:
         points: (M, 3) first guess, in the world.
         cam_from_world: (K, 4, 4), or (K, 3, 4).
-        views: what was seen.
-        steps: most Levenberg-Marquardt steps of a point.
-        tolerance: relative decrease of a point's cost below which it stays.
+        views: the observations.
+        steps: maximum of Levenberg-Marquardt steps per point.
+        tolerance: relative decrease of a point's cost at which it has converged.
 
     Returns:
-        (M, 3), and half the robust sum of squares of all observations; a point that cannot be
-        improved, is behind one of its cameras, or is seen by a single one without disparity stays
-        where it was.
+        Points (M, 3), and half the robust sum of squares of all observations. Points that cannot be
+        improved, are behind one of their cameras, or have a single observation without disparity
+        keep their position.
     """
     moved = points.copy()
     poses = np.ascontiguousarray(cam_from_world[:, :3])
@@ -118,7 +115,7 @@ def best_points(
 
 @compiled
 def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
-    """First observation (M + 1,) of each point that is ok, and rows of theirs in that order."""
+    """`starts` (M + 1,), and rows of the observations of ok points, ordered by point (stable)."""
     starts = np.zeros(len(point_ok) + 1, dtype=np.int64)
     for m in point:
         starts[m + 1] += point_ok[m]
@@ -150,7 +147,7 @@ def _refined(  # type: ignore[no-untyped-def]
     inverse_d,
     huber,
 ):
-    """Put every point where its cost is least, in place; gives the sum of the costs."""
+    """Move every point to the minimum of its cost, in place; gives the sum of the costs."""
     views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
     total = 0.0
     for m in range(len(starts) - 1):
@@ -160,11 +157,11 @@ def _refined(  # type: ignore[no-untyped-def]
         at = points[m, 0], points[m, 1], points[m, 2]
         cost, normal, right = _point_normal(at, first, last, views)
         if not np.isfinite(cost):
-            total += _BEHIND
+            total += _COST_BEHIND
             continue
         if last - first == 1 and (fb == 0.0 or np.isnan(disparity[first])):
             total += cost
-            continue  # a single view does not tell the depth
+            continue  # a single view does not determine the depth
         damping = _DAMPING
         for _ in range(steps):
             solvable, trial = _stepped(at, normal, right, damping)
@@ -172,12 +169,12 @@ def _refined(  # type: ignore[no-untyped-def]
                 break
             lower, trial_normal, trial_right = _point_normal(trial, first, last, views)
             if not lower < cost:
-                damping *= _LESS_BOLD
+                damping *= _DAMPING_FACTOR
                 continue
-            settled = cost - lower < tolerance * cost
+            converged = cost - lower < tolerance * cost
             at, normal, right, cost = trial, trial_normal, trial_right, lower
-            damping /= _LESS_BOLD
-            if settled:
+            damping /= _DAMPING_FACTOR
+            if converged:
                 break
         points[m, 0], points[m, 1], points[m, 2] = at
         total += cost
@@ -186,7 +183,14 @@ def _refined(  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
-    """A point's robust cost, inf if behind, its normal matrix (00 11 22 10 20 21) and gradient."""
+    """Cost, normal matrix and gradient of a point, over its observations first to last - 1.
+
+        cost = sum rho(|e|),    normal = sum w J^T J,    gradient = sum w J^T e,
+
+    with e = (u, v, disparity), predicted - measured, in standard deviations, J = de/dpoint (3, 3),
+    Huber's rho and w. The matrix is returned as xx, yy, zz, xy, xz, yz. Scalars throughout, which
+    stay in registers. The cost is infinite if the point is behind one of the cameras.
+    """
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
     cost = 0.0
     n00 = n11 = n22 = n10 = n20 = n21 = 0.0
@@ -196,7 +200,7 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
         x, y, z = to_camera(pose, at[0], at[1], at[2])
         if z < MIN_DEPTH:
             return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        # Predicted - measured u, v, disparity in standard deviations. One division serves all.
+        # A single division, as it is the slowest operation.
         s, t, ed, near = inverse_sigma[a], 0.0, 0.0, 1.0 / z
         x, y = x * near, y * near
         u, v = pixel(intrinsics, x, y, 1.0)
@@ -228,14 +232,17 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _stepped(at, normal, right, damping):  # type: ignore[no-untyped-def]
-    """Whether the damped normal matrix is regular, and where its step, by cofactors, leads."""
+    """Whether the damped normal matrix is regular, and the point after its step.
+
+    The (3, 3) matrix is inverted by cofactors; i00 to i22 are elements of the inverse.
+    """
     xx, yy, zz, xy, xz, yz = normal
     added = damping * (xx + yy + zz)
     xx, yy, zz = xx + added, yy + added, zz + added
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     determinant = xx * c00 + xy * c01 + xz * c02
     trace = xx + yy + zz
-    if not determinant > _SINGULAR * trace * trace * trace:
+    if not determinant > SINGULAR * trace * trace * trace:
         return False, at
     i00, i01, i02 = c00 / determinant, c01 / determinant, c02 / determinant
     i11 = (xx * zz - xz * xz) / determinant

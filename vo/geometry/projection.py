@@ -19,6 +19,22 @@ from vo.types import Floats
 MIN_DEPTH = 1e-6  # z below which a point counts as behind the camera
 
 
+class PixelObservations(NamedTuple):
+    """N observations of points by a camera, or by the left camera of a rectified pair.
+
+    Attributes:
+        xy: (N, 2) undistorted pixels.
+        disparity: (N,) u_left - u_right in pixels, NaN where there is none.
+        sigma_px: (N,) standard deviation of u and of v.
+        sigma_disparity_px: standard deviation of a disparity.
+    """
+
+    xy: Floats
+    disparity: Floats
+    sigma_px: Floats
+    sigma_disparity_px: float
+
+
 class Intrinsics(NamedTuple):
     """Focal lengths and principal point of a pinhole camera, in pixels."""
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from vo.config import TrackingConfig
 from vo.geometry.pnp import PoseFit, refine_pose
+from vo.geometry.projection import PixelObservations
 from vo.geometry.transforms import inverse, make_transform
 from vo.mapping.local_map import LocalMap
 from vo.mapping.tracked_frame import Observations
@@ -80,10 +81,7 @@ class PoseEstimator:
         return refine_pose(
             cam_from_world,
             xyz,
-            xy,
-            disparity,
-            sigma_px,
-            self._sigma_disparity_px,
+            PixelObservations(xy, disparity, sigma_px, self._sigma_disparity_px),
             rig.intrinsics,
             rig.fx * rig.baseline_m,
             gate=self._config.gate,

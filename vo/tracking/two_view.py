@@ -15,7 +15,7 @@ from vo.config import StartConfig
 from vo.failures import Failure, FailureReason
 from vo.geometry import epipolar
 from vo.geometry.pnp import refine_pose
-from vo.geometry.projection import Intrinsics
+from vo.geometry.projection import Intrinsics, PixelObservations
 from vo.geometry.quantiles import median
 from vo.geometry.triangulation import in_front, triangulate
 from vo.types import Bools, Floats, Ints
@@ -178,8 +178,8 @@ def _squared_error(trial: _Trial, views: MatchedViews) -> float:
         rows, xy = view.rows[usable], view.xy[usable]
         if len(rows) < _MIN_COMMON:
             continue
-        none, sigma = np.full(len(rows), np.nan), np.ones(len(rows))
-        fit = refine_pose(pose, trial.points[rows], xy, none, sigma, 1.0, intrinsics, 0.0)
+        seen = PixelObservations(xy, np.full(len(rows), np.nan), np.ones(len(rows)), 1.0)
+        fit = refine_pose(pose, trial.points[rows], seen, intrinsics, 0.0)
         errors.append(median(fit.residual**2))
         pose = fit.cam_from_world  # start of the next view
     return float(np.mean(errors)) if errors else float("nan")
