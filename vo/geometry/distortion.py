@@ -15,6 +15,7 @@ from vo.types import Camera, Floats
 
 _MAX_ITERATIONS = 25
 _CONVERGED = 1e-14
+_BISECTIONS = 60
 _ACCEPTED = 1e-9
 """Largest residual of an inverse in normalised units: a millionth of a pixel or less."""
 
@@ -131,6 +132,23 @@ def _equidistant_inverse(camera: Camera, moved: Floats) -> Floats:
         if not np.any(np.abs(step) > _CONVERGED):
             break
     found, _ = _angle_polynomial(camera.distortion, angle)
-    share = np.where(radius > 1e-9, np.tan(angle) / np.maximum(radius, 1e-300), 1.0)
-    share[~(np.abs(found - radius) <= _ACCEPTED) | (angle >= np.pi / 2)] = np.nan
-    return np.asarray(moved * share[:, None])
+    # Where the slope of the polynomial changes much, Newton's steps may alternate.
+    max_radius, _ = _angle_polynomial(camera.distortion, np.array(limit))
+    failed = ~(np.abs(found - radius) <= _ACCEPTED)
+    missed = failed & (radius <= max_radius)
+    if missed.any():
+        angle[missed] = _angle_by_bisection(camera.distortion, radius[missed])
+        failed &= ~missed
+    ratio = np.where(radius > 1e-9, np.tan(angle) / np.maximum(radius, 1e-300), 1.0)
+    ratio[failed | (angle >= np.pi / 2)] = np.nan
+    return np.asarray(moved * ratio[:, None])
+
+
+def _angle_by_bisection(coefficients: tuple[float, ...], radius: Floats) -> Floats:
+    """Angles whose moved radius is `radius` (N,); up to `angle_reach` it increases."""
+    low, high = np.zeros(len(radius)), np.full(len(radius), angle_reach(coefficients))
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        is_low = _angle_polynomial(coefficients, middle)[0] < radius
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    return low
