@@ -129,10 +129,10 @@ def test_one_warning_about_gaps_of_the_truth(run_folder: Path, truth: Path) -> N
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["matched"] == 36
     assert result.stderr.count("warning: ") == result.stderr.count("\n") == 1
-    assert "5 of 41 lines are no pose" in result.stderr
+    assert "5 of 41 lines are not poses" in result.stderr
 
     truth.write_text("".join(f"{i}{gap}\n" for i in range(9)), encoding="utf-8")
-    assert_one_line(vo_eval(run_folder, truth), "groundtruth.tum:1", "9 of 9 lines are no pose")
+    assert_one_line(vo_eval(run_folder, truth), "groundtruth.tum:1", "9 of 9 lines are not poses")
 
 
 def test_error_names_time_spans_without_overlap(

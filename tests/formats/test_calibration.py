@@ -90,7 +90,7 @@ IDEAL = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
     ],
     ids=["ideal", "fisheye", "spheres", "wide pair", "distorted pair", "rectified pair"],
 )
-def test_own_form_is_written_and_read_back(tmp_path: Path, rig: Rig) -> None:
+def test_own_format_round_trip(tmp_path: Path, rig: Rig) -> None:
     write_calibration(tmp_path / "calibration.yaml", rig)
     again = read_calibration(tmp_path / "calibration.yaml").rig
     assert (again.cam0, again.cam1) == (rig.cam0, rig.cam1)
@@ -100,7 +100,7 @@ def test_own_form_is_written_and_read_back(tmp_path: Path, rig: Rig) -> None:
         np.testing.assert_allclose(again.cam1_from_cam0, rig.cam1_from_cam0, rtol=0, atol=1e-15)
 
 
-def test_a_place_that_takes_no_calibration(tmp_path: Path) -> None:
+def test_error_if_the_path_is_not_writable(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="missing.calibration.yaml cannot be written: No such"):
         write_calibration(tmp_path / "missing" / "calibration.yaml", Rig(IDEAL))
 
@@ -117,7 +117,7 @@ def test_every_name_of_a_distortion_model(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("500,", ".nan,", "cam0: intrinsics [fx, fy, cx, cy], number 1 is nan; a finite number"),
+        ("500,", ".nan,", "cam0: intrinsics [fx, fy, cx, cy], number 1 is nan; it must be"),
         ("501,", ".inf,", "number 2 is inf"),
         ("320,", "abc,", "number 3 is abc"),
         ("240]", "true]", "number 4 is True"),
@@ -126,21 +126,21 @@ def test_every_name_of_a_distortion_model(tmp_path: Path, name: str) -> None:
         ("320,", "32000,", "principal point (32000, 240) is far outside the 640x480 image"),
         ("240]", "-500]", "principal point (320, -500) is far outside"),
         ("500, 501,", "500,", "has 3 numbers; 4 are needed"),
-        ("[500, 501, 320, 240]", "500", "is 500; a list of numbers is needed"),
+        ("[500, 501, 320, 240]", "500", "is 500; it must be a list of numbers"),
         ("resolution: [640, 480],", "", "resolution is missing; add resolution: [width, height]"),
         ("[640, 480]", "[0, 480]", "resolution is [0, 480]; width and height must be whole"),
         ("[640, 480]", "[640.5, 480]", "must be whole numbers above 0"),
         ("[640, 480]", "[640]", "has 1 numbers; 2 are needed"),
-        ("cam0: {", "cam0: {model: fov, ", "camera model 'fov' is not known"),
+        ("cam0: {", "cam0: {model: fov, ", "camera model 'fov' is not supported"),
         ("cam0: {", "cam0: {model: ds, ", "intrinsics [xi, alpha, fx, fy, cx, cy] has 4 numbers"),
         ("cam0: {", "cam0: {resolutoin: 1, ", "key 'resolutoin'; did you mean 'resolution'?"),
         ("cam0: {", "baseline: 1\ncam0: {", "unknown key 'baseline'; did you mean 'baseline_m'?"),
         ("cam0: {", "cam0: {distortion: [0.1], ", "1 coefficients but distortion_model is missing"),
-        ("cam0: {", "cam0: {distortion_model: fov, ", "distortion model 'fov' is not known"),
+        ("cam0: {", "cam0: {distortion_model: fov, ", "distortion model 'fov' is not supported"),
         ("cam0: {", "cam0: [{", "is not YAML"),
     ],
 )  # fmt: skip
-def test_values_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_error_for_implausible_values(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = f"cam0: {{{CAM}}}\n"
     assert old in text
     assert expected in _message(_file(tmp_path, text.replace(old, new, 1)))
@@ -154,7 +154,7 @@ def test_values_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected
 def test_wrong_number_of_coefficients(tmp_path: Path, model: str, count: int, counts: str) -> None:
     text = f"cam0: {{{CAM}, distortion_model: {model}, distortion: {[0.1] * count}}}"
     message = _message(_file(tmp_path, text))
-    assert f"distortion has {count} coefficients; {model} takes {counts}" in message
+    assert f"distortion has {count} coefficients; {model} has {counts}" in message
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_wrong_number_of_coefficients(tmp_path: Path, model: str, count: int, co
     [
         ("baseline_m: 0", "the baseline is 0 m, so depth cannot be measured"),
         ("baseline_m: -0.5", "baseline_m is -0.5; it must be above 0"),
-        ("baseline_m: wide", "baseline_m is wide; a finite number"),
+        ("baseline_m: wide", "baseline_m is wide; it must be a finite number"),
         (f"cam1: {{{CAM}}}", "give either cam1_from_cam0 (a 4x4 transform) or baseline_m"),
         (f"baseline_m: 1\ncam1_from_cam0: {ROWS}", "give either"),
         (f"cam1: 3\ncam1_from_cam0: {ROWS}", "cam1 is 3, not a section"),
@@ -177,7 +177,7 @@ def test_wrong_number_of_coefficients(tmp_path: Path, model: str, count: int, co
         (f"cam1: {{{CAM}}}\ncam1_from_cam0: [[1, 0], [0, 1]]", "2 numbers; 16 are needed"),
     ],
 )  # fmt: skip
-def test_pairs_that_cannot_be_true(tmp_path: Path, extra: str, expected: str) -> None:
+def test_error_for_implausible_pairs(tmp_path: Path, extra: str, expected: str) -> None:
     text = f"cam0: {{{CAM}}}\n{extra}\n"
     if "cam1_from_cam0" in extra and "cam1:" not in extra:
         text += f"cam1: {{{CAM}}}\n"
@@ -192,14 +192,14 @@ def test_pairs_that_cannot_be_true(tmp_path: Path, extra: str, expected: str) ->
     [
         (
             "",
-            "is no calibration file of a known kind (KITTI raw, KITTI, COLMAP, Basalt, ORB-SLAM3, ",
+            "not a calibration file of a supported format (KITTI raw, KITTI, COLMAP, Basalt, ORB-S",
         ),
         ("fx: 500", "docs/calibration.md"),
-        ("- 1\n- 2", "no calibration file of a known kind"),
+        ("- 1\n- 2", "not a calibration file of a supported format"),
         ("a: b: c", "is not YAML: mapping values are not allowed here"),
     ],
 )
-def test_files_of_no_known_kind(tmp_path: Path, text: str, expected: str) -> None:
+def test_error_for_unknown_formats(tmp_path: Path, text: str, expected: str) -> None:
     assert expected in _message(_file(tmp_path, text))
 
 
@@ -244,12 +244,14 @@ def test_kalibr(tmp_path: Path) -> None:
     ("old", "new", "expected"),
     [
         ("T_cn_cnm1", "T_other", "cam1.T_cn_cnm1 is missing"),
-        ("pinhole", "fov", "cam0: camera model 'fov' is not known"),
+        ("pinhole", "fov", "cam0: camera model 'fov' is not supported"),
         ("-0.1]", "0]", "baseline"),
         ("resolution: [640, 480]", "comment: none", "cam0: resolution is missing"),
     ],
 )
-def test_kalibr_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_error_for_implausible_kalibr_files(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
     text = CHAIN.replace(old, new, 1)
     if expected == "baseline":
         text = text.replace("0.02]", "0]").replace("0.03]", "0]")
@@ -260,7 +262,7 @@ def test_kalibr_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected
 
 
 def _sensor(x: float) -> str:
-    # As in the EuRoC data sets: rounded, and cam1 is where its T_BS says.
+    # As in the EuRoC data sets: rounded, and the pose of cam1 is in its T_BS.
     data = f"[0, -1, 0, {x}, 1, 0, 0, 0.2, 0, 0, 1, 0.3, 0, 0, 0, 1]"
     return (
         f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: {data}\n"
@@ -299,14 +301,14 @@ def test_euroc_partner_of_a_folder_that_is_a_link(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.abs(rig.cam1_from_cam0[:3, 3]).max(), 0.2)
 
 
-def test_euroc_both_cameras_in_one_place(tmp_path: Path) -> None:
+def test_error_for_a_euroc_pair_without_baseline(tmp_path: Path) -> None:
     left = _file(tmp_path, _sensor(0.1), "cam0/sensor.yaml")
     _file(tmp_path, _sensor(0.1), "cam1/sensor.yaml")
     with pytest.raises(CalibrationError, match="cam1/sensor.yaml: T_BS: the baseline is 0 m"):
         read_calibration(left)
 
 
-def test_euroc_without_mounting(tmp_path: Path) -> None:
+def test_error_for_euroc_without_extrinsics(tmp_path: Path) -> None:
     path = _file(tmp_path, _sensor(0.1).replace("T_BS", "T_XY"), "sensor.yaml")
     assert "T_BS is missing" in _message(path)
 
@@ -339,7 +341,9 @@ def test_kitti_with_one_camera(tmp_path: Path) -> None:
         ("P0: 707.0912 0 601.8873", "P0: 707.0912 0 6018.873", "far outside the 1226x370 image"),
     ],
 )
-def test_kitti_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_error_for_implausible_kitti_files(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
     assert old in KITTI
     assert expected in _message(_file(tmp_path, KITTI.replace(old, new), "calib.txt"), (1226, 370))
 
@@ -353,7 +357,7 @@ def test_kitti_without_the_left_camera(tmp_path: Path) -> None:
 
 
 def test_documented_examples_can_be_read(tmp_path: Path) -> None:
-    """Every block is a whole file; those of other programs stand under the name of their kind."""
+    """Every block is a complete file, under a heading with the name of its format."""
     text = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
     kinds, pairs = [], []
     for part in text.split("\n## ")[1:]:
@@ -370,12 +374,12 @@ def test_documented_examples_can_be_read(tmp_path: Path) -> None:
     assert set(kinds) == set(FORMATS)
 
 
-def test_a_baseline_in_millimetres_is_warned_of(
+def test_warning_for_a_baseline_in_millimetres(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = f"cam0: {{{CAM}}}\ncam1: {{{CAM}}}\nbaseline_m: 540\n"
     read_calibration(_file(tmp_path, text))
-    assert [r.message for r in caplog.records if "540 m; if that is millimetres" in r.message]
+    assert [r.message for r in caplog.records if "540 m; if the unit is millimetres" in r.message]
     caplog.clear()
     read_calibration(_file(tmp_path, text.replace("540", "0.54")))
     assert not caplog.records

@@ -1,4 +1,4 @@
-"""Damaged files: every parser answers with one line that says what is wrong, and never hangs."""
+"""Damaged files: every parser raises an error of one line, and never hangs."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ SECONDS = 5.0
 
 
 def _mutated(text: str, random: Random) -> bytes:
-    """One to four damages: bytes, lines and tokens lost, doubled, swapped or replaced."""
+    """A text with one to four damages: bytes, lines, tokens lost, doubled, swapped or replaced."""
     for _ in range(random.randint(1, 4)):
         at, other = (random.randrange(len(text) + 1) for _ in range(2))
         first, last = min(at, other), max(at, other)
@@ -117,7 +117,7 @@ def _mutated(text: str, random: Random) -> bytes:
 
 
 def _survives(read: Callable[[Path], object], path: Path, kind: type[VoError]) -> bool:
-    """Whether a file can still be read; if not, in what way it says so, and how fast."""
+    """Whether a file can still be read; checks the error and the duration if not."""
     begun = time.process_time()
     try:
         read(path)
@@ -130,7 +130,7 @@ def _survives(read: Callable[[Path], object], path: Path, kind: type[VoError]) -
     return True
 
 
-def test_every_kind_is_among_the_damaged() -> None:
+def test_all_formats_have_a_damage_test() -> None:
     assert set(FILES) == set(FORMATS)
 
 
@@ -173,7 +173,7 @@ def test_calibrations_cut_off(tmp_path: Path, kind: str) -> None:
         min_size=1, max_size=4,
     ),
 )  # fmt: skip
-def test_any_value_in_any_place(tmp_path: Path, kind: str, values: list[tuple[int, str]]) -> None:
+def test_any_value_at_any_key(tmp_path: Path, kind: str, values: list[tuple[int, str]]) -> None:
     words = FILES[kind].split(" ")
     for at, value in values:
         words[at % len(words)] = value
@@ -199,7 +199,7 @@ def test_any_value_in_any_place(tmp_path: Path, kind: str, values: list[tuple[in
     ],
     ids=lambda text: text[:12],
 )
-def test_texts_made_to_hurt_a_parser(tmp_path: Path, text: str) -> None:
+def test_malicious_texts(tmp_path: Path, text: str) -> None:
     (tmp_path / "c").write_text(text, encoding="utf-8")
     assert not _survives(read_calibration, tmp_path / "c", CalibrationError)
 
@@ -233,7 +233,7 @@ def test_damaged_trajectories(tmp_path: Path, kind: str) -> None:
     at=st.integers(0, 40),
     value=st.one_of(st.floats().map(str), st.integers().map(str), st.text(max_size=8)),
 )
-def test_any_value_in_any_place_of_a_trajectory(
+def test_any_value_in_any_field_of_a_trajectory(
     tmp_path: Path, kind: str, at: int, value: str
 ) -> None:
     separator = "," if kind == "euroc" else " "

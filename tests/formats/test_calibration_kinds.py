@@ -1,4 +1,4 @@
-"""Files of other programs, in their documented conventions, extrinsics in their right direction."""
+"""Calibration files of other programs, in their documented conventions."""
 
 from __future__ import annotations
 
@@ -98,14 +98,14 @@ def test_kitti_raw_rectified(tmp_path: Path) -> None:
         np.testing.assert_allclose(point, [-7.445048e-03, -4.278459e-03, 9.999631e-01], atol=1e-6)
 
 
-def test_kitti_raw_as_recorded(tmp_path: Path) -> None:
+def test_kitti_raw_unrectified(tmp_path: Path) -> None:
     calibration = _read(tmp_path, KITTI_RAW, "calib_cam_to_cam.txt", (1392, 512))
     rig = calibration.rig
     assert (rig.cam0.width, rig.cam0.fx) == (1392, 984.2439)
     assert rig.cam0.distortion == (-0.3728755, 0.2037299, 2.219027e-03, 1.383707e-03, -0.07233722)
-    # R_01, T_01 take points of camera 00 to camera 01, which is to its right.
+    # R_01, T_01 are cam1_from_cam0; camera 01 is to the right of camera 00.
     np.testing.assert_allclose(_pair(rig)[:3, 3], [-0.537, 4.822061e-03, -0.01252488], atol=1e-9)
-    # Rectifying gives what KITTI's own rectification gave.
+    # Our rectification has the same result as KITTI's.
     assert rectified_rig(rig).baseline_m == pytest.approx(387.5744 / 721.5377, rel=1e-3)
     turn = rectified_rig(rig).cam0_from_rectified[:3, :3].T
     kitti = np.array([[float(x) for x in KITTI_RAW.split("R_rect_00: ")[1].split()[:9]]])
@@ -122,7 +122,9 @@ def test_kitti_raw_as_recorded(tmp_path: Path) -> None:
         ("K_00: 9.842439e+02", "K_00: nope", "K_00, number 1 is nope"),
     ],
 )
-def test_kitti_raw_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_error_for_implausible_kitti_raw_files(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
     assert old in KITTI_RAW
     path = _file(tmp_path, KITTI_RAW.replace(old, new), "calib_cam_to_cam.txt")
     recorded = "K_00" in old or "R_01: 9" in old
@@ -185,7 +187,7 @@ def test_ros_single_cameras(tmp_path: Path, caplog: pytest.LogCaptureFixture) ->
     left = _file(tmp_path, text, "left_camera.yaml")
     cam0 = read_calibration(left).rig.cam0
     assert (cam0.distortion_model, cam0.distortion) == ("radtan", rational)
-    # Two cameras that were each calibrated alone are not taken for a pair.
+    # Two cameras that were calibrated separately are not a pair.
     _file(tmp_path, _camera_info(K1, D1, np.eye(3), p), "right_camera.yaml")
     assert not read_calibration(left).rig.is_stereo
     assert "no baseline" in caplog.text
@@ -244,7 +246,7 @@ def test_opencv_pair(tmp_path: Path, suffix: str) -> None:
     assert (rig.cam0.width, rig.cam0.height, rig.cam0.fy) == (640, 480, 501.0)
     assert rig.cam0.distortion == pytest.approx(D0, abs=1e-15)
     assert rig.cam1 is not None and rig.cam1.cx == 318.0
-    # The convention, in OpenCV's own words: x2 = R x1 + T.
+    # OpenCV's convention: x2 = R x1 + T.
     np.testing.assert_allclose(_pair(rig), CAM1_FROM_CAM0, atol=1e-12)
 
 
@@ -284,11 +286,11 @@ def test_opencv_with_fourteen_coefficients(tmp_path: Path) -> None:
     cam0 = read_calibration(_storage(tmp_path / "a.yml", values)).rig.cam0
     assert cam0.distortion == pytest.approx(rational)
     values["distortion_coefficients"] = [[*rational, 0.1, 0, 0, 0, 0, 0]]
-    with pytest.raises(CalibrationError, match="14 coefficients; radtan takes 4 or 5 or 8"):
+    with pytest.raises(CalibrationError, match="14 coefficients; radtan has 4 or 5 or 8"):
         read_calibration(_storage(tmp_path / "b.yml", values))
 
 
-def test_opencv_rotation_that_is_none(tmp_path: Path) -> None:
+def test_error_for_an_opencv_rotation_that_is_not_one(tmp_path: Path) -> None:
     values = (
         INTRINSICS | EXTRINSICS | {"image_width": 640, "image_height": 480, "R": np.ones((3, 3))}
     )
@@ -350,7 +352,7 @@ def test_orb_slam_fisheye_pair(tmp_path: Path) -> None:
     rig = calibration.rig
     assert rig.cam0.distortion_model == "equidistant"
     assert rig.cam1 is not None and rig.cam1.distortion[1] == 0.001766278153469831
-    # T_c1_c2 is where camera 2 is in camera 1: 10 cm to its right.
+    # T_c1_c2 is the pose of camera 2 in camera 1: 10 cm to the right.
     place = inverse(_pair(rig))
     np.testing.assert_allclose(place[:3, 3], [0.101063427, 0.001946204, 0.001015350], atol=1e-8)
     assert rectified_rig(rig).baseline_m == pytest.approx(0.1011, abs=1e-4)
@@ -390,7 +392,7 @@ def test_orb_slam_depth_camera_has_no_second_image(tmp_path: Path) -> None:
     assert calibration.rig.cam0.distortion == expected
 
 
-def test_orb_slam_pair_that_it_rectifies(tmp_path: Path) -> None:
+def test_orb_slam_unrectified_pair(tmp_path: Path) -> None:
     r0, r1, p0, p1 = _rectification()
     text = "%YAML:1.0\nCamera.type: PinHole\n" + "".join(
         f"Camera.{name}: {value:.10g}\n"
@@ -413,15 +415,21 @@ def test_orb_slam_pair_that_it_rectifies(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ('"KannalaBrandt8"', '"Omni"', "Camera.type 'Omni' is not known; PinHole"),
+        (
+            '"KannalaBrandt8"',
+            '"Omni"',
+            "Camera.type 'Omni' is not supported; supported are PinHole",
+        ),
         ("Stereo.T_c1_c2", "Stereo.other", "Stereo.T_c1_c2 is missing"),
-        ("Camera2.k4", "Camera2.k5", "3 coefficients; equidistant takes 4"),
+        ("Camera2.k4", "Camera2.k5", "3 coefficients; equidistant has 4"),
         ("Camera1.fy: 190.9", "Camera1.fy: -190.9", "focal length is 190.978, -190.9"),
         ("Camera.width", "Camera.widht", "resolution is missing"),
         ("0.999999445773493", "0.9", "the rotation is not orthonormal"),
     ],
 )
-def test_orb_slam_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_error_for_implausible_orb_slam_files(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
     assert old in ORB_FISHEYE
     message = _error(tmp_path, ORB_FISHEYE.replace(old, new))
     assert expected in message
@@ -457,7 +465,7 @@ def test_colmap(tmp_path: Path, model: str) -> None:
     assert calibration.kind == "COLMAP"
     cam0 = calibration.rig.cam0
     assert (cam0.width, cam0.height, cam0.fx, cam0.fy) == (640, 480, *focal)
-    # The middle of 640 pixels is 320 from the corner of the first, 319.5 from its centre.
+    # The centre of 640 pixels is 320 from the corner of the first pixel, 319.5 from its centre.
     assert (cam0.cx, cam0.cy) == (319.5, 239.5)
     assert (cam0.distortion_model, cam0.distortion) == (lens, coefficients)
 
@@ -465,20 +473,23 @@ def test_colmap(tmp_path: Path, model: str) -> None:
 def test_colmap_with_several_cameras(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     text = COLMAP_HEAD + "1 PINHOLE 640 480 600 600 320 240\n2 PINHOLE 800 600 700 700 400 300\n"
     assert _read(tmp_path, text, "cameras.txt", (800, 600)).rig.cam0.fx == 700
-    assert "of 2 cameras camera 2 is used" in caplog.text
+    assert "only camera 2 of 2 is used" in caplog.text
     assert _read(tmp_path, text, "cameras.txt").rig.cam0.fx == 600
 
 
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("1 FOV 640 480 600 600 320 240 0.9", "model FOV is not known; SIMPLE_PINHOLE"),
+        (
+            "1 FOV 640 480 600 600 320 240 0.9",
+            "model FOV is not supported; supported are SIMPLE_PINHOLE",
+        ),
         ("1 PINHOLE 640 480 600 320 240", "PINHOLE has 3 numbers; 4 are needed"),
         ("1 PINHOLE 640 480 -600 600 320 240", "focal length is -600, 600"),
         ("1 PINHOLE 0 480 600 600 320 240", "whole numbers above 0"),
     ],
 )
-def test_colmap_that_cannot_be_true(tmp_path: Path, line: str, expected: str) -> None:
+def test_error_for_implausible_colmap_files(tmp_path: Path, line: str, expected: str) -> None:
     message = _error(tmp_path, f"{COLMAP_HEAD}{line}\n", "cameras.txt")
     assert expected in message and "camera 1" in message
     assert message.endswith("(read as COLMAP calibration)")
@@ -529,7 +540,7 @@ def test_basalt(tmp_path: Path, lens: str) -> None:
     assert (rig.cam0.width, rig.cam0.fx, rig.cam0.cy) == (512, 158.28, 256.89)
     assert calibration.body_from_cam0 is not None
     np.testing.assert_allclose(calibration.body_from_cam0[:3, 3], [0.1, 0.2, 0.3])
-    # cam1 is 10 cm along x, and turned by 1 degree about y; T_imu_cam says where it is.
+    # T_imu_cam of cam1: 10 cm along x, rotated by 1 degree about y.
     place = inverse(_pair(rig))
     np.testing.assert_allclose(place[:3, 3], [0.1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(place[:3, :3], so3_exp(np.deg2rad([0.0, 1.0, 0.0])), atol=1e-8)
@@ -538,16 +549,18 @@ def test_basalt(tmp_path: Path, lens: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ('"ds"', '"ftheta"', "camera_type 'ftheta' is not known; pinhole"),
+        ('"ds"', '"ftheta"', "camera_type 'ftheta' is not supported; supported are pinhole"),
         ('"alpha": 0.593', '"alpha": 1.5', "alpha is 1.5; for double_sphere it must be"),
-        ('"alpha"', '"beta"', "alpha is None; a finite number"),
+        ('"alpha"', '"beta"', "alpha is None; it must be a finite"),
         ('"qw": 1}', '"qw": 0}', "the quaternion has length 0, not 1"),
         ('"px": 0.2', '"px": 0.1', "T_imu_cam: the baseline is 0 m"),
         ("[512, 512], ", "[512], ", "has 1 numbers; 2 are needed"),
-        ('"T_imu_cam": [', '"T_imu_cam": 5, "other": [', "T_imu_cam is 5; a list with an entry"),
+        ('"T_imu_cam": [', '"T_imu_cam": 5, "other": [', "T_imu_cam is 5; it must be a list"),
     ],
 )  # fmt: skip
-def test_basalt_that_cannot_be_true(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_error_for_implausible_basalt_files(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
     text = _basalt("ds", BASALT["ds"][0])
     assert old in text
     assert expected in _error(tmp_path, text.replace(old, new), "calibration.json")
@@ -600,7 +613,7 @@ def test_kalibr_projections(
         ("[500, 500, 320, 240]", ""),
     ],
 )
-def test_odd_intrinsics_are_warned_of(
+def test_warning_for_implausible_intrinsics(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, intrinsics: str, expected: str
 ) -> None:
     _read(tmp_path, f"cam0: {{resolution: [640, 480], intrinsics: {intrinsics}}}")
@@ -611,7 +624,7 @@ def test_odd_intrinsics_are_warned_of(
 # The same rig in every form gives the same pixels
 
 
-def test_the_same_pair_in_three_forms(tmp_path: Path) -> None:
+def test_same_pair_in_three_formats(tmp_path: Path) -> None:
     r0, r1, p0, p1 = _rectification()
     left = _file(tmp_path, _camera_info(K0, D0, r0, p0), "left.yaml")
     _file(tmp_path, _camera_info(K1, D1, r1, p1), "right.yaml")

@@ -1,4 +1,4 @@
-"""Messages read back from what official encoders wrote, in every dialect."""
+"""Decoding of messages written by official encoders, in each encoding."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _ours(message: Message, dialect: Any) -> Encoded:
 
 
 def _as_ros1(message: Message) -> Encoded:
-    """As rosbags converts it, with the definition that ROS 1 has."""
+    """Encode a message with rosbags and the definitions of ROS 1."""
     schema = ROS2.schema(type(message))
     store = get_typestore(Stores.ROS1_NOETIC)
     name = schema.name
@@ -101,8 +101,8 @@ def _with_ros1_header(store: Any, message: Message) -> Any:
             point = types["geometry_msgs/msg/Point"](*POSE[:3, 3])
             pose = types["geometry_msgs/msg/Pose"](point, quat)
             return types["geometry_msgs/msg/PoseStamped"](_ros1_header(store, "/world"), pose)
-    place = types["geometry_msgs/msg/Vector3"](*POSE[:3, 3])
-    transform = types["geometry_msgs/msg/Transform"](place, quat)
+    translation = types["geometry_msgs/msg/Vector3"](*POSE[:3, 3])
+    transform = types["geometry_msgs/msg/Transform"](translation, quat)
     stamped = types["geometry_msgs/msg/TransformStamped"](
         _ros1_header(store, "/body"), "/cam0", transform
     )
@@ -110,7 +110,7 @@ def _with_ros1_header(store: Any, message: Message) -> Any:
 
 
 def _as_json(message: Message) -> Encoded:
-    """As Foxglove's documentation shows it."""
+    """Encode a message as JSON, as in Foxglove's documentation."""
     schema = FOXGLOVE.schema(type(message)).name
     codec = find_codec("json", schema, "jsonschema", b"{}")
     assert codec is not None
@@ -121,7 +121,7 @@ def _json_content(message: Message) -> dict[str, Any]:
     seconds, nanoseconds = divmod(STAMP_NS, 10**9)
     x, y, z, w = quat_xyzw_from_rotation(POSE[:3, :3]).tolist()
     px, py, pz = POSE[:3, 3].tolist()
-    place, turn = {"x": px, "y": py, "z": pz}, {"x": x, "y": y, "z": z, "w": w}
+    position, rotation = {"x": px, "y": py, "z": pz}, {"x": x, "y": y, "z": z, "w": w}
     stamp = {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
     match message:
         case ImageMessage():
@@ -147,9 +147,10 @@ def _json_content(message: Message) -> dict[str, Any]:
                 **matrices,
             }
         case PoseMessage():
-            return {**stamp, "frame_id": "world", "pose": {"position": place, "orientation": turn}}
+            pose = {"position": position, "orientation": rotation}
+            return {**stamp, "frame_id": "world", "pose": pose}
     frames = {"parent_frame_id": "body", "child_frame_id": "cam0"}
-    return {"transforms": [{**stamp, **frames, "translation": place, "rotation": turn}]}
+    return {"transforms": [{**stamp, **frames, "translation": position, "rotation": rotation}]}
 
 
 ENCODERS: dict[str, Callable[[Message], Encoded]] = {
@@ -210,7 +211,7 @@ def test_transforms(encode: Callable[[Message], Encoded]) -> None:
 
 
 @pytest.mark.parametrize("message", [IMAGE, COMPRESSED, CALIBRATION, PLACE])
-def test_stamps_are_seen_in_the_first_bytes(
+def test_stamps_are_read_from_the_first_bytes(
     encode: Callable[[Message], Encoded], message: Message
 ) -> None:
     codec, data = encode(message)
@@ -220,7 +221,7 @@ def test_stamps_are_seen_in_the_first_bytes(
 
 
 @pytest.mark.parametrize("message", [IMAGE, COMPRESSED, CALIBRATION, PLACE, TRANSFORMS])
-def test_damaged_messages_give_an_error_or_a_message(
+def test_damaged_messages_raise_or_decode(
     encode: Callable[[Message], Encoded], message: Message
 ) -> None:
     codec, data = encode(message)
@@ -236,14 +237,14 @@ def test_damaged_messages_give_an_error_or_a_message(
             assert "\n" not in str(error)
 
 
-def test_a_camera_that_was_never_calibrated_says_so() -> None:
+def test_error_for_a_camera_that_was_never_calibrated() -> None:
     codec = find_codec("json", "foxglove.CameraCalibration", "", b"")
     assert codec is not None
     with pytest.raises(CalibrationError, match="'cam0' is empty .* --calibration FILE"):
         codec.decode(b'{"frame_id": "cam0", "width": 640, "height": 480}')
 
 
-def test_numbers_for_the_whole_sensor_are_brought_to_the_part_that_was_read() -> None:
+def test_intrinsics_are_adapted_to_cropping_and_binning() -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: Any = store.types
     schema = ROS2.schema(CalibrationMessage)
@@ -260,13 +261,13 @@ def test_numbers_for_the_whole_sensor_are_brought_to_the_part_that_was_read() ->
     assert (camera.width, camera.height) == (300, 100)
 
 
-def test_kinds_that_nobody_needs() -> None:
+def test_no_codec_for_unsupported_types() -> None:
     assert find_codec("cdr", "sensor_msgs/msg/PointCloud2", "ros2msg", b"") is None
     assert find_codec("protobuf", "foxglove.Grid", "protobuf", b"") is None
     assert find_codec("flatbuffer", "foxglove.RawImage", "flatbuffer", b"") is None
 
 
-def test_a_definition_that_cannot_be_read_is_taken_as_usual() -> None:
+def test_default_definition_replaces_an_unreadable_one() -> None:
     codec = find_codec("cdr", "sensor_msgs/msg/Image", "ros2msg", b"\xff not a definition")
     assert codec is not None
     read = codec.decode(ROS2.encode(IMAGE))

@@ -1,4 +1,4 @@
-"""Foxglove's messages, read back by the decoder that MCAP's authors publish."""
+"""Writing of Foxglove's messages, decoded by MCAP's official decoder."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POSE = make_transform(so3_exp(np.array([0.3, -2.0, 1.1])), np.array([1.5, -2.5, 
 
 
 def decoded(message: Message) -> Any:
-    """What someone reads who has nothing but the file."""
+    """The message decoded with nothing but its stored schema."""
     schema = foxglove.schema(type(message))
     stored = McapSchema(id=1, name=schema.name, encoding="protobuf", data=schema.definition)
     decode = DecoderFactory().decoder_for("protobuf", stored)
@@ -42,8 +42,8 @@ def stamp_ns(message: Any) -> int:
 
 def transform(position: Any, rotation: Any) -> Any:
     quat = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
-    place = np.array([position.x, position.y, position.z])
-    return make_transform(rotation_from_quat_xyzw(quat), place)
+    xyz = np.array([position.x, position.y, position.z])
+    return make_transform(rotation_from_quat_xyzw(quat), xyz)
 
 
 @pytest.mark.parametrize(
@@ -56,12 +56,12 @@ def transform(position: Any, rotation: Any) -> Any:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_messages_keep_their_stamp_to_the_nanosecond(message: Message, name: str) -> None:
+def test_stamps_are_exact_to_the_nanosecond(message: Message, name: str) -> None:
     assert foxglove.schema(type(message)).name == name
     assert stamp_ns(decoded(message)) == STAMP_NS
 
 
-def test_depth_has_four_bytes_a_pixel() -> None:
+def test_depth_has_four_bytes_per_pixel() -> None:
     depth = np.array([[0.5, np.inf, 3.25], [1e-3, 80.0, 2.0]], dtype="<f4")
     image = decoded(ImageMessage(STAMP_NS, "cam0", 3, 2, "32FC1", depth.tobytes()))
     assert (image.width, image.height, image.step, image.encoding) == (3, 2, 12, "32FC1")
@@ -76,7 +76,7 @@ def test_inertial_samples_are_exact() -> None:
     assert sample.frame_id == "body"
 
 
-def test_poses_and_transforms_survive() -> None:
+def test_poses_and_transforms_are_exact() -> None:
     pose = decoded(PoseMessage(STAMP_NS, "world", POSE))
     assert pose.frame_id == "world"
     np.testing.assert_allclose(
@@ -100,7 +100,7 @@ def test_poses_and_transforms_survive() -> None:
         ("equidistant", (0.1, 0.2, 0.3, 0.4), "kannala_brandt", [0.1, 0.2, 0.3, 0.4]),
     ],
 )
-def test_lenses_have_foxgloves_names(
+def test_distortion_models_have_the_names_of_foxglove(
     model: Any, given: tuple[float, ...], name: str, written: list[float]
 ) -> None:
     camera = Camera(640, 480, 400.0, 410.0, 320.5, 239.5, model, given)

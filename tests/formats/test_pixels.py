@@ -1,4 +1,4 @@
-"""Raw pixels as grey, against images whose grey is known."""
+"""Conversion of raw pixels to grey, compared with images of known grey levels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def message(encoding: str, pixels: np.ndarray, **more: object) -> ImageMessage:
 
 
 @pytest.mark.parametrize("encoding", ["mono8", "8UC1", "MONO8"])
-def test_grey_stays_as_it_is(encoding: str) -> None:
+def test_grey_is_unchanged(encoding: str) -> None:
     assert np.array_equal(grey_pixels(message(encoding, GREY)), GREY)
 
 
@@ -48,7 +48,7 @@ def test_sixteen_bits_in_either_byte_order(encoding: str, order: str) -> None:
         ("rgb16", [2, 1, 0]),
     ],
 )
-def test_colour_becomes_grey_by_the_channel_it_is(encoding: str, order: list[int]) -> None:
+def test_colour_is_converted_to_grey_by_channel(encoding: str, order: list[int]) -> None:
     pixels = COLOUR[:, :, order]
     if encoding.endswith("16"):
         pixels = pixels.astype(np.uint16)
@@ -56,10 +56,10 @@ def test_colour_becomes_grey_by_the_channel_it_is(encoding: str, order: list[int
     assert np.abs(grey - COLOUR @ BGR_TO_GREY).max() <= 1.0
 
 
-# Where red, green and blue lie in each two by two, as the names say.
+# The name lists the colours of a 2x2 tile, row by row.
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_bayer_patterns_are_what_their_names_say(pattern: str, bits: int) -> None:
+def test_bayer_patterns_match_their_names(pattern: str, bits: int) -> None:
     levels = {"r": 200, "g": 120, "b": 40}
     tile = np.array([levels[letter] for letter in pattern]).reshape(2, 2)
     mosaic = np.tile(tile, (10, 12)).astype(np.uint8 if bits == 8 else np.uint16)
@@ -69,21 +69,21 @@ def test_bayer_patterns_are_what_their_names_say(pattern: str, bits: int) -> Non
 
 
 @pytest.mark.parametrize(
-    ("encoding", "place"),
+    ("encoding", "luminance_channel"),
     [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0)],
 )
-def test_brightness_of_yuv_is_taken_as_it_is(encoding: str, place: int) -> None:
+def test_grey_of_yuv_is_its_luminance(encoding: str, luminance_channel: int) -> None:
     pixels = np.full((6, 8, 2), 128, np.uint8)
-    pixels[:, :, place] = GREY
+    pixels[:, :, luminance_channel] = GREY
     assert np.array_equal(grey_pixels(message(encoding, pixels)), GREY)
 
 
-def test_gaps_between_rows_are_left_out() -> None:
+def test_row_padding_is_skipped() -> None:
     padded = np.zeros((6, 13), np.uint8)
     padded[:, :8] = GREY
     whole = ImageMessage(1, "cam0", 8, 6, "mono8", padded.tobytes(), step=13)
     assert np.array_equal(grey_pixels(whole), GREY)
-    # The last row needs no gap after it.
+    # The padding of the last row may be missing.
     cut = ImageMessage(1, "cam0", 8, 6, "mono8", padded.tobytes()[:-5], step=13)
     assert np.array_equal(grey_pixels(cut), GREY)
 
@@ -95,11 +95,11 @@ def test_gaps_between_rows_are_left_out() -> None:
         ("mono8", 8, 4, "rows of 4 bytes"),
         ("mono8", 0, 0, "image of 0x6"),
         ("rgb8", 8, 0, "144 are needed"),
-        ("jpeg?", 8, 0, "encoded as 'jpeg\\?'; known are mono8"),
-        ("32FC1", 8, 0, "encoded as '32FC1'"),
+        ("jpeg?", 8, 0, "encoding 'jpeg\\?' is not supported; supported are mono8"),
+        ("32FC1", 8, 0, "encoding '32FC1' is not supported"),
     ],
 )
-def test_says_what_is_wrong_with_pixels(encoding: str, width: int, step: int, reason: str) -> None:
+def test_error_names_the_problem(encoding: str, width: int, step: int, reason: str) -> None:
     data = bytes(47)
     with pytest.raises(SourceError, match=reason):
         grey_pixels(ImageMessage(1, "cam0", width, 6, encoding, data, step=step))

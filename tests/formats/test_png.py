@@ -1,4 +1,4 @@
-"""Grey PNG images: every filter, whatever stands between the chunks, and what is left to OpenCV."""
+"""Grey PNG images: all filters, other chunks, and images that are left to OpenCV."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def noise(height: int, width: int) -> Bytes:
 
 
 def filtered(image: Bytes, kinds: Sequence[int]) -> bytes:
-    """Rows behind the numbers of their filters, as the specification has it in section 9."""
+    """Filtered rows, each after the number of its filter (section 9 of the specification)."""
     height, width = image.shape
     wide = np.zeros((height + 1, width + 1), np.int64)
     wide[1:, 1:] = image
     x, a, b, c = wide[1:, 1:], wide[1:, :-1], wide[:-1, 1:], wide[:-1, :-1]
     p = a + b - c
-    apart = np.stack([abs(p - a), abs(p - b), abs(p - c)])
-    paeth = np.choose(apart.argmin(axis=0), [a, b, c])  # the first of those that are equal
+    distances = np.stack([abs(p - a), abs(p - b), abs(p - c)])
+    paeth = np.choose(distances.argmin(axis=0), [a, b, c])  # ties: the first
     forms = [x, x - a, x - b, x - (a + b) // 2, x - paeth]
     rows = [
         bytes([k]) + (forms[k][y] % 256).astype(np.uint8).tobytes() for y, k in enumerate(kinds)
@@ -77,14 +77,14 @@ def test_every_filter_is_undone(kind: int, size: tuple[int, int]) -> None:
     assert_decoded(encoded(image, [kind] * size[0]), image)
 
 
-def test_filters_may_change_from_row_to_row() -> None:
+def test_filters_may_differ_between_rows() -> None:
     image = noise(200, 50)
     assert_decoded(encoded(image, RNG.integers(0, 5, 200).tolist()), image)
 
 
 @pytest.mark.parametrize("level", [0, 1, 9])
 @pytest.mark.parametrize("strategy", range(5))
-def test_what_opencv_writes_is_read(level: int, strategy: int) -> None:
+def test_images_written_by_opencv(level: int, strategy: int) -> None:
     image = np.asarray(cv2.GaussianBlur(noise(120, 160), (0, 0), 2))
     how = [cv2.IMWRITE_PNG_COMPRESSION, level, cv2.IMWRITE_PNG_STRATEGY, strategy]
     data = cv2.imencode(".png", image, how)[1].tobytes()
@@ -92,7 +92,7 @@ def test_what_opencv_writes_is_read(level: int, strategy: int) -> None:
 
 
 @pytest.mark.parametrize("length", [1, 7, 1000])
-def test_data_may_be_cut_into_pieces(length: int) -> None:
+def test_data_may_be_split_into_several_chunks(length: int) -> None:
     image = noise(20, 30)
     packed = zlib.compress(filtered(image, [4] * 20))
     pieces = [(b"IDAT", packed[k : k + length]) for k in range(0, len(packed), length)]
@@ -115,7 +115,7 @@ def test_data_may_be_cut_into_pieces(length: int) -> None:
     ],
     ids=lambda more: more[0].decode(),
 )
-def test_what_is_said_besides_pixels_changes_none(more: Chunk) -> None:
+def test_metadata_does_not_change_pixels(more: Chunk) -> None:
     image = noise(20, 30)
     assert_decoded(encoded(image, [4] * 20, [more]), image)
 
@@ -130,7 +130,7 @@ def test_what_is_said_besides_pixels_changes_none(more: Chunk) -> None:
     ],
     ids=lambda more: more[0].decode(),
 )
-def test_what_may_change_pixels_is_left_to_opencv(more: Chunk) -> None:
+def test_chunks_that_change_pixels_are_left_to_opencv(more: Chunk) -> None:
     assert png.decode_grey(encoded(noise(20, 30), more=[more])) is None
 
 
@@ -150,7 +150,7 @@ def test_colour_and_sixteen_bits_are_left_to_opencv() -> None:
 
 
 @pytest.mark.parametrize("rows", [0, 19, 21])
-def test_too_little_or_too_much_is_left_to_opencv(rows: int) -> None:
+def test_wrong_amount_of_data_is_left_to_opencv(rows: int) -> None:
     packed = zlib.compress(filtered(noise(rows, 30), [0] * rows))
     assert png.decode_grey(file_of([header(20, 30), (b"IDAT", packed)])) is None
 
@@ -169,7 +169,7 @@ def test_an_image_without_pixels_is_left_to_opencv(size: tuple[int, int]) -> Non
     assert png.decode_grey(data) is None
 
 
-def test_a_file_that_unpacks_to_far_more_than_its_image_takes_no_room() -> None:
+def test_decompression_bomb_takes_no_memory() -> None:
     packed = zlib.compress(bytes(100_000_000), 9)
     tracemalloc.start()
     try:
@@ -181,8 +181,8 @@ def test_a_file_that_unpacks_to_far_more_than_its_image_takes_no_room() -> None:
         tracemalloc.stop()
 
 
-def test_damage_is_never_taken_for_pixels() -> None:
-    """Bytes are changed, and checksums of the chunk made right again, as no accident does."""
+def test_damaged_data_is_not_decoded() -> None:
+    """Changed bytes with correct checksums of the chunk, so that only decoding finds them."""
     image = noise(30, 40)
     packed = zlib.compress(filtered(image, [4] * 30))
     for _ in range(300):
@@ -192,7 +192,7 @@ def test_damage_is_never_taken_for_pixels() -> None:
         assert decoded is None or np.array_equal(decoded, image)
 
 
-def test_complete_files_are_told_from_others() -> None:
+def test_complete_files_are_distinguished_from_damaged_ones() -> None:
     data = encoded(noise(20, 30), more=[(b"tEXt", b"Title\0a")])
     assert png.is_complete(data)
     assert png.is_complete(data + b"more")

@@ -1,4 +1,4 @@
-"""Messages of ROS 2, read back by the decoder that MCAP's authors publish."""
+"""Writing of ROS 2 messages, decoded by MCAP's official decoder."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def transform(position: Any, rotation: Any) -> Any:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_messages_keep_their_stamp_to_the_nanosecond(message: Message, name: str) -> None:
+def test_stamps_are_exact_to_the_nanosecond(message: Message, name: str) -> None:
     assert ros2.schema(type(message)).name == name
     assert stamp_ns(decoded(message)) == STAMP_NS
 
 
-# Frame names of several lengths shift what follows: CDR pads to the size of each number.
+# CDR pads to the size of each number, so the length of a frame name shifts the fields after it.
 @pytest.mark.parametrize("frame", ["", "c", "cam0", "camera"])
-def test_images_survive_whatever_the_padding(frame: str) -> None:
+def test_images_are_exact_with_any_padding(frame: str) -> None:
     depth = np.array([[0.5, np.inf, 3.25], [1e-3, 80.0, 2.0]], dtype="<f4")
     image = decoded(ImageMessage(STAMP_NS, frame, 3, 2, "32FC1", depth.tobytes()))
     assert (image.width, image.height, image.step, image.encoding) == (3, 2, 12, "32FC1")
@@ -84,7 +84,7 @@ def test_inertial_samples_are_exact_and_have_no_orientation() -> None:
     assert list(sample.linear_acceleration_covariance) == [9e-4, 0, 0, 0, 9e-4, 0, 0, 0, 9e-4]
 
 
-def test_poses_and_transforms_survive() -> None:
+def test_poses_and_transforms_are_exact() -> None:
     pose = decoded(PoseMessage(STAMP_NS, "world", POSE))
     assert pose.header.frame_id == "world"
     np.testing.assert_allclose(
@@ -108,7 +108,7 @@ def test_poses_and_transforms_survive() -> None:
         ("equidistant", (0.1, 0.2, 0.3, 0.4), "equidistant", [0.1, 0.2, 0.3, 0.4]),
     ],
 )
-def test_lenses_have_the_names_of_ros(
+def test_distortion_models_have_the_names_of_ros(
     model: Any, given: tuple[float, ...], name: str, written: list[float]
 ) -> None:
     camera = Camera(640, 480, 400.0, 410.0, 320.5, 239.5, model, given)
@@ -122,7 +122,7 @@ def test_lenses_have_the_names_of_ros(
     assert list(read.p) == [float(i) for i in range(12)]
 
 
-def test_a_definition_names_its_parts_once_each() -> None:
+def test_definition_contains_each_dependency_once() -> None:
     text = ros2.schema(TransformsMessage).definition.decode()
     parts = [line.removeprefix("MSG: ") for line in text.splitlines() if line.startswith("MSG: ")]
     assert sorted(parts) == [

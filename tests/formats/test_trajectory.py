@@ -35,7 +35,7 @@ def written(folder: Path, text: str, name: str = "path.txt") -> Path:
 
 @settings(deadline=None)
 @given(stamp_ns=st.integers(-(2**62), 2**62))
-def test_stamps_survive_to_the_nanosecond(stamp_ns: int) -> None:
+def test_stamps_are_exact_to_the_nanosecond(stamp_ns: int) -> None:
     text = tum_line(stamp_ns, np.eye(4)).split()[0]
     assert len(text.split(".")[1]) == 9
     assert stamp_ns_from_seconds(text) == stamp_ns
@@ -72,13 +72,13 @@ def test_tum_skips_comments_and_blank_lines(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3]])
 
 
-def test_quaternions_need_not_be_of_unit_length(tmp_path: Path) -> None:
+def test_quaternions_are_normalised(tmp_path: Path) -> None:
     path = written(tmp_path, "0 0 0 0 0 0 0.02 0.02\n")
     expected = se3_exp(np.array([0, 0, np.pi / 2, 0, 0, 0]))
     np.testing.assert_allclose(read_tum(path).world_from_cam[0], expected, atol=1e-12)
 
 
-def test_kitti_takes_the_stamps_beside_it(tmp_path: Path) -> None:
+def test_kitti_stamps_come_from_times_txt(tmp_path: Path) -> None:
     path = written(tmp_path, KITTI * 2)
     assert read_trajectory(path).stamps_ns.tolist() == [0, 10**9]
     times = written(tmp_path, "0.0\n1.044989e-01\n", "times.txt")
@@ -107,7 +107,7 @@ def test_kitti_stamps_of_another_length_are_not_used(
     ],
 )
 @pytest.mark.parametrize("rest", ["", ",0.1,0.2,0.3,0,0,0,0,0,0"])
-def test_euroc_with_any_heading(tmp_path: Path, header: str, rest: str) -> None:
+def test_euroc_with_any_header(tmp_path: Path, header: str, rest: str) -> None:
     row = f"1403636580838555648,4.5,-1.7,0.8,0,1,0,0{rest}\n"
     path = written(tmp_path, header + row, "data.csv")
     trajectory = read_trajectory(path)
@@ -116,7 +116,7 @@ def test_euroc_with_any_heading(tmp_path: Path, header: str, rest: str) -> None:
     np.testing.assert_array_equal(trajectory.world_from_cam[0, :3, :3], np.diag([1, -1, -1]))
 
 
-def test_format_is_told_by_content(tmp_path: Path) -> None:
+def test_format_is_detected_from_the_content(tmp_path: Path) -> None:
     assert detect_format(written(tmp_path, TUM)) == "tum"
     assert detect_format(written(tmp_path, KITTI)) == "kitti"
     assert detect_format(written(tmp_path, "0,1,2,3,1,0,0,0\n")) == "euroc"
@@ -127,7 +127,7 @@ def test_repeated_stamps_keep_the_first(tmp_path: Path, caplog: pytest.LogCaptur
     with caplog.at_level(logging.WARNING):
         trajectory = read_trajectory(path)
     np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3], [4, 5, 6]])
-    assert "1 repeated stamps" in caplog.text
+    assert "1 poses repeat a stamp" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -145,11 +145,11 @@ def test_lines_without_a_pose_are_left_out(
     assert trajectory.stamps_ns.tolist() == [1_500_000_000, 3_500_000_000]
     np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3], [4, 5, 6]])
     (record,) = caplog.records
-    assert "path.txt:2: 2 of 4 lines are no pose" in record.getMessage()
+    assert "path.txt:2: 2 of 4 lines are not poses" in record.getMessage()
 
 
 @pytest.mark.parametrize("end", ["2.5 1 2 3 0 0 0", "2.5 1 2", "\0\0\0\0"])
-def test_a_last_line_that_was_cut_off_is_left_out(
+def test_incomplete_last_line_is_left_out(
     tmp_path: Path, end: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     trajectory = read_tum(written(tmp_path, TUM + end))
@@ -164,7 +164,7 @@ def test_a_last_line_that_was_cut_off_is_left_out(
         ("", "no line of data"),
         ("# only a comment\n", "no line of data"),
         (TUM + "2.5 1 2 3 0 0 0\n", r"path\.txt:2: 7 columns, 8 expected"),
-        ("2.5 1 nan 3 0 0 0 1\n", r"path\.txt:1: 1 of 1 lines are no pose"),
+        ("2.5 1 nan 3 0 0 0 1\n", r"path\.txt:1: 1 of 1 lines are not poses"),
         (KITTI + "1 0 0 nan 0 1 0 5 0 0 1 6\n", r"path\.txt:2: column 4 is nan"),
         (TUM + "2.5 1 1e13 3 0 0 0 1\n", r"path\.txt:2: column 3 is 1e13"),
         (TUM + "2.5 1 x 3 0 0 0 1\n", r"path\.txt:2: could not convert.*'x'"),
@@ -173,14 +173,14 @@ def test_a_last_line_that_was_cut_off_is_left_out(
         ("nan 1 2 3 0 0 0 1\n", r"path\.txt:1: nan is out of range for seconds"),
         ("1e99999999 1 2 3 0 0 0 1\n", "out of range"),
         ("1600000000000000000 1 2 3 0 0 0 1\n", "out of range"),
-        ("1 2 3\n", r"path\.txt:1: 3 columns are no trajectory"),
-        (KITTI + "1 0 0 4 0 2 0 5 0 0 1 6\n", r"path\.txt:2: the 3x3 part is no rotation"),
-        (KITTI + "1 0 0 4 0 1 0 5 0 0 -1 6\n", r"path\.txt:2: the 3x3 part is no rotation"),
+        ("1 2 3\n", r"path\.txt:1: 3 columns are not a trajectory"),
+        (KITTI + "1 0 0 4 0 2 0 5 0 0 1 6\n", r"path\.txt:2: the 3x3 part is not a rotation"),
+        (KITTI + "1 0 0 4 0 1 0 5 0 0 -1 6\n", r"path\.txt:2: the 3x3 part is not a rotation"),
         ("1.5,1,2,3,1,0,0,0\n", r"stamp '1\.5' is not a whole number of nanoseconds"),
         ("1" * 40 + ",1,2,3,1,0,0,0\n", "is not a whole number of nanoseconds"),
     ],
 )
-def test_damage_is_named_with_its_line(tmp_path: Path, text: str, message: str) -> None:
+def test_error_names_the_damaged_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(SourceError, match=message) as caught:
         read_trajectory(written(tmp_path, text))
     assert "\n" not in str(caught.value)
@@ -206,6 +206,6 @@ def test_euroc_needs_eight_columns(tmp_path: Path) -> None:
         read_euroc(written(tmp_path, "1403636580838555648,1,2,3\n"))
 
 
-def test_writing_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_error_if_the_path_is_not_writable(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_tum(tmp_path, Trajectory(np.array([0]), np.eye(4)[None]))

@@ -23,12 +23,12 @@ def endless(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def test_as_a_trajectory(endless: Path) -> None:
-    with pytest.raises(SourceError, match="is no file but a device or a pipe"):
+    with pytest.raises(SourceError, match="is a device or a pipe, not a file"):
         read_trajectory(endless)
 
 
 def test_as_a_calibration(endless: Path) -> None:
-    with pytest.raises(CalibrationError, match="is no file but a device or a pipe"):
+    with pytest.raises(CalibrationError, match="is a device or a pipe, not a file"):
         read_calibration(endless)
 
 

@@ -1,1 +1,1 @@
-"""How trajectories, calibrations and messages look on disk."""
+"""File and message formats: trajectories, calibrations, images, models and messages of logs."""

@@ -1,4 +1,4 @@
-"""Turns the numbers of ROS's CameraInfo and Foxglove's CameraCalibration into a camera."""
+"""Conversion of ROS's CameraInfo and Foxglove's CameraCalibration to a camera."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (4, 5, 8)}
 
 @dataclass(frozen=True, eq=False)
 class RawCalibration:
-    """The numbers as they stand in the message.
+    """Values of a calibration message, unchecked.
 
     Attributes:
-        stamp_ns: that of the image it belongs to.
-        frame: the camera.
-        size: width and height that the numbers are for.
-        model: name of the distortion; may be empty.
-        d: its coefficients.
-        k: (9,) camera matrix by rows.
-        r: (9,) rotation into the rectified camera, or nothing.
-        p: (12,) projection of the rectified camera, or nothing.
-        binning: pixels of the sensor in one of the image, along u and v; 0 counts as 1.
-        corner: of the image on the sensor, in pixels of the sensor.
+        stamp_ns: stamp of the image that it belongs to.
+        frame: coordinate frame of the camera.
+        size: width and height of the calibrated image, before binning.
+        model: name of the distortion model; may be empty.
+        d: distortion coefficients.
+        k: (9,) camera matrix, row by row.
+        r: (9,) rotation into the rectified camera, or empty.
+        p: (12,) projection of the rectified camera, or empty.
+        binning: sensor pixels per image pixel, along u and v; 0 means 1.
+        roi_offset: top-left corner of the image on the sensor, in sensor pixels.
     """
 
     stamp_ns: int
@@ -41,14 +41,14 @@ class RawCalibration:
     r: Sequence[float]
     p: Sequence[float]
     binning: tuple[int, int] = (1, 1)
-    corner: tuple[int, int] = (0, 0)
+    roi_offset: tuple[int, int] = (0, 0)
 
 
 def calibration_message(raw: RawCalibration) -> CalibrationMessage:
-    """Check the numbers and take them over.
+    """Check the values of a message and convert them.
 
     Raises:
-        CalibrationError: the camera was never calibrated, or the numbers cannot be true.
+        CalibrationError: the camera was never calibrated, or a value is implausible.
     """
     if len(raw.k) != 9 or not any(raw.k):
         raise CalibrationError(
@@ -59,13 +59,13 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
     p = np.reshape(raw.p, (3, 4)) if len(raw.p) == 12 and any(raw.p) else np.zeros((3, 4))
     if not p.any():
         p[:, :3] = np.reshape(raw.k, (3, 3))
-    # Numbers are for the whole sensor; the image may be a part of it and have fewer pixels.
+    # The values refer to the whole sensor, the image may be cropped and binned.
     bin_u, bin_v = (max(int(b), 1) for b in raw.binning)
-    shrink = np.array([[1 / bin_u, 0, 0], [0, 1 / bin_v, 0], [0, 0, 1.0]])
-    shift = np.array([[1.0, 0, -raw.corner[0]], [0, 1.0, -raw.corner[1]], [0, 0, 1.0]])
-    camera = _camera(raw, shrink @ shift @ np.reshape(raw.k, (3, 3)), (bin_u, bin_v))
+    scale = np.array([[1 / bin_u, 0, 0], [0, 1 / bin_v, 0], [0, 0, 1.0]])
+    crop = np.array([[1.0, 0, -raw.roi_offset[0]], [0, 1.0, -raw.roi_offset[1]], [0, 0, 1.0]])
+    camera = _camera(raw, scale @ crop @ np.reshape(raw.k, (3, 3)), (bin_u, bin_v))
     return CalibrationMessage(
-        raw.stamp_ns, raw.frame.lstrip("/"), camera, r.astype(float), shrink @ shift @ p
+        raw.stamp_ns, raw.frame.lstrip("/"), camera, r.astype(float), scale @ crop @ p
     )
 
 
@@ -74,7 +74,7 @@ def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Cam
     counts = _COUNTS.get(model.lower())
     if not any(coefficients) and model.lower() in ("plumb_bob", "rational_polynomial"):
         model, coefficients = "none", []
-    # Writers fill up with zeros: twelve and fourteen are OpenCV's thin prism and tilt.
+    # Some writers append zeros: 12 and 14 coefficients are OpenCV's thin prism and tilt models.
     elif counts and len(coefficients) not in counts and not any(coefficients[counts[-1] :]):
         coefficients = coefficients[: counts[-1]]
     return make_camera(

@@ -1,4 +1,4 @@
-"""Finds who reads a topic's messages, by how they are encoded and by the name of their schema."""
+"""Selection of the codec of a topic, by message encoding and schema name."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from vo.formats.messages import Codec
 def find_codec(
     message_encoding: str, schema: str, schema_encoding: str, definition: bytes
 ) -> Codec | None:
-    """Who reads the messages of a topic; None for kinds that nobody needs or knows.
+    """The codec of a topic's messages; None for unsupported message types.
 
     Args:
-        message_encoding: MCAP's name: `cdr`, `ros1`, `protobuf` or `json`.
+        message_encoding: as in MCAP: `cdr`, `ros1`, `protobuf` or `json`.
         schema: name of the schema, such as `sensor_msgs/msg/Image` or `foxglove.RawImage`.
-        schema_encoding: MCAP's name, such as `ros2msg`.
+        schema_encoding: as in MCAP, such as `ros2msg`.
         definition: the schema as stored.
     """
-    # Both libraries take a while to import, and a log has seldom use for more than one.
+    # Both libraries are slow to import, and most logs need only one.
     if message_encoding in ("cdr", "ros1"):
         from vo.formats.ros_reading import ros1_codec, ros2_codec
 

@@ -1,7 +1,7 @@
-"""Posed images and points as a model in COLMAP's text form.
+"""Writer of COLMAP models: posed images and points as text.
 
-COLMAP's pixels have the corner of the top-left pixel at (0, 0), so that half a pixel is added here;
-its poses are cam_from_world with quaternions in the order w x y z; ids begin at 1.
+In COLMAP the corner of the top-left pixel is at (0, 0), so half a pixel is added here; poses are
+cam_from_world with quaternions in the order w x y z; ids begin at 1.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from vo.types import Bytes, Camera, Floats, Ints
 
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 _CENTRE_TO_CORNER_PX = 0.5
-_FEW, _SOME = 4, 5  # coefficients of radtan without and with k3
+_WITHOUT_K3, _WITH_K3 = 4, 5  # numbers of radtan coefficients
 
 
 class ModelPoints(NamedTuple):
-    """Points of a model; rows belong together.
+    """Points of a model; row i of each array belongs to the same point.
 
     Attributes:
         xyz: (M, 3) in the world.
@@ -35,12 +35,12 @@ class ModelPoints(NamedTuple):
 
 
 class ModelObservations(NamedTuple):
-    """Observations of a model; rows belong together.
+    """Observations of a model; row i of each array belongs to the same observation.
 
     Attributes:
-        image: (N,) rows of the images, increasing.
-        point: (N,) rows of the points.
-        xy: (N, 2) pixels, the centre of the top-left one at (0, 0).
+        image: (N,) indices of the images, increasing.
+        point: (N,) indices of the points.
+        xy: (N, 2) pixels, the centre of the top-left pixel at (0, 0).
     """
 
     image: Ints
@@ -48,20 +48,20 @@ class ModelObservations(NamedTuple):
     xy: Floats
 
 
-def knows_lens(camera: Camera) -> bool:
-    """Whether COLMAP has a model for a camera's distortion."""
+def has_colmap_model(camera: Camera) -> bool:
+    """Whether COLMAP has a camera model with this distortion."""
     return camera.distortion_model in ("none", "radtan", "equidistant")
 
 
 def camera_line(camera: Camera) -> str:
-    """`1 MODEL width height parameters`; for cameras with a lens that COLMAP knows."""
+    """`1 MODEL width height parameters`; for cameras with a COLMAP model only."""
     model, coefficients = "PINHOLE", list(camera.distortion)
     if camera.distortion_model == "equidistant":
         model = "OPENCV_FISHEYE"
-    elif camera.is_distorted and len(coefficients) <= _FEW:
+    elif camera.is_distorted and len(coefficients) <= _WITHOUT_K3:
         model = "OPENCV"
-    elif camera.is_distorted and len(coefficients) == _SOME and coefficients[-1] == 0.0:
-        model, coefficients = "OPENCV", coefficients[:_FEW]
+    elif camera.is_distorted and len(coefficients) == _WITH_K3 and coefficients[-1] == 0.0:
+        model, coefficients = "OPENCV", coefficients[:_WITHOUT_K3]
     elif camera.is_distorted:
         model, coefficients = "FULL_OPENCV", coefficients + [0.0] * (8 - len(coefficients))
     else:
@@ -82,9 +82,9 @@ def write_model(
     """Write a model of K images, M points and N observations.
 
     Args:
-        folder: created if it is missing; its model is replaced.
-        camera: of all images.
-        names: of the K image files, without white space.
+        folder: output folder, created if missing; a model in it is replaced.
+        camera: the camera of all images.
+        names: names of the K image files, without white space.
         world_from_cam: (K, 4, 4).
         points: the M points.
         observations: the N observations.
@@ -95,11 +95,11 @@ def write_model(
     folder.mkdir(parents=True, exist_ok=True)
     image, point, xy = observations
     first = np.searchsorted(image, np.arange(len(names) + 1))
-    place = np.arange(len(image)) - first[image]  # of each observation in its image
+    index_in_image = np.arange(len(image)) - first[image]
     corner_xy = xy + _CENTRE_TO_CORNER_PX
     _write(folder / "cameras.txt", iter([camera_line(camera)]))
     _write(folder / "images.txt", _image_lines(names, world_from_cam, first, corner_xy, point))
-    _write(folder / "points3D.txt", _point_lines(points, image, point, place))
+    _write(folder / "points3D.txt", _point_lines(points, image, point, index_in_image))
 
 
 def _write(path: Path, lines: Iterator[str]) -> None:
@@ -114,15 +114,17 @@ def _image_lines(
         x, y, z, w = quat_xyzw_from_rotation(pose[:3, :3]).tolist()
         values = (w, x, y, z, *pose[:3, 3].tolist())
         yield f"{row + 1} {' '.join(map(repr, values))} 1 {name}"
-        seen = slice(first[row], first[row + 1])
-        pairs = zip(xy[seen].tolist(), point[seen].tolist(), strict=True)
+        observed = slice(first[row], first[row + 1])
+        pairs = zip(xy[observed].tolist(), point[observed].tolist(), strict=True)
         yield " ".join(f"{u:.3f} {v:.3f} {number + 1}" for (u, v), number in pairs)
 
 
-def _point_lines(points: ModelPoints, image: Ints, point: Ints, place: Ints) -> Iterator[str]:
+def _point_lines(
+    points: ModelPoints, image: Ints, point: Ints, index_in_image: Ints
+) -> Iterator[str]:
     xyz, grey, error_px = points
     order = np.argsort(point, kind="stable")
-    tracks = np.column_stack([image[order] + 1, place[order]])
+    tracks = np.column_stack([image[order] + 1, index_in_image[order]])
     first = np.searchsorted(point[order], np.arange(len(xyz) + 1))
     for row, (position, level, error) in enumerate(
         zip(xyz.tolist(), grey.tolist(), error_px.tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""Messages as Foxglove's protobuf schemas."""
+"""Writer of messages in Foxglove's protobuf schemas."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ _NS_PER_S = 1_000_000_000
 
 @cache
 def imu_class() -> type[PbMessage]:
-    """The protobuf class `vo.Imu`: Foxglove has no schema of its own for inertial sensors.
+    """The protobuf class `vo.Imu`, because Foxglove has no schema for inertial sensors.
 
-    Its parts are Foxglove's (timestamp, frame_id, Vector3), its names those of ROS's Imu message.
+    Field types are those of Foxglove (timestamp, frame_id, Vector3), field names those of ROS's
+    Imu message.
     """
     file = FileDescriptorProto(name="vo/Imu.proto", package="vo", syntax="proto3")
     file.dependency.extend(["google/protobuf/timestamp.proto", Vector3.DESCRIPTOR.file.name])
@@ -71,14 +72,14 @@ def imu_class() -> type[PbMessage]:
 
 
 def schema(kind: type[Message]) -> Schema:
-    """The protobuf schema of a kind of message, with all that it depends on."""
+    """The protobuf schema of a message type, with its dependencies."""
     message_class = _class_of(kind)
     definition = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
     return Schema(message_class.DESCRIPTOR.full_name, definition)
 
 
 def encode(message: Message) -> bytes:
-    """A message as protobuf bytes."""
+    """Serialise a message."""
     return as_protobuf(message).SerializeToString(deterministic=True)
 
 
@@ -95,7 +96,7 @@ def _class_of(kind: type[Message]) -> type[PbMessage]:
 
 
 def as_protobuf(message: Message) -> PbMessage:
-    """A message as an object of its protobuf class."""
+    """Convert a message to its protobuf class."""
     stamp = timestamp(message.stamp_ns)
     match message:
         case ImageMessage():
@@ -163,19 +164,19 @@ def _transforms(message: TransformsMessage, stamp: Timestamp) -> FrameTransforms
 
 
 def timestamp(stamp_ns: int) -> Timestamp:
-    """A stamp as protobuf has it."""
+    """Convert a stamp to protobuf."""
     seconds, nanos = divmod(stamp_ns, _NS_PER_S)
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
 def vector(xyz: Floats) -> Vector3:
-    """Coordinates (3,)."""
+    """Convert coordinates (3,) to protobuf."""
     x, y, z = xyz.tolist()
     return Vector3(x=x, y=y, z=z)
 
 
 def quaternion(transform: Floats) -> Quaternion:
-    """The rotation of a transform (4, 4)."""
+    """Convert the rotation of a transform (4, 4) to protobuf."""
     x, y, z, w = quat_xyzw_from_rotation(transform[:3, :3]).tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 

@@ -1,4 +1,4 @@
-"""Reads Foxglove's messages, in protobuf and in JSON, and our own for inertial sensors."""
+"""Reader of Foxglove's messages in protobuf and JSON, and of `vo.Imu`."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from vo.formats.messages import (
 )
 
 _NS_PER_S = 1_000_000_000
-_FIRST_FIELD = b"\x0a"  # number 1, length-delimited: where all but FrameTransforms have the stamp
+_FIRST_FIELD = b"\x0a"  # field 1, length-delimited: the stamp of all messages but FrameTransforms
 
 
 def foxglove_codec(schema: str, message_encoding: str) -> Codec | None:
-    """Who reads one of Foxglove's kinds of message; None for kinds that nobody needs.
+    """The codec of one of Foxglove's message types; None for unsupported types.
 
     Args:
-        schema: such as `foxglove.RawImage`.
+        schema: name of the schema, such as `foxglove.RawImage`.
         message_encoding: `protobuf` or `json`.
     """
     if schema not in _CONVERTERS:
@@ -71,12 +71,12 @@ def _from_protobuf(data: bytes, message_class: type[PbMessage]) -> Any:
 def _from_json(data: bytes, message_class: type[PbMessage]) -> Any:
     content = json.loads(data)
     if not isinstance(content, dict):
-        raise ValueError("it is no JSON object")
+        raise ValueError("not a JSON object")
     return ParseDict(_times_as_text(content), message_class(), ignore_unknown_fields=True)
 
 
 def _times_as_text(content: dict[str, Any]) -> dict[str, Any]:
-    """Foxglove writes times as {sec, nsec}, where protobuf's own JSON has text."""
+    """Convert times from Foxglove's {sec, nsec} to text, as in protobuf's JSON mapping."""
     changed = dict(content)
     for name, value in content.items():
         if name == "timestamp" and isinstance(value, dict):
@@ -92,7 +92,7 @@ def _no_stamp(head: bytes) -> int | None:
 
 
 def _peek(head: bytes) -> int | None:
-    """The stamp, if the message begins with it, as it does when fields are in order."""
+    """The stamp, if it is the first field of the message; else None."""
     if head[:1] != _FIRST_FIELD or len(head) < 2 or len(head) < 2 + head[1]:
         return None
     try:

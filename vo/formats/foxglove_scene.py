@@ -1,4 +1,4 @@
-"""What Foxglove shows beside sensors: paths, clouds of points, marks on images; as protobuf."""
+"""Writer of Foxglove's protobuf messages for display: paths, point clouds, image annotations."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Colour(NamedTuple):
 
 
 def path_message(stamp_ns: int, frame: str, poses: Floats) -> PosesInFrame:
-    """Poses (N, 4, 4) in `frame`."""
+    """A path of poses (N, 4, 4) in `frame`."""
     return PosesInFrame(
         timestamp=timestamp(stamp_ns),
         frame_id=frame,
@@ -44,14 +44,14 @@ def path_message(stamp_ns: int, frame: str, poses: Floats) -> PosesInFrame:
 
 
 def cloud_message(stamp_ns: int, frame: str, xyz: Floats, grey: Bytes) -> PointCloud:
-    """Points (M, 3) in `frame` with their grey levels (M,)."""
+    """A cloud of points (M, 3) in `frame` with their grey levels (M,)."""
     rows = np.empty(len(xyz), dtype=_POINT)
     rows["x"], rows["y"], rows["z"] = xyz.T
     rows["red"] = rows["green"] = rows["blue"] = grey
     rows["alpha"] = 255
     fields = [
-        PackedElementField(name=name, offset=place[1], type=_NUMERIC[place[0].kind])
-        for name, place in (_POINT.fields or {}).items()
+        PackedElementField(name=name, offset=field[1], type=_NUMERIC[field[0].kind])
+        for name, field in (_POINT.fields or {}).items()
     ]
     return PointCloud(
         timestamp=timestamp(stamp_ns),
@@ -66,7 +66,7 @@ def cloud_message(stamp_ns: int, frame: str, xyz: Floats, grey: Bytes) -> PointC
 def marks_message(
     stamp_ns: int, marks: Mapping[Colour, Floats32], size_px: float
 ) -> ImageAnnotations:
-    """Pixels (N, 2) to be marked in an image, by colour."""
+    """Annotations of an image: pixels (N, 2) by colour."""
     stamp = timestamp(stamp_ns)
     return ImageAnnotations(
         points=[

@@ -1,9 +1,9 @@
-"""What messages say, whatever the format that carries them.
+"""Messages of logs, independent of their encoding.
 
-`foxglove` and `ros2` write them down; `codecs` finds who reads them back.
+`foxglove` and `ros2` serialise them; `codecs` finds the codec that decodes them.
 
-Frames are named as everywhere (`world`, `body`, `cam0`, `cam1`); a message's stamp is when it was
-measured, in nanoseconds.
+`frame` is a coordinate frame (`world`, `body`, `cam0`, `cam1`); `stamp_ns` is the time of
+measurement in nanoseconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from vo.types import Camera, Floats
 ImageFormat = Literal["png", "jpeg"]
 
 HEAD_BYTES = 256
-"""Of a message; enough for its stamp in all formats that begin with it."""
+"""Length of the prefix of a message that contains its stamp, in encodings that begin with it."""
 
 _PLUMB_BOB_COEFFICIENTS = 5
 _BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
@@ -25,18 +25,18 @@ _BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
 
 @dataclass(frozen=True, eq=False)
 class ImageMessage:
-    """An image as it is in memory.
+    """An uncompressed image.
 
     Attributes:
-        stamp_ns: middle of its exposure.
-        frame: the camera.
+        stamp_ns: middle of the exposure.
+        frame: coordinate frame of the camera.
         width: in pixels.
         height: in pixels.
-        pixel_format: a name that `vo.formats.pixels` knows, such as `mono8` or `bayer_rggb8`;
-            `32FC1` for a depth image in metres, infinite where nothing is hit.
-        data: rows from the top.
-        step: bytes from a row to the next; 0 where rows follow each other without gaps.
-        big_endian: of pixels with more than 8 bits.
+        pixel_format: name of an encoding of `vo.formats.pixels`, such as `mono8` or `bayer_rggb8`;
+            `32FC1` for a depth image in metres, infinite without a surface.
+        data: rows, the top one first.
+        step: bytes from one row to the next; 0 for rows without padding.
+        big_endian: byte order of pixels with more than 8 bits.
     """
 
     stamp_ns: int
@@ -50,13 +50,13 @@ class ImageMessage:
 
     @property
     def row_bytes(self) -> int:
-        """From a row to the next in bytes, of the kinds of pixels that are written."""
+        """Bytes from one row to the next, for the pixel formats that are written."""
         return self.step or self.width * _BYTES_PER_PIXEL.get(self.pixel_format, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class CompressedImageMessage:
-    """An image as a file; what `image_format` says of it is free text where it was read."""
+    """An encoded image file; `image_format` is `ImageFormat` if written, free text if read."""
 
     stamp_ns: int
     frame: str
@@ -66,7 +66,7 @@ class CompressedImageMessage:
 
 @dataclass(frozen=True, eq=False)
 class CompressedVideoMessage:
-    """One frame of a video; `codec` is `h264` or `h265`, `data` what begins with a start code."""
+    """One frame of a video: `codec` is `h264` or `h265`, `data` begins with a start code."""
 
     stamp_ns: int
     frame: str
@@ -76,14 +76,14 @@ class CompressedVideoMessage:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationMessage:
-    """A camera, and how its images are rectified.
+    """A camera and its rectification.
 
     Attributes:
-        stamp_ns: that of the image it belongs to.
-        frame: the camera.
-        camera: its lens as recorded.
+        stamp_ns: stamp of the image that it belongs to.
+        frame: coordinate frame of the camera.
+        camera: the camera before rectification.
         rectified_from_cam: (3, 3) rotation into the rectified camera.
-        projection: (3, 4) of the rectified camera; its last column places cam1 beside cam0.
+        projection: (3, 4) of the rectified camera; the last column contains the baseline.
     """
 
     stamp_ns: int
@@ -98,12 +98,12 @@ class ImuMessage:
     """One sample of an inertial sensor.
 
     Attributes:
-        stamp_ns: when.
-        frame: the sensor's.
+        stamp_ns: time of measurement.
+        frame: coordinate frame of the sensor.
         gyro: (3,) rad/s.
         accel: (3,) m/s², specific force.
-        gyro_variance: of one sample's white noise, rad²/s²; 0 if it has none.
-        accel_variance: the same in m²/s⁴.
+        gyro_variance: variance of the white noise of a sample, rad²/s²; 0 without noise.
+        accel_variance: the same for accelerations, m²/s⁴.
     """
 
     stamp_ns: int
@@ -116,10 +116,7 @@ class ImuMessage:
 
 @dataclass(frozen=True, eq=False)
 class PoseMessage:
-    """Where something is: the (4, 4) transform from its own frame to `frame`.
-
-    Its own frame is `child`; empty where the message does not say.
-    """
+    """The (4, 4) transform `frame_from_child`; `child` is empty if the message has none."""
 
     stamp_ns: int
     frame: str
@@ -129,7 +126,7 @@ class PoseMessage:
 
 @dataclass(frozen=True, eq=False)
 class FrameTransform:
-    """The (4, 4) transform that takes coordinates in `child` to `parent`."""
+    """The (4, 4) transform `parent_from_child` between two coordinate frames."""
 
     parent: str
     child: str
@@ -138,7 +135,7 @@ class FrameTransform:
 
 @dataclass(frozen=True, eq=False)
 class TransformsMessage:
-    """Several transforms at one moment."""
+    """Several transforms with one stamp."""
 
     stamp_ns: int
     transforms: tuple[FrameTransform, ...]
@@ -155,12 +152,12 @@ Message = (
 
 
 ReadMessage = Message | CompressedVideoMessage
-"""What may be found in logs; `Message` is what is written too."""
+"""All messages that are read; those of `Message` are written too."""
 
 
 @dataclass(frozen=True)
 class Schema:
-    """What a reader needs to decode a kind of message: its name and its definition."""
+    """Name and definition of a message type, as needed to decode it."""
 
     name: str
     definition: bytes
@@ -168,14 +165,14 @@ class Schema:
 
 @dataclass(frozen=True)
 class Codec:
-    """How a topic's messages are read.
+    """Decoder of a topic's messages.
 
     Attributes:
-        kind: of message.
-        decode: bytes to a message; raises SourceError where they are none, and CalibrationError
-            for a camera that cannot be true.
-        peek_stamp_ns: the stamp from the first `HEAD_BYTES` of a message, which may be all of it;
-            None where that does not tell; may raise SourceError as `decode` does.
+        kind: type of the messages.
+        decode: converts bytes to a message; raises SourceError for invalid bytes, and
+            CalibrationError for an implausible camera.
+        peek_stamp_ns: reads the stamp from the first `HEAD_BYTES` of a message or all of it; None
+            if they do not contain it; raises SourceError for invalid bytes.
     """
 
     kind: type[ReadMessage]
@@ -185,16 +182,16 @@ class Codec:
 
 @dataclass(frozen=True, eq=False)
 class Dialect:
-    """A way to write messages into an MCAP file.
+    """Encoding of messages in an MCAP file.
 
     Attributes:
-        profile: MCAP's name of the file's rules, or empty.
-        message_encoding: MCAP's name of how messages are written.
-        schema_encoding: MCAP's name of how definitions are written.
-        schema: the definition of a kind of message.
-        encode: a message in bytes.
-        channel_metadata: what stands beside a topic, by the topic's name.
-        metadata: records of the file as a whole, by name.
+        profile: MCAP profile, or empty.
+        message_encoding: MCAP's name of the message encoding.
+        schema_encoding: MCAP's name of the schema encoding.
+        schema: returns the schema of a message type.
+        encode: serialises a message.
+        channel_metadata: returns the metadata of a channel, given its topic.
+        metadata: metadata records of the file, by name.
     """
 
     profile: str
@@ -207,16 +204,16 @@ class Dialect:
 
 
 def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:
-    """Name and coefficients of a camera's distortion, as ROS and Foxglove have them.
+    """Name and coefficients of a camera's distortion in ROS and Foxglove.
 
     Args:
-        camera: any.
-        fisheye: how the dialect calls the equidistant model (Kannala and Brandt, 2006).
+        camera: the camera.
+        fisheye: name of the equidistant model (Kannala and Brandt, 2006) in the dialect.
     """
     coefficients = list(camera.distortion)
     if camera.distortion_model == "equidistant":
         return fisheye, coefficients
-    if camera.distortion_model not in ("none", "radtan"):  # they have no name for these
+    if camera.distortion_model not in ("none", "radtan"):  # ROS and Foxglove define no name
         return camera.distortion_model, coefficients
     if len(coefficients) > _PLUMB_BOB_COEFFICIENTS:
         return "rational_polynomial", coefficients

@@ -1,4 +1,4 @@
-"""Raw pixels of messages as grey or colour images: ROS's and Foxglove's names of encodings."""
+"""Conversion of raw pixels of messages to grey or colour images, by ROS's encoding names."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ Pixels = NDArray[np.unsignedinteger]
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a pixel is stored: bytes of a sample, samples, and the ways to grey and to BGR."""
+    """Storage of a pixel: sample size, channels, and conversions to grey and to BGR."""
 
-    bytes_each: int
+    bytes_per_sample: int
     channels: int
     grey: Callable[[Pixels], Pixels]
     colour: Callable[[Pixels], Pixels]
 
 
-def _first(image: Pixels) -> Pixels:
+def _first_channel(image: Pixels) -> Pixels:
     return image[:, :, 0]
 
 
-def _as_is(image: Pixels) -> Pixels:
+def _unchanged(image: Pixels) -> Pixels:
     return image
 
 
 def _converted(code: int) -> Callable[[Pixels], Pixels]:
-    # A single channel without a third axis is what OpenCV wants of a Bayer pattern.
+    # OpenCV expects a Bayer pattern as a two-dimensional array.
     def convert(image: Pixels) -> Pixels:
         flat = image[:, :, 0] if image.shape[2] == 1 else image
         return cast("Pixels", cv2.cvtColor(np.ascontiguousarray(flat), code))
@@ -43,7 +43,7 @@ def _converted(code: int) -> Callable[[Pixels], Pixels]:
     return convert
 
 
-# OpenCV names a Bayer pattern by its second row, second column on; ROS by its first pixels.
+# OpenCV names a Bayer pattern by the pixels from the second row and column on, ROS by the first.
 _BAYER = {
     "rggb": (cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
     "bggr": (cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
@@ -54,9 +54,9 @@ _LAYOUTS: dict[str, _Layout] = {
     **{
         f"{name}{bits}": _Layout(bits // 8, channels, grey, colour)
         for name, channels, grey, colour in (
-            ("mono", 1, _first, _first),
+            ("mono", 1, _first_channel, _first_channel),
             ("rgb", 3, _converted(cv2.COLOR_RGB2GRAY), _converted(cv2.COLOR_RGB2BGR)),
-            ("bgr", 3, _converted(cv2.COLOR_BGR2GRAY), _as_is),
+            ("bgr", 3, _converted(cv2.COLOR_BGR2GRAY), _unchanged),
             ("rgba", 4, _converted(cv2.COLOR_RGBA2GRAY), _converted(cv2.COLOR_RGBA2BGR)),
             ("bgra", 4, _converted(cv2.COLOR_BGRA2GRAY), _converted(cv2.COLOR_BGRA2BGR)),
             *(
@@ -87,17 +87,17 @@ _OTHER_NAMES = {
 
 
 def grey_pixels(message: ImageMessage) -> Pixels:
-    """The (H, W) grey image, uint8 or uint16, of a raw image.
+    """The (H, W) grey image, uint8 or uint16, of an uncompressed image.
 
     Raises:
-        SourceError: the encoding is not known, or there are fewer bytes than it needs.
+        SourceError: the encoding is unknown, or bytes are missing.
     """
     layout = _layout(message)
     return layout.grey(_rows(message, layout))
 
 
 def colour_pixels(message: ImageMessage) -> Pixels:
-    """As `grey_pixels`, but colour as (H, W, 3), blue, green, red; Bayer patterns in colour too."""
+    """As `grey_pixels`, but colour and Bayer images as (H, W, 3): blue, green, red."""
     layout = _layout(message)
     return layout.colour(_rows(message, layout))
 
@@ -107,16 +107,16 @@ def _layout(message: ImageMessage) -> _Layout:
     layout = _LAYOUTS.get(_OTHER_NAMES.get(name, name))
     if layout is None:
         raise SourceError(
-            f"pixels are encoded as '{message.pixel_format}'; known are mono8, mono16, rgb8, bgr8, "
-            "rgba8, bgra8, bayer_*, yuv422 and yuyv"
+            f"pixel encoding '{message.pixel_format}' is not supported; supported are mono8, "
+            "mono16, rgb8, bgr8, rgba8, bgra8, bayer_*, yuv422 and yuyv"
         )
     return layout
 
 
 def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
-    """The samples as (H, W, channels), in the machine's byte order; a view where that will do."""
+    """The samples as (H, W, channels) in native byte order, as a view if possible."""
     width, height = message.width, message.height
-    row_bytes = width * layout.channels * layout.bytes_each
+    row_bytes = width * layout.channels * layout.bytes_per_sample
     step = message.step or row_bytes
     needed = (height - 1) * step + row_bytes
     if width < 1 or height < 1 or step < row_bytes or len(message.data) < needed:
@@ -124,12 +124,12 @@ def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
             f"image of {width}x{height} {message.pixel_format} with rows of {step} bytes has "
             f"{len(message.data)} bytes; {max(needed, 0)} are needed"
         )
-    kind = np.dtype(np.uint8 if layout.bytes_each == 1 else np.uint16)
+    kind = np.dtype(np.uint8 if layout.bytes_per_sample == 1 else np.uint16)
     stored = kind.newbyteorder(">" if message.big_endian else "<")
     image = np.ndarray(
         (height, width, layout.channels),
         stored,
         message.data,
-        strides=(step, layout.channels * layout.bytes_each, layout.bytes_each),
+        strides=(step, layout.channels * layout.bytes_per_sample, layout.bytes_per_sample),
     )
     return image.astype(kind, copy=False)

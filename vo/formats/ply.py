@@ -1,4 +1,4 @@
-"""Points as binary PLY files."""
+"""Writer of point clouds as binary PLY files."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def write_ply(path: Path, xyz: Floats, grey: Bytes, comment: str) -> None:
     """Write points (M, 3) with their grey levels (M,).
 
     Args:
-        path: the file, replaced where it exists.
-        xyz: positions.
-        grey: colours.
-        comment: one line for people.
+        path: the file; an existing one is replaced.
+        xyz: (M, 3) positions.
+        grey: (M,) grey levels.
+        comment: comment in the header, one line.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     rows = np.empty(len(xyz), dtype=_ROW)
     rows["xyz"], rows["rgb"] = xyz, grey[:, None]

@@ -1,4 +1,4 @@
-"""Messages as ROS 2 has them (Humble and later), in CDR."""
+"""Writer of messages of ROS 2 (Humble and later) in CDR."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ _NAMES: dict[type[Message], str] = {
     PoseMessage: "geometry_msgs/msg/PoseStamped",
     TransformsMessage: "tf2_msgs/msg/TFMessage",
 }
-# Reliable; what is static is also kept for those that come later, or tf2 would not take it from a
-# replayed file. Numbers as in rmw's enumerations, the form that every distribution reads.
+# Reliable; static topics also transient local, which tf2 requires when a file is replayed. Numbers
+# are rmw's enumerations, because every distribution reads them.
 _QOS = """\
 - history: {history}
   depth: {depth}
@@ -59,19 +59,19 @@ def _store() -> Typestore:
 
 
 def schema(kind: type[Message]) -> Schema:
-    """The definition of a kind of message, and of all that it is made of."""
+    """The definition of a message type, with those of its fields."""
     text, _ = _store().generate_msgdef(_NAMES[kind], ros_version=2)
     return Schema(_NAMES[kind], text.encode())
 
 
 def encode(message: Message) -> bytes:
-    """A message as CDR, little-endian."""
+    """Serialise a message as little-endian CDR."""
     data = _store().serialize_cdr(_ros(message), _NAMES[type(message)], little_endian=True)
     return bytes(data)
 
 
 def channel_metadata(topic: str) -> dict[str, str]:
-    """The quality of service with which a topic is to be played back."""
+    """The quality-of-service profile of a topic for replay."""
     is_static = topic.endswith("_static")
     return {"offered_qos_profiles": _STATIC_QOS if is_static else _USUAL_QOS}
 
@@ -136,7 +136,7 @@ def _camera_info(message: CalibrationMessage) -> object:
 
 def _imu(message: ImuMessage) -> object:
     no_orientation = np.zeros(9)
-    no_orientation[0] = -1.0  # what the message's definition asks for
+    no_orientation[0] = -1.0  # means: no orientation (definition of sensor_msgs/Imu)
     return ros.sensor_msgs__msg__Imu(
         header=_header(message.stamp_ns, message.frame),
         orientation=ros.geometry_msgs__msg__Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
@@ -165,7 +165,7 @@ def _header(stamp_ns: int, frame: str) -> ros.std_msgs__msg__Header:
 
 
 def _doubles(numbers: ArrayLike) -> Floats:
-    """Flat and of the right type: an array of another one would be copied byte by byte."""
+    """A flat float64 array: rosbags copies arrays of other types slowly, byte by byte."""
     return np.asarray(numbers, dtype=np.float64).ravel()
 
 
@@ -186,6 +186,6 @@ ROS2 = Dialect(
     schema=schema,
     encode=encode,
     channel_metadata=channel_metadata,
-    # As Humble's recorder leaves it; it tells later ones that qualities of service are numbers.
+    # As Humble's recorder writes it: later players expect quality of service as numbers then.
     metadata={"rosbag2": {"ROS_DISTRO": "humble"}},
 )

@@ -1,4 +1,4 @@
-"""Reads messages of ROS 1 and ROS 2 by the definitions that come with them."""
+"""Reader of messages of ROS 1 and ROS 2, by the definitions stored with them."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _NS_PER_S = 1_000_000_000
 
 
 def ros2_codec(schema: str, schema_encoding: str, definition: bytes) -> Codec | None:
-    """Who reads a kind of message in CDR; None for kinds that nobody needs.
+    """The codec of a message type in CDR; None for unsupported types.
 
     Args:
-        schema: such as `sensor_msgs/msg/Image`.
+        schema: name of the type, such as `sensor_msgs/msg/Image`.
         schema_encoding: `ros2msg`, `ros2idl` or empty.
-        definition: its text; if it is missing or cannot be read, that of ROS 2 Humble is taken.
+        definition: text of the definition; that of ROS 2 Humble is used if it cannot be read.
     """
     name = _full_name(schema)
     if name not in _CONVERTERS:
@@ -46,7 +46,7 @@ def ros2_codec(schema: str, schema_encoding: str, definition: bytes) -> Codec | 
 
 
 def ros1_codec(schema: str, definition: bytes) -> Codec | None:
-    """Who reads a kind of message of ROS 1, else as `ros2_codec`; the fallback is Noetic."""
+    """As `ros2_codec` for a message type of ROS 1; the default definitions are Noetic's."""
     name = _full_name(schema)
     if name not in _CONVERTERS:
         return None
@@ -55,14 +55,14 @@ def ros1_codec(schema: str, definition: bytes) -> Codec | None:
 
 
 def message_from_ros(record: Any, name: str) -> ReadMessage:
-    """What a record says that `rosbags` has deserialised.
+    """Convert a message deserialised by `rosbags`.
 
     Args:
-        record: with the attributes that the definition names.
-        name: of its kind, such as `sensor_msgs/msg/Image`; one of `KNOWN_NAMES`.
+        record: the deserialised message, with an attribute for each field.
+        name: its type, one of `KNOWN_NAMES`, such as `sensor_msgs/msg/Image`.
 
     Raises:
-        CalibrationError: it is a camera that cannot be true.
+        CalibrationError: it is an implausible camera.
     """
     _, convert = _CONVERTERS[name]
     return convert(record)
@@ -74,7 +74,7 @@ def _codec(name: str, parse: Callable[[bytes], Any], peek: Callable[[bytes], int
     def decode(data: bytes) -> ReadMessage:
         try:
             record = parse(data)
-        # What rosbags' generated code raises depends on where the bytes stop making sense.
+        # The exception of rosbags' generated code depends on where the bytes become invalid.
         except Exception as error:
             raise SourceError(
                 f"{name} cannot be decoded: {error or type(error).__name__}"
@@ -82,9 +82,9 @@ def _codec(name: str, parse: Callable[[bytes], Any], peek: Callable[[bytes], int
         try:
             return convert(record)
         except (AttributeError, TypeError, ValueError) as error:
-            raise SourceError(f"{name} is defined otherwise than is known: {error}") from error
+            raise SourceError(f"the definition of {name} is not supported: {error}") from error
 
-    # The transforms of a TFMessage have their stamps one by one.
+    # A TFMessage has no stamp; each of its transforms has one.
     return Codec(kind, decode, (lambda _: None) if kind is TransformsMessage else peek)
 
 
@@ -109,7 +109,7 @@ def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typ
 
 
 def _peek_cdr(head: bytes) -> int:
-    """The stamp with which every header begins, after four bytes that tell the byte order."""
+    """The stamp at the beginning of the header, after four bytes with the byte order."""
     if len(head) < 12:
         raise SourceError(f"message of {len(head)} bytes is cut off")
     seconds, nanoseconds = struct.unpack_from("<iI" if head[1] & 1 else ">iI", head, 4)
@@ -117,7 +117,7 @@ def _peek_cdr(head: bytes) -> int:
 
 
 def _peek_ros1(head: bytes) -> int:
-    """The stamp that follows the sequence number of every header."""
+    """The stamp in the header, after the sequence number."""
     if len(head) < 12:
         raise SourceError(f"message of {len(head)} bytes is cut off")
     _, seconds, nanoseconds = struct.unpack_from("<III", head)
@@ -163,8 +163,8 @@ def _video(record: Any) -> CompressedVideoMessage:
 
 
 def _calibration(record: Any) -> CalibrationMessage:
-    upper = hasattr(record, "K")  # as ROS 1 names them
-    d, k, r, p = (getattr(record, n if upper else n.lower()) for n in "DKRP")
+    is_ros1 = hasattr(record, "K")
+    d, k, r, p = (getattr(record, n if is_ros1 else n.lower()) for n in "DKRP")
     return calibration_message(
         RawCalibration(
             stamp_ns=_stamp_ns(record.header.stamp),
@@ -176,7 +176,7 @@ def _calibration(record: Any) -> CalibrationMessage:
             r=r,
             p=p,
             binning=(record.binning_x, record.binning_y),
-            corner=(record.roi.x_offset, record.roi.y_offset),
+            roi_offset=(record.roi.x_offset, record.roi.y_offset),
         )
     )
 
@@ -210,7 +210,7 @@ def _transform_as_pose(record: Any) -> PoseMessage:
 
 
 def _pose(record: Any) -> PoseMessage:
-    """Of PoseStamped, PoseWithCovarianceStamped and Odometry."""
+    """The pose of a PoseStamped, PoseWithCovarianceStamped or Odometry."""
     pose = getattr(record.pose, "pose", record.pose)
     return PoseMessage(
         _stamp_ns(record.header.stamp),

@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.errors import OutputError
-from vo.formats.colmap import MODEL_FILES, ModelObservations, ModelPoints, knows_lens, write_model
+from vo.formats.colmap import (
+    MODEL_FILES,
+    ModelObservations,
+    ModelPoints,
+    has_colmap_model,
+    write_model,
+)
 from vo.geometry import cameras
 from vo.geometry.rectification import rectified_rig
 from vo.recording.image_folder import ImageFolder
@@ -111,7 +117,7 @@ class ColmapRecorder:
 def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None]:
     """The camera of the written images, and maps of `cv2.remap` if they are to be undistorted."""
     camera, pinhole = camera_of(view), pinhole_of(view)
-    if knows_lens(camera):
+    if has_colmap_model(camera):
         return camera, None
     u, v = np.meshgrid(np.arange(pinhole.width), np.arange(pinhole.height))
     rays = cameras.normalise(pinhole, np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))

@@ -1,4 +1,4 @@
-"""Calibration files of several kinds, read as one `Calibration` and checked for sense."""
+"""Readers of calibration files in several formats, with checks for plausibility."""
 
 from vo.formats.calibration.document import Calibration, ImageSize
 from vo.formats.calibration.own import write_calibration

@@ -1,4 +1,4 @@
-"""Basalt's `calibration.json`; of several cameras the first two are used."""
+"""Reader of Basalt's `calibration.json`; uses the first two cameras."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ _LENSES: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def recognises(document: Document) -> bool:
-    """Whether it is a section value0 with intrinsics."""
+    """Whether the file has a section value0 with intrinsics."""
     value = document.data.get("value0")
     return isinstance(value, Mapping) and "intrinsics" in value
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the first camera and, where there is one, the second; the body is the IMU.
+    """Read the first camera and the second, if any; the body is the IMU.
 
     Raises:
-        CalibrationError: what the file says cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     section = document.section("value0")
     intrinsics = _items(document, section, "intrinsics")
     cam0 = _camera(document, section, intrinsics, 0, image_size)
-    has_places = section.get("T_imu_cam") is not None
-    body_from_cam0 = _body_from_camera(document, section, 0) if has_places else None
+    has_extrinsics = section.get("T_imu_cam") is not None
+    body_from_cam0 = _body_from_camera(document, section, 0) if has_extrinsics else None
     if len(intrinsics) < 2 or body_from_cam0 is None:
         return Calibration(Rig(cam0), body_from_cam0)
     cam1 = _camera(document, section, intrinsics, 1, image_size)
@@ -66,7 +66,8 @@ def _camera(
     kind = entry.get("camera_type")
     if not isinstance(kind, str) or kind not in _LENSES:
         raise CalibrationError(
-            f"{where}: camera_type {str(kind)[:40]!r} is not known; {', '.join(_LENSES)} are"
+            f"{where}: camera_type {str(kind)[:40]!r} is not supported; supported are "
+            f"{', '.join(_LENSES)}"
         )
     values = as_section(f"{where}: intrinsics", entry.get("intrinsics"))
     lens, names = _LENSES[kind]
@@ -86,15 +87,15 @@ def _camera(
 
 
 def _body_from_camera(document: Document, section: Mapping[str, Any], index: int) -> Floats:
-    """T_imu_cam takes points of the camera to the IMU."""
+    """T_imu_cam is imu_from_camera."""
     where = f"{document.path}: T_imu_cam {index}"
-    places = _items(document, section, "T_imu_cam")
-    if index >= len(places):
-        raise CalibrationError(f"{where} is missing; it says where the camera is")
-    place = as_section(where, places[index])
-    xyz = [make_number(f"{where}: {name}", place.get(name)) for name in ("px", "py", "pz")]
+    poses = _items(document, section, "T_imu_cam")
+    if index >= len(poses):
+        raise CalibrationError(f"{where} is missing; it is the pose of the camera")
+    pose = as_section(where, poses[index])
+    xyz = [make_number(f"{where}: {name}", pose.get(name)) for name in ("px", "py", "pz")]
     names = ("qx", "qy", "qz", "qw")
-    quat_xyzw = np.array([make_number(f"{where}: {name}", place.get(name)) for name in names])
+    quat_xyzw = np.array([make_number(f"{where}: {name}", pose.get(name)) for name in names])
     if abs(float(np.linalg.norm(quat_xyzw)) - 1.0) > 1e-2:
         raise CalibrationError(
             f"{where}: the quaternion has length {np.linalg.norm(quat_xyzw):.4g}, not 1"
@@ -106,7 +107,7 @@ def _items(document: Document, section: Mapping[str, Any], name: str) -> Sequenc
     value = section.get(name)
     if not isinstance(value, Sequence) or isinstance(value, str | bytes) or not value:
         raise CalibrationError(
-            f"{document.path}: {name} is {shortened(value)}; a list with an entry for each camera "
-            "is needed"
+            f"{document.path}: {name} is {shortened(value)}; it must be a list with an entry for "
+            "each camera"
         )
     return value

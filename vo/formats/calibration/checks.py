@@ -1,4 +1,4 @@
-"""Turns what a calibration file says into cameras, or says why it cannot, or what is odd."""
+"""Creation of cameras from values of a calibration file, with checks for plausibility."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ __all__ = [
     "make_transform",
 ]
 
-_SHORTEST_BASELINE_M = 1e-6
-_LONGEST_BASELINE_M = 10.0
-_SHORTEST_FOCAL_PX = 1e-3
-_USUAL_FOCAL = (0.1, 20.0)
-"""Focal length against image width: a pinhole camera that sees 157 or 3 degrees."""
+_MIN_BASELINE_M = 1e-6
+_MAX_BASELINE_M = 10.0
+_MIN_FOCAL_PX = 1e-3
+_PLAUSIBLE_FOCAL_RATIO = (0.1, 20.0)
+"""Focal length over image width: pinhole cameras with fields of view of 157 and 3 degrees."""
 
 _log = logging.getLogger(__name__)
 
@@ -59,23 +59,23 @@ def make_camera(
     distortion_model: Any,
     distortion: Any,
 ) -> Camera:
-    """Check the values that a file gives for one camera.
+    """Create a camera from the values in a file.
 
     Args:
-        where: file and section, for messages.
-        model: name of the projection as Kalibr calls it, a key of `PROJECTIONS`.
+        where: file and section, for error messages.
+        model: Kalibr's name of the projection, a key of `PROJECTIONS`.
         resolution: width and height in pixels.
-        intrinsics: what the projection has of its own, then fx, fy, cx, cy in pixels.
-        distortion_model: a key of `DISTORTION_NAMES`, or None for none.
-        distortion: the coefficients.
+        intrinsics: parameters of the projection model, then fx, fy, cx, cy in pixels.
+        distortion_model: a key of `DISTORTION_NAMES`, or None without distortion.
+        distortion: distortion coefficients.
 
     Raises:
-        CalibrationError: a value is missing, not a number or cannot be true.
+        CalibrationError: a value is missing, not a number or implausible.
     """
     if not isinstance(model, str) or model not in PROJECTIONS:
         known = ", ".join(f"'{name}'" for name in PROJECTIONS)
         raise CalibrationError(
-            f"{where}: camera model {str(model)[:40]!r} is not known; {known} are"
+            f"{where}: camera model {str(model)[:40]!r} is not supported; supported are {known}"
         )
     width, height = make_resolution(where, resolution)
     names = (*PROJECTIONS[model][1], "fx", "fy", "cx", "cy")
@@ -90,20 +90,20 @@ def make_camera(
 
 
 def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
-    """Refuse two cameras in one place, and warn of a distance that no rig has.
+    """Refuse a baseline of zero, and warn of an implausibly long one.
 
     Raises:
-        CalibrationError: their distance is zero.
+        CalibrationError: the baseline is zero.
     """
     baseline = float(np.linalg.norm(cam1_from_cam0[:3, 3]))
-    if baseline < _SHORTEST_BASELINE_M:
+    if baseline < _MIN_BASELINE_M:
         raise CalibrationError(
             f"{where}: the baseline is {baseline:g} m, so depth cannot be measured; give the "
             "distance between the cameras in metres, or use one camera with --mode mono"
         )
-    if baseline > _LONGEST_BASELINE_M:
+    if baseline > _MAX_BASELINE_M:
         _log.warning(
-            "%s: the baseline is %g m; if that is millimetres, every length will be 1000 times "
+            "%s: the baseline is %g m; if the unit is millimetres, all lengths will be 1000 times "
             "too large",
             where,
             baseline,
@@ -111,7 +111,7 @@ def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
 
 
 def _check_pinhole(where: str, camera: Camera) -> None:
-    if min(camera.fx, camera.fy) < _SHORTEST_FOCAL_PX:
+    if min(camera.fx, camera.fy) < _MIN_FOCAL_PX:
         raise CalibrationError(
             f"{where}: focal length is {camera.fx:g}, {camera.fy:g}; it must be above 0 pixels"
         )
@@ -125,7 +125,7 @@ def _check_pinhole(where: str, camera: Camera) -> None:
     if max(off_u, off_v) > 0.0:
         _log.warning(
             "%s: principal point (%g, %g) is outside the %dx%d image; check that the calibration "
-            "is of images of this size",
+            "is for images of this size",
             where,
             camera.cx,
             camera.cy,
@@ -133,18 +133,18 @@ def _check_pinhole(where: str, camera: Camera) -> None:
             camera.height,
         )
     ratio = centre_scale(camera) * camera.fx / camera.width
-    if not _USUAL_FOCAL[0] <= ratio <= _USUAL_FOCAL[1]:
-        seen_deg = 2.0 * math.degrees(math.atan(0.5 / ratio))
+    if not _PLAUSIBLE_FOCAL_RATIO[0] <= ratio <= _PLAUSIBLE_FOCAL_RATIO[1]:
+        field_of_view_deg = 2.0 * math.degrees(math.atan(0.5 / ratio))
         _log.warning(
             "%s: a focal length of %g for %d pixels is a field of view of %.3g degrees; check the "
             "unit (pixels) and the size of the images",
             where,
             camera.fx,
             camera.width,
-            seen_deg,
+            field_of_view_deg,
         )
 
 
 def _outside(centre: float, size: int) -> float:
-    """How far outside the image, as a share of its size; 0 inside."""
+    """Distance outside the image, as a fraction of its size; 0 inside."""
     return max(-centre, centre - size, 0.0) / size

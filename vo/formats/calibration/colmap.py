@@ -1,6 +1,6 @@
-"""COLMAP's `cameras.txt`: one line a camera, without where cameras are.
+"""Reader of COLMAP's `cameras.txt`: one line per camera, without poses of cameras.
 
-Its pixels have the corner of the top-left pixel at (0, 0), so that half a pixel is taken off the
+In COLMAP the corner of the top-left pixel is at (0, 0), so half a pixel is subtracted from the
 principal point here.
 """
 
@@ -21,7 +21,14 @@ _log = logging.getLogger(__name__)
 
 
 class _Model(NamedTuple):
-    """What the parameters of a model are: of fx fy (or f once) cx cy, then of the lens."""
+    """Parameters of a model: one or two focal lengths, cx, cy, then distortion coefficients.
+
+    Attributes:
+        focal_lengths: number of focal lengths: fx and fy, or a single f.
+        lens: distortion model.
+        coefficients: number of distortion coefficients.
+        zeros: number of zeros to append to them.
+    """
 
     focal_lengths: int
     lens: str
@@ -43,26 +50,26 @@ _MODELS = {
 
 
 def recognises(document: Document) -> bool:
-    """Whether there is a line `1 PINHOLE 640 480 …`, of whatever model."""
+    """Whether there is a line such as `1 PINHOLE 640 480 …`, of any model."""
     return not document.data and _LINE.search(document.text) is not None
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the first camera, or the first for images of this size where there are several.
+    """Read the first camera for images of this size, or else the first camera.
 
     Raises:
-        CalibrationError: its model is not known or its parameters cannot be true.
+        CalibrationError: its model is not supported or a parameter is implausible.
     """
     lines = _LINE.findall(document.text)
     fitting = [line for line in lines if image_size == (int(line[2][:9]), int(line[3][:9]))]
     chosen = (fitting or lines)[0]
     if len(lines) > 1:
         _log.warning(
-            "%s: of %d cameras camera %s is used, and where they are is not said; give a pair in "
-            "another form",
+            "%s: only camera %s of %d is used, because the file contains no poses of cameras; use "
+            "another format for a stereo pair",
             document.path,
-            len(lines),
             chosen[0],
+            len(lines),
         )
     return Calibration(Rig(_camera(document, chosen)))
 
@@ -72,7 +79,9 @@ def _camera(document: Document, line: tuple[str, str, str, str, str]) -> Camera:
     where = f"{document.path}: camera {number}"
     model = _MODELS.get(name)
     if model is None:
-        raise CalibrationError(f"{where}: model {name[:40]} is not known; {', '.join(_MODELS)} are")
+        raise CalibrationError(
+            f"{where}: model {name[:40]} is not supported; supported are {', '.join(_MODELS)}"
+        )
     count = model.focal_lengths + 2 + model.coefficients
     values = make_numbers(f"{where}: {name}", rest.replace(",", " ").split(), count)
     focal = values[: model.focal_lengths]

@@ -1,4 +1,4 @@
-"""A calibration file as text and as sections with values, and what is read from it."""
+"""Records: a calibration file as text and sections, and the calibration read from it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from vo.types import Floats, Rig
 
 ImageSize = tuple[int, int]
 
-_LARGEST_BYTES = 500_000
-"""Reading YAML takes about 7 s a megabyte; calibrations with all their board corners have 0.1."""
+_MAX_BYTES = 500_000
+"""YAML takes about 7 s per megabyte; calibration files with all board corners have 0.1 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration file says.
+    """Content of a calibration file.
 
     Attributes:
         rig: the cameras.
-        body_from_cam0: (4, 4) where cam0 sits in the frame whose poses the recording's ground
-            truth gives, or None where the file does not say.
-        depth_per_metre: units of a depth image that are a metre, or None where it does not say.
-        kind: the name of the kind of file, a key of `FORMATS`.
-        file: where it was read, for messages; None where it is no file of its own.
+        body_from_cam0: (4, 4) pose of cam0 in the body frame, whose poses the ground truth of the
+            recording contains; None if unknown.
+        depth_per_metre: units of a depth image per metre, None if unknown.
+        kind: name of the file format, a key of `FORMATS`.
+        file: the file, for error messages; None if it was not read from a calibration file.
     """
 
     rig: Rig
@@ -39,13 +39,13 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Document:
-    """A calibration file before anyone has understood it.
+    """A calibration file of a format not yet detected.
 
     Attributes:
-        path: where it is, for messages and for files beside it.
+        path: the file, for error messages and to find files beside it.
         text: its content.
-        data: the content as YAML, JSON or XML; empty where it is no mapping.
-        problem: why it is none of them; empty where it is.
+        data: its content parsed as YAML, JSON or XML; empty if it is not a mapping.
+        problem: why it could not be parsed; empty if it could.
     """
 
     path: Path
@@ -63,10 +63,10 @@ class Document:
 
 
 def as_section(where: str, value: Any) -> Mapping[str, Any]:
-    """A value that must be a mapping.
+    """The value, checked to be a mapping.
 
     Raises:
-        CalibrationError: it is something else.
+        CalibrationError: it is not a mapping.
     """
     if not isinstance(value, Mapping):
         raise CalibrationError(
@@ -76,24 +76,24 @@ def as_section(where: str, value: Any) -> Mapping[str, Any]:
 
 
 def shortened(value: Any) -> str:
-    """A value as it is shown in a message of one line."""
+    """Representation of a value for an error message, on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."
 
 
 def load_document(path: Path) -> Document:
-    """Read a calibration file without judging which kind it is.
+    """Read a calibration file of any format as text and sections.
 
     Raises:
-        CalibrationError: it is missing, far too large or not text.
+        CalibrationError: the file is missing, far too large or not text.
     """
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():  # it may have no end
-            raise CalibrationError(f"calibration {path} is no file but a device or a pipe")
-        if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
+        if path.exists() and not path.is_file() and not path.is_dir():  # it may be endless
+            raise CalibrationError(f"calibration {path} is a device or a pipe, not a file")
+        if path.is_file() and path.stat().st_size > _MAX_BYTES:
             raise CalibrationError(
                 f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "
-                f"the cameras alone, below {_LARGEST_BYTES}"
+                f"only the cameras, below {_MAX_BYTES} bytes"
             )
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:

@@ -1,4 +1,4 @@
-"""EuRoC's `sensor.yaml`, a file per camera; that of cam1 is looked for beside that of cam0."""
+"""Reader of EuRoC's `sensor.yaml`, one file per camera: cam0/sensor.yaml and cam1/sensor.yaml."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera and, where `../cam1/sensor.yaml` stands beside `cam0`, its partner.
+    """Read the camera; for cam0/sensor.yaml also ../cam1/sensor.yaml, if it exists.
 
     Raises:
-        CalibrationError: what a file says cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     cam0 = _camera(document)
     body_from_cam0 = _body_from_camera(document)
@@ -36,7 +36,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
 
 
 def _partner(path: Path) -> Path | None:
-    """The file beside it as the path has it: a `cam0` that is a link may lead elsewhere."""
+    """The file of cam1, relative to the path as given: cam0 may be a link to another folder."""
     path = Path(os.path.abspath(path))
     partner = path.parent.parent / "cam1" / path.name
     return partner if path.parent.name == "cam0" and partner.is_file() else None
@@ -56,5 +56,5 @@ def _camera(document: Document) -> Camera:
 
 def _body_from_camera(document: Document) -> Floats:
     if "T_BS" not in document.data:
-        raise CalibrationError(f"{document.path}: T_BS is missing; it says where the camera is")
+        raise CalibrationError(f"{document.path}: T_BS is missing; it is the pose of the camera")
     return make_transform(f"{document.path}: T_BS", document.data["T_BS"])

@@ -1,4 +1,4 @@
-"""Kalibr's `camchain.yaml`; of longer chains the first two cameras are used."""
+"""Reader of Kalibr's `camchain.yaml`; uses the first two cameras."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from vo.types import Camera, Floats, Rig
 
 
 def recognises(document: Document) -> bool:
-    """Whether the section cam0 has Kalibr's names."""
+    """Whether the section cam0 has Kalibr's keys."""
     cam0 = document.data.get("cam0")
     return isinstance(cam0, Mapping) and ("camera_model" in cam0 or "distortion_coeffs" in cam0)
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read cam0 and, where there is one, cam1.
+    """Read cam0 and cam1, if any.
 
     Raises:
-        CalibrationError: what the file says cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     cam0 = _camera(document, "cam0")
     body_from_cam0 = None
@@ -51,5 +51,5 @@ def _transform(document: Document, name: str, key: str) -> Floats:
     where = f"{document.path}: {name}.{key}"
     value = document.section(name).get(key)
     if value is None:
-        raise CalibrationError(f"{where} is missing; it says where the camera is, as a 4x4")
+        raise CalibrationError(f"{where} is missing; it is the pose of the camera, a 4x4 matrix")
     return make_transform(where, value)

@@ -1,4 +1,4 @@
-"""KITTI's `calib.txt`: projection matrices P0..P3 of rectified cameras, without image size."""
+"""Reader of KITTI's `calib.txt`: projection matrices P0 to P3 of rectified cameras."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def recognises(document: Document) -> bool:
 def read(
     document: Document, image_size: ImageSize | None, cameras: tuple[str, str] = ("P0", "P1")
 ) -> Calibration:
-    """Read a pair of KITTI's four cameras, or the first of it where the second is missing.
+    """Read a pair of KITTI's four cameras, or the left one if the right one is missing.
 
     Args:
         document: the file.
-        image_size: width and height of the images.
+        image_size: width and height of the images, which the file does not contain.
         cameras: the pair, left first: P0 and P1 are the grey cameras, P2 and P3 the colour ones.
 
     Raises:
-        CalibrationError: the left camera or `image_size` is missing, or a value cannot be true.
+        CalibrationError: the left camera or `image_size` is missing, or a value is implausible.
     """
     matrices = dict(_LINE.findall(document.text))
     left, right = cameras

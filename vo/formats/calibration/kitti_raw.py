@@ -1,4 +1,4 @@
-"""KITTI raw's `calib_cam_to_cam.txt`: four cameras as recorded and as rectified.
+"""Reader of KITTI raw's `calib_cam_to_cam.txt`: four cameras, recorded and rectified.
 
 Source: Geiger et al., Vision meets Robotics: The KITTI Dataset, 2013, section IV-B.
 """
@@ -14,7 +14,7 @@ from vo.formats.calibration.matrices import (
     make_projection,
     make_rotation,
     matrix_camera,
-    rotation_and_shift,
+    rotation_and_translation,
 )
 from vo.geometry.transforms import inverse, make_transform
 from vo.types import Camera, Floats, Rig
@@ -23,18 +23,18 @@ _LINE = re.compile(r"^[ \t]*([A-Z](?:_rect)?_0[0-3])[ \t]*:(.*)$", re.MULTILINE)
 
 
 def recognises(document: Document) -> bool:
-    """Whether there is a line of one of its cameras, as `P_rect_00: …`."""
+    """Whether there is a line of one of its cameras, such as `P_rect_00: …`."""
     return _LINE.search(document.text) is not None
 
 
 def read(
     document: Document, image_size: ImageSize | None, cameras: tuple[str, str] = ("00", "01")
 ) -> Calibration:
-    """Read a pair, or the first of it where the second is missing.
+    """Read a pair, or the left camera if the right one is missing.
 
-    Images as large as S_00 are those recorded (K, D, R and T are theirs), all others are taken for
-    the rectified ones (S_rect_00, P_rect_00), which KITTI calls `sync`. The body is the reference
-    camera 00 as recorded.
+    Images of size S_00 are unrectified (K, D, R and T apply); all others are assumed to be
+    rectified (S_rect_00, P_rect_00), which KITTI calls `sync`. The body is the unrectified
+    reference camera 00.
 
     Args:
         document: the file.
@@ -42,7 +42,7 @@ def read(
         cameras: numbers of the pair, left first: 00 and 01 are grey, 02 and 03 in colour.
 
     Raises:
-        CalibrationError: the left camera is missing, or a value cannot be true.
+        CalibrationError: the left camera is missing, or a value is implausible.
     """
     lines = _Lines(document)
     left, right = cameras
@@ -81,10 +81,10 @@ def _is_recorded(lines: _Lines, camera: str, image_size: ImageSize | None) -> bo
 
 
 def _rectified(lines: _Lines, number: str) -> tuple[Camera, Floats]:
-    """The camera without distortion, and (4, 4) camera_from_body."""
+    """The rectified camera, and (4, 4) camera_from_body."""
     where = f"{lines.path}: P_rect_{number}"
-    # Every rectified camera has the axes of R_rect_00, also those in colour.
-    turn = make_rotation(f"{lines.path}: R_rect_00", lines.numbers("R_rect_00"))
+    # All rectified cameras, also those in colour, have the axes of R_rect_00.
+    rotation = make_rotation(f"{lines.path}: R_rect_00", lines.numbers("R_rect_00"))
     p, t = make_projection(where, lines.numbers(f"P_rect_{number}"))
     camera = make_camera(
         where,
@@ -94,11 +94,11 @@ def _rectified(lines: _Lines, number: str) -> tuple[Camera, Floats]:
         distortion_model="none",
         distortion=None,
     )
-    return camera, make_transform(turn, t)
+    return camera, make_transform(rotation, t)
 
 
 def _recorded(lines: _Lines, number: str) -> tuple[Camera, Floats]:
-    """The camera with its lens, and (4, 4) camera_from_body."""
+    """The unrectified camera, and (4, 4) camera_from_body."""
     where = f"{lines.path}: camera {number}"
     camera = matrix_camera(
         where,
@@ -107,7 +107,7 @@ def _recorded(lines: _Lines, number: str) -> tuple[Camera, Floats]:
         distortion_model="radtan",
         distortion=lines.numbers(f"D_{number}"),
     )
-    camera_from_body = rotation_and_shift(
+    camera_from_body = rotation_and_translation(
         where, lines.numbers(f"R_{number}"), lines.numbers(f"T_{number}")
     )
     return camera, camera_from_body

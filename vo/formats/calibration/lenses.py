@@ -1,4 +1,4 @@
-"""Names, numbers and limits of the lens models, as calibration files give them."""
+"""Lens models of calibration files: names, numbers of coefficients, ranges of parameters."""
 
 from __future__ import annotations
 
@@ -40,24 +40,24 @@ PROJECTIONS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
     "ds": ("double_sphere", ("xi", "alpha")),
     "eucm": ("extended_unified", ("alpha", "beta")),
 }
-"""Kalibr's camera models: the lens, and what stands before fx in the intrinsics."""
+"""Kalibr's camera models: the lens model, and its parameters before fx in the intrinsics."""
 
 _OPENCV_COUNTS = (12, 14)
-"""OpenCV's thin prism and tilted sensor: understood where the numbers beyond the eighth are 0."""
+"""OpenCV's thin-prism and tilted models; supported if all coefficients after the eighth are 0."""
 
 
 def make_lens(
     where: str, model: Any, coefficients: Any
 ) -> tuple[DistortionModel, tuple[float, ...]]:
-    """The lens model of a name in `DISTORTION_NAMES` (None for none) and its coefficients.
+    """The lens model and its coefficients, given a name in `DISTORTION_NAMES` or None.
 
     Raises:
-        CalibrationError: the name is not known, or the coefficients do not fit it.
+        CalibrationError: the name is unknown, or the number of coefficients is wrong.
     """
     name = DISTORTION_NAMES.get("none" if model is None else str(model).strip().lower())
     if name is None:
         raise CalibrationError(
-            f"{where}: distortion model {str(model)[:40]!r} is not known; give one of "
+            f"{where}: distortion model {str(model)[:40]!r} is not supported; supported are "
             f"{', '.join(DISTORTION_NAMES)}"
         )
     numbers = make_list(f"{where}: distortion", coefficients)
@@ -72,7 +72,7 @@ def make_lens(
     if len(numbers) not in COUNTS[name]:
         counts = " or ".join(str(count) for count in COUNTS[name])
         raise CalibrationError(
-            f"{where}: distortion has {len(numbers)} coefficients; {model} takes {counts}"
+            f"{where}: distortion has {len(numbers)} coefficients; {model} has {counts}"
         )
     return name, numbers
 
@@ -83,10 +83,10 @@ def join_projection(
     parameters: tuple[float, ...],
     lens: tuple[DistortionModel, tuple[float, ...]],
 ) -> tuple[DistortionModel, tuple[float, ...]]:
-    """The one lens model that a projection of `PROJECTIONS` and a distortion after it make.
+    """Combine a projection of `PROJECTIONS` and a distortion model into one lens model.
 
     Raises:
-        CalibrationError: they do not go together.
+        CalibrationError: the combination is not supported.
     """
     wide, names = PROJECTIONS[projection]
     if not names:
@@ -94,14 +94,14 @@ def join_projection(
     model, coefficients = lens
     if model != "none" and (wide, model) != ("omni", "radtan"):
         raise CalibrationError(
-            f"{where}: camera model {projection} with distortion model {model} is not known; "
-            f"{projection} goes with {'radtan or none' if wide == 'omni' else 'none'}"
+            f"{where}: camera model {projection} with distortion model {model} is not supported; "
+            f"use {'radtan or none' if wide == 'omni' else 'none'} with {projection}"
         )
     return wide, (*parameters, *coefficients)
 
 
 def check_lens(where: str, camera: Camera) -> None:
-    """Refuse parameters for which a model is not defined.
+    """Check the parameters of a lens model.
 
     Raises:
         CalibrationError: a parameter is out of its range.

@@ -1,4 +1,4 @@
-"""YAML (OpenCV's dialects too), JSON and OpenCV's XML as one kind of nested mapping."""
+"""Parser of YAML (including OpenCV's dialects), JSON and OpenCV's XML to nested mappings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import yaml
 
-# What the parsers raise on purpose, and what they let through from the values they construct.
+# Errors of the parsers, and of the constructors of values that they do not catch.
 _FAILURES = (
     yaml.YAMLError,
     ElementTree.ParseError,
@@ -26,7 +26,7 @@ _KEY_WITHOUT_SPACE = re.compile(r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", re.MULTILIN
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which OpenCV's matrices are mappings."""
+    """Safe YAML loader that reads OpenCV's matrices as mappings."""
 
 
 def _matrix(loader: _Loader, node: yaml.MappingNode) -> Any:
@@ -37,9 +37,9 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def sections_of(text: str) -> tuple[Mapping[str, Any], str]:
-    """The top-level mapping of a text, or an empty one and why there is none.
+    """The top-level mapping of a text and "", or an empty mapping and the reason.
 
-    Of a YAML stream with several documents the first counts, as `ros2 topic echo` writes it.
+    Only the first document of a YAML stream is read: `ros2 topic echo` writes several.
     """
     start = text.lstrip()[:1]
     try:
@@ -63,7 +63,7 @@ def _is_json(text: str) -> bool:
 def _yaml(text: str) -> Any:
     if _OPENCV_HEADER.match(text):
         text = _OPENCV_HEADER.sub("", text)
-        text = _KEY_WITHOUT_SPACE.sub(r"\1: ", text)  # OpenCV reads `key:value`
+        text = _KEY_WITHOUT_SPACE.sub(r"\1: ", text)  # OpenCV allows `key:value`
     loader = _Loader(text.replace("\t", " "))
     try:
         return loader.get_data()
@@ -73,7 +73,7 @@ def _yaml(text: str) -> Any:
 
 def _xml(text: str) -> dict[str, Any]:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ValueError("it declares entities, which a calibration has no use for")
+        raise ValueError("declarations of entities are not allowed")
     return {node.tag: _xml_value(node) for node in ElementTree.fromstring(text)}
 
 

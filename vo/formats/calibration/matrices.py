@@ -1,4 +1,4 @@
-"""Cameras and pairs that a file gives as OpenCV's matrices: K, D, R, T and P."""
+"""Creation of cameras and transforms from OpenCV's matrices K, D, R, T and P."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from vo.types import Camera, Floats
 def matrix_camera(
     where: str, *, resolution: Any, matrix: Any, distortion_model: Any, distortion: Any
 ) -> Camera:
-    """A camera from its 3x3 matrix K; coefficients without a model are radtan's.
+    """A camera from its 3x3 matrix K; the default distortion model is radtan.
 
     Raises:
-        CalibrationError: a value is missing or cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     k = make_matrix(f"{where}: camera matrix", matrix, 3, 3)
     coefficients = make_list(f"{where}: distortion", distortion)
@@ -42,24 +42,24 @@ def matrix_camera(
 _ZERO_IS_NONE = ("radtan", "plumb_bob", "rational_polynomial")
 
 
-def rotation_and_shift(where: str, rotation: Any, translation: Any) -> Floats:
-    """The (4, 4) transform of a 3x3 rotation and three numbers, as OpenCV's R and T.
+def rotation_and_translation(where: str, rotation: Any, translation: Any) -> Floats:
+    """The (4, 4) transform of OpenCV's R (3x3) and T (three numbers).
 
     Raises:
-        CalibrationError: a number is missing or the rotation is none.
+        CalibrationError: a number is missing or R is not a rotation.
     """
-    turn = make_rotation(f"{where}: rotation", rotation)
-    shift = make_list(f"{where}: translation", translation)
-    if len(shift) != 3:
-        raise CalibrationError(f"{where}: translation has {len(shift)} numbers; 3 are needed")
-    return make_transform(turn, np.array(shift))
+    r = make_rotation(f"{where}: rotation", rotation)
+    t = make_list(f"{where}: translation", translation)
+    if len(t) != 3:
+        raise CalibrationError(f"{where}: translation has {len(t)} numbers; 3 are needed")
+    return make_transform(r, np.array(t))
 
 
 def make_rotation(where: str, value: Any) -> Floats:
-    """A (3, 3) rotation, made exactly orthonormal.
+    """A (3, 3) rotation, orthonormalised.
 
     Raises:
-        CalibrationError: a number is missing or it is no rotation.
+        CalibrationError: a number is missing or the matrix is not a rotation.
     """
     rotation = make_matrix(where, value, 3, 3)
     check_rotation(where, rotation)
@@ -67,12 +67,12 @@ def make_rotation(where: str, value: Any) -> Floats:
 
 
 def make_projection(where: str, value: Any) -> tuple[Floats, Floats]:
-    """A (3, 4) projection P = K [1 | t] of a rectified camera, and t (3,).
+    """A (3, 4) projection P = K [I | t] of a rectified camera, and t (3,).
 
-    The rectified cameras of a rig have the same axes; p_in_camera = p_in_common + t.
+    The rectified cameras of a rig have parallel axes, so that p_in_camera = p_in_common + t.
 
     Raises:
-        CalibrationError: a number is missing or cannot be true.
+        CalibrationError: a number is missing or implausible.
     """
     p = make_matrix(f"{where}: projection matrix", value, 3, 4)
     if not (p[0, 0] > 1e-3 and p[1, 1] > 1e-3):
@@ -85,16 +85,16 @@ def make_projection(where: str, value: Any) -> tuple[Floats, Floats]:
 
 
 def common_from_camera(where: str, rotation: Any, projection: Any) -> Floats:
-    """(4, 4) from a recorded camera to the frame that its rig is rectified to, by its R and P.
+    """(4, 4) from an unrectified camera to the common rectified frame of its rig, from R and P.
 
     Raises:
-        CalibrationError: a number is missing or cannot be true.
+        CalibrationError: a number is missing or implausible.
     """
     _, t = make_projection(where, projection)
-    turn = np.eye(3) if rotation is None else make_rotation(f"{where}: rectification", rotation)
-    return make_transform(turn, -t)
+    r = np.eye(3) if rotation is None else make_rotation(f"{where}: rectification", rotation)
+    return make_transform(r, -t)
 
 
-def between(common_from_cam0: Floats, common_from_cam1: Floats) -> Floats:
-    """cam1_from_cam0 of two cameras whose places in a common frame are known."""
+def relative_pose(common_from_cam0: Floats, common_from_cam1: Floats) -> Floats:
+    """cam1_from_cam0 of two cameras, given their poses in a common frame."""
     return np.asarray(inverse(common_from_cam1) @ common_from_cam0)

@@ -1,4 +1,4 @@
-"""Numbers, lists and matrices from a calibration file, or why they cannot be true."""
+"""Conversion of values of a calibration file to numbers, lists and matrices, with checks."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from vo.geometry.transforms import orthonormalised
 from vo.types import Floats
 
 _ROTATION_TOLERANCE = 1e-3
-_LARGEST = 1e12
-_WIDEST_IMAGE = 100_000
+_MAX_VALUE = 1e12
+_MAX_IMAGE_SIDE = 100_000
 
 
 def make_resolution(where: str, value: Any) -> ImageSize:
@@ -27,7 +27,7 @@ def make_resolution(where: str, value: Any) -> ImageSize:
     if value is None:
         raise CalibrationError(f"{where}: resolution is missing; add resolution: [width, height]")
     sides = make_numbers(f"{where}: resolution [width, height]", value, 2)
-    if not all(1 <= side <= _WIDEST_IMAGE and side.is_integer() for side in sides):
+    if not all(1 <= side <= _MAX_IMAGE_SIDE and side.is_integer() for side in sides):
         raise CalibrationError(
             f"{where}: resolution is {shortened(value)}; width and height must be whole numbers "
             "above 0"
@@ -38,41 +38,41 @@ def make_resolution(where: str, value: Any) -> ImageSize:
 def make_numbers(what: str, value: Any, count: int | None = None) -> tuple[float, ...]:
     """A list of finite numbers.
 
-    YAML 1.1 reads `1e-3` as text, so text that is a number counts as one.
+    Text that is a number is accepted, because YAML 1.1 reads `1e-3` as text.
 
     Raises:
-        CalibrationError: not a list, not `count` long, or an element is no finite number.
+        CalibrationError: not a list, not `count` long, or an element is not a finite number.
     """
     if not isinstance(value, Sequence) or isinstance(value, str | bytes):
-        raise CalibrationError(f"{what} is {shortened(value)}; a list of numbers is needed")
+        raise CalibrationError(f"{what} is {shortened(value)}; it must be a list of numbers")
     if count is not None and len(value) != count:
         raise CalibrationError(f"{what} has {len(value)} numbers; {count} are needed")
     return tuple(make_number(f"{what}, number {i}", item) for i, item in enumerate(value, 1))
 
 
 def make_number(what: str, value: Any) -> float:
-    """One finite number.
+    """A finite number.
 
     Raises:
-        CalibrationError: it is something else.
+        CalibrationError: the value is not a finite number.
     """
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
-    if not abs(number) <= _LARGEST:
+    if not abs(number) <= _MAX_VALUE:
         shown = value if isinstance(value, str) else shortened(value)
-        raise CalibrationError(f"{what} is {shown[:80]}; a finite number is needed")
+        raise CalibrationError(f"{what} is {shown[:80]}; it must be a finite number")
     return number
 
 
 def make_matrix(what: str, value: Any, rows: int, columns: int) -> Floats:
-    """A (rows, columns) matrix from its rows, all its numbers in one list, or a section with data.
+    """A (rows, columns) matrix from a list of rows, a flat list, or a section with data.
 
-    The section is EuRoC's, ROS's and OpenCV's way: rows, cols and data, row by row.
+    A section, as in EuRoC, ROS and OpenCV, has the keys rows, cols and data (row by row).
 
     Raises:
-        CalibrationError: it has another shape, or an element is no finite number.
+        CalibrationError: it has another shape, or an element is not a finite number.
     """
     if isinstance(value, Mapping):
         value = value.get("data")
@@ -85,10 +85,10 @@ def make_matrix(what: str, value: Any, rows: int, columns: int) -> Floats:
 
 
 def make_list(what: str, value: Any) -> tuple[float, ...]:
-    """All numbers of a list, a row, a column, or a section with data; none where it is missing.
+    """All numbers of a list, a row, a column, or a section with data; empty if missing.
 
     Raises:
-        CalibrationError: an element is no finite number.
+        CalibrationError: an element is not a finite number.
     """
     if isinstance(value, Mapping):
         value = value.get("data")
@@ -100,12 +100,12 @@ def make_list(what: str, value: Any) -> tuple[float, ...]:
 
 
 def make_transform(where: str, value: Any) -> Floats:
-    """A (4, 4) rigid transform from four rows of four, three rows of four, or 16 numbers.
+    """A (4, 4) rigid transform from three or four rows of four, or a flat list of 12 or 16.
 
-    Its rotation is made exactly orthonormal, as files give it rounded.
+    The rotation is orthonormalised, because files contain rounded values.
 
     Raises:
-        CalibrationError: a number is missing or the rotation is none.
+        CalibrationError: a number is missing or the 3x3 part is not a rotation.
     """
     given = value.get("data") if isinstance(value, Mapping) else value
     size = len(given) if isinstance(given, Sequence) else 0
@@ -119,10 +119,10 @@ def make_transform(where: str, value: Any) -> Floats:
 
 
 def check_rotation(where: str, rotation: Floats) -> None:
-    """Refuse a (3, 3) matrix that is no rotation.
+    """Refuse a (3, 3) matrix that is not a rotation.
 
     Raises:
-        CalibrationError: it is off from orthonormal by more than rounding, or a reflection.
+        CalibrationError: it is not orthonormal up to rounding, or it is a reflection.
     """
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:

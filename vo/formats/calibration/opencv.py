@@ -1,7 +1,7 @@
-"""OpenCV's FileStorage (YAML, XML or JSON) as the calibration samples and many scripts write it.
+"""Reader of OpenCV's FileStorage (YAML, XML or JSON), with the keys of OpenCV's samples.
 
-A pair has M1 D1 M2 D2 (or the names below), R and T, which take points of the first camera to the
-second: x2 = R x1 + T. R and T may stand in a file of their own, `extrinsics` beside `intrinsics`.
+A pair has M1 D1 M2 D2 (or the names below), R and T with x2 = R x1 + T (cam1_from_cam0). R and T
+may be in a separate file, `extrinsics` beside `intrinsics`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from vo.errors import CalibrationError
 from vo.formats.calibration.checks import check_baseline
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
-from vo.formats.calibration.matrices import matrix_camera, rotation_and_shift
+from vo.formats.calibration.matrices import matrix_camera, rotation_and_translation
 from vo.types import Camera, Rig
 
 _PAIRS = (
@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 
 def recognises(document: Document) -> bool:
-    """Whether it has a camera matrix by one of the usual names."""
+    """Whether the file has a camera matrix with one of the usual keys."""
     return any(names[0] in document.data for names in (*_PAIRS, *_SINGLES))
 
 
@@ -43,7 +43,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     """Read one camera or a pair.
 
     Raises:
-        CalibrationError: a value is missing or cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     data = document.data
     pair = next((names for names in _PAIRS if names[0] in data), None)
@@ -59,7 +59,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     extrinsics = _extrinsics(document)
     if extrinsics is None:
         _log.warning(
-            "%s: R and T are missing, so only the first camera is used; add them, or put "
+            "%s: only the first camera is used, because R and T are missing; add them, or put "
             "extrinsics%s beside intrinsics%s",
             document.path,
             document.path.suffix,
@@ -68,7 +68,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
         return Calibration(Rig(cam0))
     cam1 = _camera(document, pair[2], pair[3], image_size)
     where = str(extrinsics.path)
-    cam1_from_cam0 = rotation_and_shift(where, extrinsics.data["R"], extrinsics.data["T"])
+    cam1_from_cam0 = rotation_and_translation(where, extrinsics.data["R"], extrinsics.data["T"])
     check_baseline(f"{where}: T", cam1_from_cam0)
     return Calibration(Rig(cam0, cam1, cam1_from_cam0))
 

@@ -1,8 +1,8 @@
-"""ORB-SLAM3's settings, and those of the versions before it.
+"""Reader of the settings of ORB-SLAM3 and earlier versions.
 
-`Camera1` and `Camera2` are the recorded cameras, `Stereo.T_c1_c2` takes points of the second to the
-first. Older files have one rectified camera and `Camera.bf` (baseline * fx), and where images are
-to be rectified what does it (`LEFT.K`, `LEFT.D`, `LEFT.R`, `LEFT.P`, the same for `RIGHT`).
+`Camera1` and `Camera2` are the unrectified cameras, `Stereo.T_c1_c2` is camera1_from_camera2. Older
+files have one rectified camera and `Camera.bf` (baseline * fx); for unrectified images also the
+rectification (`LEFT.K`, `LEFT.D`, `LEFT.R`, `LEFT.P` and the same for `RIGHT`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vo.formats.calibration.checks import (
     make_transform,
 )
 from vo.formats.calibration.document import Calibration, Document, ImageSize
-from vo.formats.calibration.matrices import between, common_from_camera, matrix_camera
+from vo.formats.calibration.matrices import common_from_camera, matrix_camera, relative_pose
 from vo.geometry.transforms import inverse
 from vo.geometry.transforms import make_transform as rigid
 from vo.types import Camera, Floats, Rig
@@ -32,46 +32,48 @@ _LENSES: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def recognises(document: Document) -> bool:
-    """Whether there is a key Camera.fx or Camera1.fx, or the matrix LEFT.K."""
+    """Whether the file has the key Camera.fx, Camera1.fx or LEFT.K."""
     return any(name in document.data for name in ("Camera.fx", "Camera1.fx", "LEFT.K"))
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read one camera, or two where the settings are of a stereo camera.
+    """Read one camera, or two if the settings are for a stereo camera.
 
     Raises:
-        CalibrationError: a value is missing or cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     data = document.data
     if "LEFT.K" in data:
-        rig = _to_be_rectified(document, image_size)
+        rig = _unrectified_pair(document, image_size)
     else:
         name = "Camera1" if "Camera1.fx" in data else "Camera"
         cam0 = _camera(document, name, image_size)
         rig = _pair(document, cam0, name, image_size)
-    mounting = next((name for name in ("IMU.T_b_c1", "Tbc") if name in data), None)
+    key = next((name for name in ("IMU.T_b_c1", "Tbc") if name in data), None)
     body_from_cam0 = None
-    if mounting is not None:
-        body_from_cam0 = make_transform(f"{document.path}: {mounting}", data[mounting])
+    if key is not None:
+        body_from_cam0 = make_transform(f"{document.path}: {key}", data[key])
     return Calibration(rig, body_from_cam0, _depth_per_metre(document))
 
 
 def _pair(document: Document, cam0: Camera, name: str, image_size: ImageSize | None) -> Rig:
     data = document.data
-    # Depth cameras have a baseline too, but no second image.
+    # Settings of depth cameras contain a baseline too, but there is no second image.
     if _depth_per_metre(document) is not None:
         return Rig(cam0)
     if "Camera2.fx" in data:
         key = "Stereo.T_c1_c2" if "Stereo.T_c1_c2" in data else "Tlr"
         if key not in data:
             raise CalibrationError(
-                f"{document.path}: Stereo.T_c1_c2 is missing; it says where Camera2 is"
+                f"{document.path}: Stereo.T_c1_c2 is missing; it is the pose of Camera2"
             )
         where = f"{document.path}: {key}"
         cam1_from_cam0 = inverse(make_transform(where, data[key]))
         check_baseline(where, cam1_from_cam0)
         return Rig(cam0, _camera(document, "Camera2", image_size), cam1_from_cam0)
-    return Rig(cam0, cam0, _sideways(document, cam0)) if _is_stereo(document) else Rig(cam0)
+    if _is_stereo(document):
+        return Rig(cam0, cam0, _rectified_cam1_from_cam0(document, cam0))
+    return Rig(cam0)
 
 
 def _depth_per_metre(document: Document) -> float | None:
@@ -89,8 +91,7 @@ def _is_stereo(document: Document) -> bool:
     return "Stereo.b" in document.data or "Camera.bf" in document.data
 
 
-def _sideways(document: Document, cam0: Camera) -> Floats:
-    """cam1_from_cam0 of a rectified pair."""
+def _rectified_cam1_from_cam0(document: Document, cam0: Camera) -> Floats:
     key = "Stereo.b" if "Stereo.b" in document.data else "Camera.bf"
     where = f"{document.path}: {key}"
     value = make_number(where, document.data[key])
@@ -108,8 +109,8 @@ def _camera(document: Document, name: str, image_size: ImageSize | None) -> Came
     kind = str(data.get("Camera.type", "PinHole"))
     if kind.lower() not in _LENSES:
         raise CalibrationError(
-            f"{document.path}: Camera.type {kind[:40]!r} is not known; PinHole, KannalaBrandt8 and "
-            "Rectified are"
+            f"{document.path}: Camera.type {kind[:40]!r} is not supported; supported are PinHole, "
+            "KannalaBrandt8 and Rectified"
         )
     lens, names = _LENSES[kind.lower()]
     coefficients = [
@@ -129,10 +130,10 @@ def _camera(document: Document, name: str, image_size: ImageSize | None) -> Came
     )
 
 
-def _to_be_rectified(document: Document, image_size: ImageSize | None) -> Rig:
-    """The pair as recorded; where it is follows from how it is rectified."""
+def _unrectified_pair(document: Document, image_size: ImageSize | None) -> Rig:
+    """The unrectified pair, with cam1_from_cam0 derived from the rectification."""
     sides = [_side(document, side, image_size) for side in ("LEFT", "RIGHT")]
-    cam1_from_cam0 = between(sides[0][1], sides[1][1])
+    cam1_from_cam0 = relative_pose(sides[0][1], sides[1][1])
     check_baseline(f"{document.path}: RIGHT.P", cam1_from_cam0)
     return Rig(sides[0][0], sides[1][0], cam1_from_cam0)
 

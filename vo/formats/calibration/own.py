@@ -1,4 +1,4 @@
-"""Our own calibration file, as docs/calibration.md describes it."""
+"""Reader and writer of vo's own calibration format, described in docs/calibration.md."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CAMERA_KEYS = ("model", "resolution", "intrinsics", "distortion_model", "distor
 
 
 def recognises(document: Document) -> bool:
-    """Whether there is a section cam0, which no kind that was asked before has claimed."""
+    """Whether the file has a section cam0; other formats with one must be checked before."""
     return "cam0" in document.data
 
 
@@ -34,24 +34,24 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     """Read one or two cameras.
 
     Raises:
-        CalibrationError: what the file says cannot be true.
+        CalibrationError: a value is missing or implausible, or a key is unknown.
     """
     _check_keys(str(document.path), document.data, _TOP_KEYS)
     cam0 = _camera(document, "cam0")
     if "cam1" not in document.data and "baseline_m" not in document.data:
         return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document))
-    # A rectified pair has twice the same camera, so that it need not be written twice.
+    # Without cam1 both cameras of a rectified pair are the same.
     cam1 = _camera(document, "cam1") if "cam1" in document.data else cam0
     return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)))
 
 
 def write_calibration(path: Path | str, rig: Rig, comments: Sequence[str] = ()) -> None:
-    """Write a rig so that reading the file gives the very same numbers.
+    """Write a rig; reading the file returns the same numbers exactly.
 
     Args:
-        path: of the file.
+        path: the file.
         rig: the cameras.
-        comments: lines for people, at its beginning.
+        comments: lines of comment at the top of the file.
 
     Raises:
         OutputError: the file cannot be written.
@@ -60,7 +60,7 @@ def write_calibration(path: Path | str, rig: Rig, comments: Sequence[str] = ()) 
     if rig.cam1 is not None and rig.cam1_from_cam0 is not None:
         data["cam1"] = _section(rig.cam1)
         data["cam1_from_cam0"] = rig.cam1_from_cam0.tolist()
-    # Lists of numbers in one line, sections in many.
+    # default_flow_style=None: lists of numbers on one line, sections on several.
     text = "".join(f"# {line}\n" for line in comments)
     text += yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
     try:
@@ -109,7 +109,7 @@ def _cam1_from_cam0(document: Document) -> Floats:
             raise CalibrationError(
                 f"{where} is {baseline_m:g}; it must be above 0, with cam1 right of cam0"
             )
-        # Points move left in a camera to the right.
+        # cam1 is to the right of cam0, so coordinates in cam1 are smaller.
         cam1_from_cam0 = rigid(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
     check_baseline(where, cam1_from_cam0)
     return cam1_from_cam0

@@ -1,4 +1,4 @@
-"""The kinds of calibration file, told apart by what they contain."""
+"""Registry of calibration formats, with detection by content."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from vo.formats.calibration.document import Calibration, Document, ImageSize, lo
 
 
 class CalibrationFormat(NamedTuple):
-    """A kind of file: how to know it, and how to read it given the size of the images."""
+    """A file format: its detection, and its reader, given the size of the images."""
 
     recognises: Callable[[Document], bool]
     read: Callable[[Document, ImageSize | None], Calibration]
 
 
-# Asked in this order: the more particular before the more general.
+# Checked in this order, the more specific formats first.
 FORMATS: dict[str, CalibrationFormat] = {
     "KITTI raw": CalibrationFormat(kitti_raw.recognises, kitti_raw.read),
     "KITTI": CalibrationFormat(kitti.recognises, kitti.read),
@@ -46,15 +46,15 @@ FORMATS: dict[str, CalibrationFormat] = {
 
 
 def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> Calibration:
-    """Read a calibration file of any known kind.
+    """Read a calibration file of any supported format.
 
     Args:
         path: the file.
-        image_size: width and height of the images, for kinds that do not give them (KITTI, some of
-            OpenCV's and ORB-SLAM's), or that tell two sorts of images apart by it (KITTI raw).
+        image_size: width and height of the images, for files that do not contain them (KITTI, some
+            of OpenCV and ORB-SLAM) or contain two sizes (KITTI raw).
 
     Raises:
-        CalibrationError: the file is missing, of no known kind, or what it says cannot be true.
+        CalibrationError: the file is missing, of an unknown format, or a value is implausible.
     """
     document = load_document(Path(path))
     for name, kind in FORMATS.items():
@@ -64,7 +64,7 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
             except CalibrationError as error:
                 raise CalibrationError(f"{error} (read as {name} calibration)") from error
     reason = document.problem or (
-        f"is no calibration file of a known kind ({', '.join(FORMATS)}); docs/calibration.md "
-        "shows what one looks like"
+        f"is not a calibration file of a supported format ({', '.join(FORMATS)}); see "
+        "docs/calibration.md"
     )
     raise CalibrationError(f"{path} {reason}")

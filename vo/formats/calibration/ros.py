@@ -1,6 +1,6 @@
-"""ROS's camera_info as YAML, a file per camera; that of the right camera is looked for beside it.
+"""Reader of ROS's camera_info as YAML, one file per camera, in the same folder.
 
-The images are taken to be the raw ones (`image_raw`), which K and D are of.
+The images are assumed to be unrectified (`image_raw`), as described by K and D.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from vo.formats.calibration.checks import check_baseline
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
-from vo.formats.calibration.matrices import between, common_from_camera, matrix_camera
+from vo.formats.calibration.matrices import common_from_camera, matrix_camera, relative_pose
 from vo.types import Camera, Floats, Rig
 
 _NAMES = (("left", "right"), ("Left", "Right"), ("cam0", "cam1"), ("camera0", "camera1"))
@@ -26,13 +26,13 @@ _FILE = {
     "r": "rectification_matrix",
     "p": "projection_matrix",
 }
-"""What camera_calibration_parsers calls the fields of the message."""
-_SHORTEST_BASELINE_M = 1e-6
+"""Keys of camera_calibration_parsers for the fields of the message."""
+_MIN_BASELINE_M = 1e-6
 _log = logging.getLogger(__name__)
 
 
 def recognises(document: Document) -> bool:
-    """Whether it has the message's fields, as a file has them or as `topic echo` prints them."""
+    """Whether the file has the fields of the message, as saved or as printed by `topic echo`."""
     data = _fields(document.data)
     is_file = "camera_matrix" in document.data and any(
         name in document.data for name in ("projection_matrix", "rectification_matrix")
@@ -41,21 +41,21 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera and, where its file stands beside a left one, the right camera.
+    """Read the camera; for a left one also the right camera, if its file is beside it.
 
     Raises:
-        CalibrationError: what a file says cannot be true.
+        CalibrationError: a value is missing or implausible.
     """
     cam0 = _camera(document, image_size)
     partner = partner_of(document.path)
     if partner is None:
         return Calibration(Rig(cam0))
     other = load_document(partner)
-    cam1_from_cam0 = between(_common_from_camera(document), _common_from_camera(other))
-    if np.linalg.norm(cam1_from_cam0[:3, 3]) < _SHORTEST_BASELINE_M:
+    cam1_from_cam0 = relative_pose(_common_from_camera(document), _common_from_camera(other))
+    if np.linalg.norm(cam1_from_cam0[:3, 3]) < _MIN_BASELINE_M:
         _log.warning(
-            "%s: the projection matrix has no baseline (Tx is 0), so it was not calibrated as a "
-            "pair; only the left camera is used",
+            "%s: only the left camera is used, because the projection matrix has no baseline (Tx "
+            "is 0): the cameras were not calibrated as a pair",
             partner,
         )
         return Calibration(Rig(cam0))
@@ -64,7 +64,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
 
 
 def partner_of(path: Path) -> Path | None:
-    """The file of the right camera beside that of the left one, told by its name."""
+    """The file of the right camera beside that of the left one, found by its name."""
     for left, right in _NAMES:
         if left in path.name:
             partner = path.with_name(path.name.replace(left, right))
@@ -90,7 +90,7 @@ def _common_from_camera(document: Document) -> Floats:
 
 
 def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The message's fields by their small names; ROS 1 prints D, K, R and P."""
+    """The fields of the message in lower case; ROS 1 prints D, K, R and P."""
     found = {name: data.get(name, data.get(name.upper())) for name in ("d", "k", "r", "p")}
     found |= {name: data.get(name) for name in ("width", "height", "distortion_model")}
     found |= {name: data[long] for name, long in _FILE.items() if long in data}
