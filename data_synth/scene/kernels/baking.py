@@ -1,7 +1,8 @@
-"""Baking: the light on points of all surfaces, from lamps, the sun and all around.
+"""Baking: the light on points of all surfaces, from lamps, the sun and the surroundings.
 
 A lamp of power P and reach r adds P cos(θ) / (1 + d² / r²) at distance d, averaged over points of
-its area; the sun adds its power times cos(θ). Ambient light is reduced in corners.
+its area, which makes shadows soft; the sun adds its power times cos(θ). Ambient light is multiplied
+by _DARKEST + (1 - _DARKEST) times the fraction of directions that are free (ambient occlusion).
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ def bake_faces(
         begin, rows, columns = lights.grids[solid, face]
         for i in range(rows):
             for j in range(columns):
+                # Grid points are evenly spaced over -1…1 and include the edges of the face.
                 right, up = 2.0 * j / (columns - 1) - 1.0, 2.0 * i / (rows - 1) - 1.0
                 local, normal = surface_point(world, solid, face, right, up)
                 tint = ambient_tint(normal)
@@ -187,7 +189,7 @@ def surface_point(
 def lamp_light(
     world: World, point: Vector, normal: Vector, lamp: Floats, lamp_points: Floats, guess: int
 ) -> float:
-    """Light from the points (P, 3) of a lamp, each counted where it is visible."""
+    """Light from those points (P, 3) of a lamp that are visible from a point of a surface."""
     to_lamp = (lamp[0] - point[0], lamp[1] - point[1], lamp[2] - point[2])
     if lamp[3] < _MIN_LIGHT * (1.0 + dot(to_lamp, to_lamp) / lamp[4] ** 2):
         return 0.0

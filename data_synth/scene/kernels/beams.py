@@ -1,4 +1,8 @@
-"""Tiles of an image, the beams of their rays, and bounds of where these enter boxes."""
+"""Tiles of an image, the beams of their rays, and bounds of where these enter boxes.
+
+A beam is a pair of intervals in each coordinate, of origins and of directions. Bounds by interval
+arithmetic hold for every ray of it, so that a solid that a beam misses needs no test by ray.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ def tile_beam(shutter: Shutter, rays: Floats, tile: Tile, phase: float) -> Beam:
     origin_min, origin_max = low, high
     # The first and the last row, at the start, in the middle and at the end of the exposure.
     moments = 1 if len(shutter.origins) == 1 else (6 if phase > 0.0 else 2)
-    # The rays at the border of a tile enclose the others, unless what the lens sees ends inside.
+    # The rays at the border of a tile enclose the others, unless the image circle ends inside.
     every, size = has_blind_corner(rays, tile), ZERO
     height, width = max(tile[1] - 1 - tile[0], 1), max(tile[3] - 1 - tile[2], 1)
     # The border of a small tile is almost straight between its corners.
@@ -96,13 +100,13 @@ def entry_bound(lower: Vector, upper: Vector, beam: Beam) -> float:
     near, far = 0.0, np.inf
     for k in range(3):
         first, last = lower[k] - beam.origin_max[k], upper[k] - beam.origin_min[k]
-        slow, fast = beam.ray_min[k], beam.ray_max[k]
+        slow, fast = beam.ray_min[k], beam.ray_max[k]  # change with t
         if fast < 0.0:  # mirror, so that all rays go forward
             first, last, slow, fast = -last, -first, -fast, -slow
         if slow > 0.0:
             near = max(near, first / (fast if first > 0.0 else slow))
             far = min(far, last / (slow if last > 0.0 else fast))
-        elif first > 0.0:
+        elif first > 0.0:  # directions of both signs: the exit has no bound
             near = max(near, first / fast if fast > 0.0 else np.inf)
         elif last < 0.0:
             near = max(near, last / slow if slow < 0.0 else np.inf)

@@ -38,10 +38,10 @@ def blur_tile(
     marks: NDArray[np.uint8],
     image: Floats32,
 ) -> bool:
-    """Fill in the pixels of a tile that no edge passes; whether there are others.
+    """Fill in the pixels of a tile that no edge passes; True if others remain.
 
-    Pixels whose motion goes far beyond the border of the image are marked, and are among the
-    others. `sweeps` are those of the rows of the tile, stored like poses.
+    Pixels whose motion goes far beyond the border of the image are marked, and remain too.
+    `sweeps` are those of the rows of the tile, stored like poses.
     """
     has_others, motion = False, (0.0, 0.0)
     for row in range(tile[0], tile[1]):
@@ -84,7 +84,8 @@ def mean_along_line(sharp: Floats32, row: int, column: int, motion: Pair) -> flo
     """Mean of the sharp image along a line, `motion` long, about the middle of a pixel.
 
     One sample for each pixel along the longer axis, interpolated along the other and weighted by
-    the part of the pixel that the line covers.
+    the part of the pixel that the line covers. The line is symmetric about the pixel, so that
+    samples k before and k after the middle have one weight and mirrored positions.
     """
     across, down = motion
     is_steep = abs(down) > abs(across)
@@ -96,7 +97,7 @@ def mean_along_line(sharp: Floats32, row: int, column: int, motion: Pair) -> flo
     reach = 0.5 * length
     last = int(reach + 0.5)
     for k in range(1, last + 1):
-        weight = min(reach + 0.5 - k, 1.0)
+        weight = min(reach + 0.5 - k, 1.0)  # less than 1 only at the end of the line
         side = k * slope
         low = math.floor(side)
         f = side - low

@@ -15,15 +15,17 @@ POSE_SIZE = 13  # numbers of a stored pose: rotation by rows, origin, time
 
 @inlined
 def pose_at(shutter: Shutter, rows: int, row: int, phase: float) -> Pose:
-    """Pose of the camera at a phase, -0.5…0.5, of the exposure of a row; linear between samples.
+    """Pose of the camera at a phase, -0.5…0.5, of the exposure of a row.
 
     The time is in seconds since the frame's stamp: the middle of the exposure of the middle row of
-    `rows`.
+    `rows`. Rotation matrices are interpolated entry by entry, because poses 2 ms apart are nearly
+    equal: at 2 rad/s the result differs from a rotation by 2e-6.
     """
     at = shutter.first + shutter.per_row * row + phase * shutter.width
     time = shutter.step_s * (shutter.per_row * (row - 0.5 * (rows - 1)) + phase * shutter.width)
     last = len(shutter.origins) - 1
     at = min(max(at, 0.0), float(last))
+    # Pose i and the next one, j, with weights g and f
     i = min(int(at), max(last - 1, 0))
     j, f = min(i + 1, last), at - i
     r, q, o, p = shutter.rotations[i], shutter.rotations[j], shutter.origins[i], shutter.origins[j]

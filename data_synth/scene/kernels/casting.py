@@ -1,4 +1,7 @@
-"""First pass: one ray for each pixel, in the middle of the exposure of its row."""
+"""First pass: one ray for each pixel, in the middle of the exposure of its row.
+
+The result is sharp in time; `blur` and `supersampling` derive the mean over the exposure from it.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,8 @@ def cast_rows(
 ) -> None:
     """Fill in rows band[0]…band[1] - 1 of a view.
 
-    Solids are culled twice: for tiles of CULL_TILE pixels, then for tiles of CAST_TILE in them.
+    Solids are culled twice: by the tree for tiles of CULL_TILE pixels, then from the resulting list
+    for tiles of CAST_TILE in them, so that the tree is traversed once for many small tiles.
     """
     far, near, packet = empty_list(world), empty_list(world), np.empty(PACKET_SIZE)
     poses = np.empty((band[1] - band[0], POSE_SIZE))
@@ -56,7 +60,7 @@ def cast_rows(
                     cast_tile(
                         world, tile_poses[upper - top :], rays, part, candidates, packet, view
                     )
-            # Apart from the intersection: in one loop, both would take a sixth longer.
+            # In a loop of its own: together with the intersection, both take a sixth longer.
             shade_tile(world, tile_poses, rays, tile, view)
 
 
@@ -90,7 +94,7 @@ def cast_tile(
             t, number = nearest_hit(world, packet, column - tile[2], candidates, guess)
             depth[row, column], surface[row, column] = t, number
             if number == ground:
-                guess = t  # the next pixel sees the ground near this point
+                guess = t  # the next pixel probably sees the ground near this point
 
 
 @inlined

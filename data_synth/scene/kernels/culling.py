@@ -1,4 +1,8 @@
-"""Solids that the rays of a tile may meet, in the order in which they may be met."""
+"""Solids that the rays of a tile may meet, in the order in which they may be met.
+
+The tree is stored in depth-first order: the first child of a node is the next node, and `skip` is
+the node after all its descendants. So a traversal is a loop with an index and needs no stack.
+"""
 
 from __future__ import annotations
 
@@ -107,6 +111,7 @@ def mover_entry_bound(
     _, _, first = pose_at(shutter, rows, tile[0], -phase)
     _, _, last = pose_at(shutter, rows, tile[1] - 1, phase)
     shape, v = world.shapes[solid], world.movers.velocities[solid - len(world.bounds)]
+    # Half size of the upright box around the turned solid
     cosine, sine = abs(shape[6]), abs(shape[7])
     reach = cosine * shape[3] + sine * shape[4], sine * shape[3] + cosine * shape[4], shape[5]
     velocity = (v[0], v[1], v[2])

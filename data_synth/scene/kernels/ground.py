@@ -1,8 +1,10 @@
 """Intersection of rays with the ground, a height field, and interpolation on its grid.
 
-A cell (i, j) is the bilinear patch z(u, v) = a + b u + c v + e u v over 0 ≤ u, v ≤ 1, with
-a = z_ij, b = z_i,j+1 - a, c = z_i+1,j - a and e = z_i+1,j+1 - z_i+1,j - b. Along a ray
-(u, v, h) + s d, the height above it is above + slope s + bend s², a quadratic equation.
+Grid coordinates (x to the right, y up) count cells from the corner of the height field, so that a
+point lies in cell (i, j) = (floor(y), floor(x)). A cell is the bilinear patch
+z(u, v) = a + b u + c v + e u v over 0 ≤ u, v ≤ 1, with a = z_ij, b = z_i,j+1 - a, c = z_i+1,j - a
+and e = z_i+1,j+1 - z_i+1,j - b. Along a ray (u, v, h) + s d, the height above it is
+above + slope s + bend s², a quadratic equation.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ _MAX_STEPS = 6  # cells that `follow_ground` tries
 def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end: float) -> float:
     """The t between begin and end at which a ray meets the ground; infinite for a miss.
 
-    Traverse the pyramid of peaks: skip blocks whose peak the ray stays above, descend into others.
+    Traverse the pyramid of peaks: skip blocks whose peak the ray stays above, descend into others,
+    and solve for the hit in blocks of level 0, which are cells. A block of level k has 2^k x 2^k
+    cells, so that its indices are those of its cells shifted right by k.
 
     Source: Tevs et al., Maximum Mipmaps for Fast, Accurate, and Scalable Dynamic Height Field
     Rendering, 2008.
@@ -38,6 +42,7 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
     )
     dx, dy = scale * ray[0], scale * ray[1]
     ix, iy = reciprocal(dx), reciprocal(dy)
+    # Clip the ray to the border of the grid (slab method).
     first, second = -ox * ix, (columns - ox) * ix
     near, far = max(begin, min(first, second)), min(end, max(first, second))
     first, second = -oy * iy, (rows - oy) * iy
@@ -46,8 +51,11 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
         return np.inf
     j = min(max(int(ox + t * dx), 0), columns - 1)
     i = min(max(int(oy + t * dy), 0), rows - 1)
-    level, top = 0, len(height_field.starts) - 1  # as if the blocks before had been skipped
+    # Start at level 0: most rays are near the ground at `begin`, which has been advanced, or which
+    # is the start of a shadow ray.
+    level, top = 0, len(height_field.starts) - 1
     while True:
+        # t at which the ray leaves the block across its sides in x and in y, and across any of them
         bj, bi = j >> level, i >> level
         tx = (((bj + (dx > 0.0)) << level) - ox) * ix if dx != 0.0 else np.inf
         ty = (((bi + (dy > 0.0)) << level) - oy) * iy if dy != 0.0 else np.inf
@@ -64,6 +72,8 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
                 return hit
         if out >= far:
             return np.inf
+        # Step into the next block. The index that changes comes from integers alone; the other one
+        # from the point, clamped to the block, so that rounding cannot skip a cell.
         t, oj, oi = out, j, i
         if tx < ty:
             j = (bj + 1) << level if dx > 0.0 else (bj << level) - 1
@@ -75,6 +85,7 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
                 j = min(max(int(ox + t * dx), bj << level), ((bj + 1) << level) - 1)
         if j < 0 or i < 0 or j >= columns or i >= rows:
             return np.inf
+        # On leaving the enclosing block, too, go on at its level: longer steps for high rays.
         up = level + 1
         if level < top and (j >> up != oj >> up or i >> up != oi >> up):
             level = up
@@ -84,11 +95,11 @@ def intersect_ground(world: World, start: Vector, ray: Vector, begin: float, end
 def follow_ground(
     world: World, start: Vector, ray: Vector, between: tuple[float, float], guess: float
 ) -> float:
-    """The t at which a ray meets the ground, given that it only comes closer; negative for none.
+    """The t at which a descending ray meets the ground; negative if it is not found.
 
-    The ray comes closer at all t of `between` (`ground_bounds.descent_end`), so that a hit is the
-    only one. Solve the quadratic equation of the cell at the guess; if the solution lies in another
-    cell, go on from there.
+    The ray comes closer to the ground at all t of `between` (`ground_bounds.descent_end`), so that
+    it has one hit at most. Solve the quadratic equation of the cell at the guess; if the solution
+    lies in another cell, continue there, as in Newton's method.
     """
     height_field = world.height_field
     z, scale, t = height_field.heights, height_field.per_m, guess
@@ -133,11 +144,12 @@ def intersect_cell(
     a, b, c, e = z00, z01 - z00, z10 - z00, z11 - z10 - (z01 - z00)
     u, v = o[0] + begin * d[0], o[1] + begin * d[1]
     above = o[2] + begin * d[2] - (a + b * u + c * v + e * u * v)
-    if above <= 0.0:  # it passed below by rounding, between two cells
+    if above <= 0.0:  # below already, by rounding, at the border to the previous cell
         return begin
     slope = d[2] - (b * d[0] + c * d[1] + e * (u * d[1] + v * d[0]))
     bend = -e * d[0] * d[1]
-    # The smaller positive root, without cancellation.
+    # The smaller positive root of above + slope s + bend s² = 0, without cancellation. A ray that
+    # rises above the patch (slope > 0) meets it only if the patch curves up: bend < 0.
     square = slope * slope - 4.0 * bend * above
     if square < 0.0:
         return np.inf
@@ -157,6 +169,7 @@ def ground_normal(world: World, x: float, y: float) -> Vector:
     scale = world.height_field.per_m
     z00, z01 = z[index(i), index(j)], z[index(i), index(j + 1)]
     z10, z11 = z[index(i + 1), index(j)], z[index(i + 1), index(j + 1)]
+    # Differences along the lower, the upper, the left and the right edge, then interpolated
     across, beyond, up, after = z01 - z00, z11 - z10, z10 - z00, z11 - z01
     gx, gy = scale * (across + v * (beyond - across)), scale * (up + u * (after - up))
     return -gx, -gy, 1.0

@@ -1,4 +1,7 @@
-"""Look-up of the light on surfaces, which `baking` has computed."""
+"""Look-up of the light on surfaces, which `baking` has computed; see `world.Lights`.
+
+Radiance is texture times light; light 1 shows a white texture as white.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,10 @@ def baked_light(world: World, solid: int, face: int, right: float, up: float) ->
 
 @inlined
 def light_on_mover(world: World, mover: int, normal: Vector) -> float:
-    """Light on a moving solid: one directional light and an ambient one."""
+    """Light on a moving solid: one directional light, and an ambient one, stronger from above.
+
+    Nothing is baked for movers; `baking.light_movers` sets their `lights` in every frame.
+    """
     light = world.movers.lights[mover]
     facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
     return float(max(facing, 0.0) + light[3] * (0.8 + 0.2 * normal[2]))

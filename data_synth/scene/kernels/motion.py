@@ -86,7 +86,9 @@ def surface_motion(
     scale = 1.0 / area
     right = scale * (mx * down[1] - my * down[0])
     below = scale * (across[0] * my - across[1] * mx)
-    # Rolling shutter: what moves down is exposed later and later, and so moves further.
+    # Rolling shutter: a point that moves down by v rows is exposed later by v * per_row poses,
+    # which are v * per_row / width exposures, and moves on meanwhile. Solve for v:
+    # v = below * (1 + v * per_row / width). The factor is limited to 2.
     if shutter.per_row != 0.0:
         late = 1.0 / (1.0 - min(below * shutter.per_row / shutter.width, 0.5))
         right, below = late * right, late * below

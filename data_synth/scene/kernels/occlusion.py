@@ -1,4 +1,9 @@
-"""What lies between two points: shadows of lamps and the sun, and of ambient light in corners."""
+"""Occlusion: whether a segment start…start + ray is blocked, and how much of the sky is visible.
+
+Used for shadows of lamps and the sun, and for less ambient light in corners. Any solid that the
+segment enters blocks it, so that the search ends at the first one found; the occluder of one ray is
+tested first for the next one. The tree is traversed as in `culling`.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +26,9 @@ def ambient_visibility(
 ) -> float:
     """Fraction of the directions (K, 3) above a surface that meet nothing within their length.
 
-    They are in coordinates along two tangents and the normal. The solid that occluded the last
-    direction is tried first for the next. `nearby` is room for a list of solids.
+    Directions have coordinates along two tangents and the normal. Their density is proportional to
+    the cosine of the angle to the normal, so that each counts equally. The solid that occluded the
+    previous direction is tested first. `nearby` is room for a list of solids.
     """
     count = solids_within(world, point, ray_length(to_sky), nearby)
     first, second = tangent_basis(normal)
@@ -35,7 +41,7 @@ def ambient_visibility(
         ray = add_scaled(ray, second, to_sky[k, 1])
         ray = add_scaled(ray, normal, to_sky[k, 2])
         blocked = False
-        if count > _MAX_TESTED_SINGLY:
+        if count > _MAX_TESTED_SINGLY:  # traverse the tree, the ground included
             occluder = find_occluder(world, point, ray, guess)
             visible += occluder < 0
             guess = occluder if occluder >= 0 else guess
@@ -83,7 +89,7 @@ def solids_within(world: World, point: Vector, reach: float, nearby: Ints) -> in
 
 @inlined
 def find_occluder(world: World, start: Vector, ray: Vector, guess: int) -> int:
-    """A solid, or GROUND, between start and start + ray; -1 for none. `guess` is tried first."""
+    """A solid, or GROUND, between start and start + ray; -1 for none. `guess` is tested first."""
     if guess != GROUND and occludes(world, guess, start, ray):
         return guess
     inverse = (reciprocal(ray[0]), reciprocal(ray[1]), reciprocal(ray[2]))

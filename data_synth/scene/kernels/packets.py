@@ -1,8 +1,9 @@
 """Packets of LANES rays that are intersected together, in vector instructions.
 
-A packet is an array of PACKET_SIZE numbers: rows of LANES, one number for each ray. Rows 0…2 are
-the directions of the rays, 3…5 their origins, 6 their times since the frame's stamp; rows 7 and 8
-are the results: t of the nearest hit and the number of its surface.
+The rays of a packet are neighbours and have one list of candidates, so that each solid is loaded
+once for LANES rays. A packet is an array of PACKET_SIZE numbers: rows of LANES, one number for each
+ray. Rows 0…2 are the directions of the rays, 3…5 their origins, 6 their times since the frame's
+stamp; rows 7 and 8 are the results: t of the nearest hit and the number of its surface.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def intersect_solids(world: World, packet: Floats, candidates: Candidates) -> No
         done = 0
         for lane in range(LANES):
             done += packet[_T + lane] <= entries[i]
-        if done == LANES:  # all hits are nearer than the remaining solids
+        if done == LANES:  # entries ascend: all hits are nearer than the remaining solids
             break
         kind = world.kinds[index(solids[i])]
         if kind == BOX:
@@ -113,7 +114,11 @@ def load_local_ray(
 
 @inlined
 def keep_nearest(packet: Floats, lane: int, near: float, far: float, number: float) -> None:
-    """Take a surface that a ray enters at `near` if it is the nearest so far."""
+    """Store a surface that a ray enters at `near` if it is the nearest so far.
+
+    Both results are always written, because a selection is vectorised and a branch is not. The
+    number of a surface is stored as a float, which is exact up to 2^53.
+    """
     t, before = packet[_T + lane], packet[_SURFACE + lane]
     is_nearest = (near > 0.0) & (near <= far) & (near < t)
     packet[_T + lane] = near if is_nearest else t

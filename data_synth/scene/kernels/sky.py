@@ -24,6 +24,7 @@ def sky_radiance(world: World, ray: Vector) -> float:
     pale = 0.3 + 0.7 * radiance
     if slope <= 0.0:
         return pale
+    # rise is the sine of the elevation; (1 - rise)^4 is 1 at the horizon and soon negligible.
     rise = slope / np.sqrt(1.0 + slope * slope)
     mist = (1.0 - rise) ** 4
     spread = _CLOUD_TEXELS / (ray[2] + 0.25 * flat)

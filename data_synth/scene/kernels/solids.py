@@ -1,4 +1,8 @@
-"""Intersection of a ray with one solid, in the frame of the solid."""
+"""Intersection of a ray o + t d with one solid, in the frame of the solid.
+
+Intersections with a shape are written with selections instead of branches, so that loops over the
+rays of a packet become vector instructions.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +55,7 @@ def clip_to_slab(hit: SlabHit, o: float, d: float, reach: float, face: float) ->
     """
     near, far, before = hit
     inverse = 1.0 / (d if d != 0.0 else 1e-300)
-    middle, half = -o * inverse, reach * abs(inverse)
+    middle, half = -o * inverse, reach * abs(inverse)  # t = middle ± half at the two planes
     later = middle - half > near
     entered = face if d > 0.0 else face + 1.0
     return (

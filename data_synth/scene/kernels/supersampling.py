@@ -34,15 +34,15 @@ from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
 from vo.types import Floats, Floats32, Ints
 
-_MAX_NEIGHBOURS = 4  # solids in the 3 x 3 pixels; among more, others may hide
+_MAX_NEIGHBOURS = 4  # solids in the 3 x 3 pixels; with more, an unseen one may lie between them
 
 
 class Scratch(NamedTuple):
-    """Memory that all pixels of a band use in turn.
+    """Memory that is reused for every pixel of a band.
 
     Attributes:
-        groups: (G, 5) of the rays that meet each surface: number, sums of offsets across, down and
-            in time, sum of 1 / t.
+        groups: (G, 5) for each surface, of the rays that meet it: their number, the sums of their
+            offsets across, down and in time, the sum of 1 / t.
         numbers: (G,) surfaces of the groups.
         packet: rays, see `packets`.
         around: (9,) solids that neighbouring pixels see.
@@ -72,12 +72,12 @@ def supersample_tile(
     marks: NDArray[np.uint8],
     image: Floats32,
 ) -> bool:
-    """Fill in the pixels of a tile whose mark is `stage`; whether none is left to the next stage.
+    """Fill in the pixels of a tile whose mark is `stage`; False if some need the next stage.
 
-    Stage EDGE: where little moves, rays meet what the centre rays of the 3 x 3 pixels met, so that
-    no culling is needed. A pixel becomes UNCERTAIN if that fails: a ray meets nothing though no
-    neighbour sees the sky, or so many solids are near that others may hide between them.
-    Stage UNCERTAIN: all candidates of the tile.
+    Stage EDGE: where little moves, the candidates are the surfaces that the centre rays of the
+    3 x 3 pixels met, so that no culling is needed. A pixel becomes UNCERTAIN if that fails: a ray
+    meets nothing although no neighbour sees the sky, or more than _MAX_NEIGHBOURS solids are near.
+    Stage UNCERTAIN: the candidates are those of the tile.
     """
     counts, offsets = sampling
     is_done = True
@@ -86,6 +86,7 @@ def supersample_tile(
         for column in range(tile[2], tile[3]):
             if marks[0, row, column] != stage or view.surface[row, column] == NOTHING:
                 continue
+            # Edges of different motion may pass one pixel: the greatest number of rays counts.
             level = len(counts) - 1
             while level > 0 and marks[level, row, column] == 0:
                 level -= 1
@@ -138,9 +139,11 @@ def supersample_pixel(
 ) -> float:
     """Mean radiance over the area and the exposure of one pixel.
 
-    Rays are grouped by surface. The radiance of each group is that of one ray, at the mean offset,
-    with a footprint as large as the part of pixel and motion that the group covers. If the first
-    half of the rays meet the surface of the centre ray, all are taken to do so.
+    Rays are grouped by surface, because texture look-ups are most of the work. The radiance of
+    each group is that of one ray, at the mean offset, with a footprint as large as the part of
+    pixel and motion that the group covers; the result is the mean over groups, weighted by their
+    rays. If the first half of the rays meet the surface of the centre ray, the second half is
+    assumed to.
 
     Args:
         world: with everything that moves in place.
@@ -148,7 +151,7 @@ def supersample_pixel(
         rays: (H, W, 3) of the pixels in the camera's frame.
         pixel: row and column.
         candidates: what may be met.
-        is_open: whether rays may meet nothing; if one does though not, the result is negative.
+        is_open: whether rays may meet nothing; if it is false and one does, the result is -1.
         level: index of the number of rays.
         offsets: (K, 3) of the rays.
         poses: (counts[0], 13) at the offsets in time of level 0, which most pixels have.
@@ -164,6 +167,7 @@ def supersample_pixel(
     count, left_out = 0, 0
     for k in range(len(offsets)):
         if k == max(4, len(offsets) // 2) and count == 1 and numbers[0] == centre:
+            # One surface only: the first pass has its radiance, unless it has to be blurred.
             inverse = groups[0, 4] / groups[0, 0]
             u, v = surface_motion(world, shutter, rays, sweep, inverse, centre, row, column)
             if abs(u) <= 1.0 and abs(v) <= 1.0:
@@ -171,10 +175,10 @@ def supersample_pixel(
             total_rays = k
             break
         lane = k % LANES
-        if lane == 0:
+        if lane == 0:  # intersect the next LANES rays; the last packet repeats the last ray
             for other in range(LANES):
                 m = min(k + other, len(offsets) - 1)
-                if level == 0:
+                if level == 0:  # poses of these phases are shared by the pixels of the row
                     rotation, start, time = load_pose(poses[m])
                 else:
                     rotation, start, time = pose_at(shutter, rows, row, offsets[m, 2])
@@ -189,7 +193,7 @@ def supersample_pixel(
             numbers[group] == number and is_same_piece(inverse, groups[group, 4] / groups[group, 0])
         ):
             group += 1
-        if group == len(numbers):  # of so many surfaces, one ray less makes no difference
+        if group == len(numbers):  # no room for another surface: leave this ray out of the mean
             left_out += 1
             continue
         if group == count:
@@ -203,6 +207,7 @@ def supersample_pixel(
         groups[group, 3] += offsets[k, 2]
         groups[group, 4] += inverse
     total_rays -= left_out
+    # Shade each group once, at its mean offset and mean inverse depth.
     total = 0.0
     for group in range(count):
         size = groups[group, 0]
@@ -215,7 +220,7 @@ def supersample_pixel(
         first, second = motion_footprint(across, down, motion, size / total_rays)
         sides = (rotate_xy(rotation, first), rotate_xy(rotation, second))
         t = 1.0 / inverse
-        if numbers[group] == ground_number(world):  # too uneven for the mean of 1 / t
+        if numbers[group] == ground_number(world):  # uneven: intersect again, near the mean
             exact = follow_ground(world, start, mean_ray, (0.9 * t, 1.1 * t), t)
             if exact < 0.0:
                 exact = intersect_ground(world, start, mean_ray, 0.9 * t, 1.1 * t)
@@ -243,7 +248,7 @@ def neighbouring_solids(
             if number < 0:
                 sees_sky = True
             elif number == ground_number(world):
-                entry = min(entry, 0.9 * depth[i, j])
+                entry = min(entry, 0.9 * depth[i, j])  # it may be nearer between the rays
             else:
                 solid, k = number // 6, 0
                 while k < count and solids[k] != solid:
@@ -256,7 +261,10 @@ def neighbouring_solids(
 
 @inlined
 def is_same_piece(inverse: float, mean: float) -> bool:
-    """Whether inverse depths are of one piece of a surface: one hill may hide another."""
+    """Whether two inverse depths differ by at most 5 %, as on one slope of the ground.
+
+    Otherwise one hill occludes another, and their hits must not be averaged.
+    """
     return abs(inverse - mean) <= 0.05 * mean
 
 
@@ -276,10 +284,12 @@ def motion_footprint(across: Pair, down: Pair, motion: Pair, fraction: float) ->
 
     A motion shorter than the side of that part of the pixel is not visible in the footprint.
     """
+    # A part `fraction` of the pixel is a square of this side, in pixels.
     length = math.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
     size = math.sqrt(fraction)
     if length * fraction <= size:
         return (size * across[0], size * across[1]), (size * down[0], size * down[1])
+    # (u, v) is the motion in pixels, (p, q) the side of the square at right angles to it.
     u, v = fraction * motion[0], fraction * motion[1]
     p, q = -size * motion[1] / length, size * motion[0] / length
     return (

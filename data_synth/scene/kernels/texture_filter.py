@@ -16,12 +16,14 @@ NO_FILTER = Filter(0, 1, 0.0, 1.0, 0.0, 0.0, 0, 1.0)
 def mip_level(square: float) -> tuple[int, float, float]:
     """Mip-map level for a footprint of `square` texels squared.
 
-    Returns level, 2^-level and the weight of the next level.
+    The level is log2 of the side of the footprint in texels, log4(square): its whole part, and its
+    fraction as the weight of the next level. Returns level, 2^-level and that weight.
     """
     level, shrink = 0, 1.0
     while square >= 4.0 and level < LEVELS - 1:
         square, level, shrink = 0.25 * square, level + 1, 0.5 * shrink
-    # Two lines in place of the logarithm, cut off so that often one level is enough.
+    # In place of log4(square), two straight lines, clipped to 0…1, so that for some footprints one
+    # level is enough: for squares below 1.5, and above 3.
     weight = square - 1.5 if square < 2.0 else 0.5 * square - 0.5
     if level == LEVELS - 1:
         weight = 0.0
@@ -52,7 +54,7 @@ def footprint_filter(first: Pair, second: Pair, su: float, sv: float, stain: flo
         while count < _MAX_ANISOTROPY and long >= (count + 0.6) ** 2 * wide:
             count += 1
     step = INVERSE_COUNTS[count]
-    # At least as long as the distance of samples: a little blur, but no aliasing.
+    # A footprint at least as wide as the distance of samples: slightly blurred, but no aliasing
     level, shrink, weight = mip_level(max(short, long * step * step))
     return Filter(
         level, count, weight, shrink * ONE_TEXEL, along[0], along[1], stain_level, stain_scale

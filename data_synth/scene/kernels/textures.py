@@ -1,8 +1,12 @@
 """Texture look-up in fixed point, and texture coordinates on solids.
 
-Textures and the stain, the last texture of the atlas, wrap around. Coordinates are integers in
-units of 2^-16 texels of a mip-map level, because integer shifts and masks are faster than rounding
-floats.
+Textures and the stain, the last texture of the atlas, wrap around. Their sides are powers of two,
+so that wrapping is a mask. Coordinates are integers in units of 2^-16 texels of a mip-map level,
+because integer shifts and masks are faster than rounding floats. Values are grey levels (0…255)
+times 2^32 after bilinear interpolation, 2^16 for each axis, and become 0…1 at the very end.
+
+The stain is a smooth random texture of large spots; a texture value is multiplied by
+1 + 2 strength (stain - 0.5), so that a repeated texture does not look the same everywhere.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ def surface_texture(
 ) -> float:
     """Filtered texture, with stains, at a point of a face given in metres right and down."""
     right, low = at
+    # Texels from the corner of the texture, whose middle is the middle of the face
     su, sv = world.scales[index(solid), index(axis), 0], world.scales[index(solid), index(axis), 1]
     texture = world.textures[index(solid)]
     u = su * right + world.offsets[index(solid), 0] + 0.5 * world.atlas.levels[texture, 0, 2]
@@ -78,6 +83,8 @@ def filtered_stain(world: World, u: float, v: float, filter_: Filter) -> float:
 def sample_filtered(world: World, texture: int, u: float, v: float, filter_: Filter) -> float:
     """Mean, 0…1, of samples along the longer side of the footprint about a point in texels."""
     level, count, next_weight, scale, right, low, _, _ = filter_
+    # `count` samples in the middles of equal parts: the first is (count - 1) / 2 parts before the
+    # middle, as a fraction of the side 0.5 (1 / count - 1).
     step = INVERSE_COUNTS[count]
     first_sample = 0.5 * (step - 1.0)
     x, y = int(scale * (u + first_sample * right)), int(scale * (v + first_sample * low))
@@ -86,7 +93,7 @@ def sample_filtered(world: World, texture: int, u: float, v: float, filter_: Fil
     if next_weight < 1.0:
         total = sum_samples(world, texture, level, (x, y), (dx, dy), count)
     if next_weight > 0.0:
-        x, y, dx, dy = x >> 1, y >> 1, dx >> 1, dy >> 1
+        x, y, dx, dy = x >> 1, y >> 1, dx >> 1, dy >> 1  # in texels of twice the width
         softer = sum_samples(world, texture, level + 1, (x, y), (dx, dy), count)
         total += next_weight * (softer - total)
     return step * total * _PER_GREY
