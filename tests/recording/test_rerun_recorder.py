@@ -10,6 +10,7 @@ import fake_run
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from rrd import read_rrd
 
 from vo.errors import OutputError
 from vo.geometry.transforms import quat_xyzw_from_rotation, rotation_from_quat_xyzw
@@ -29,20 +30,6 @@ def record(path: Path, *, images="half", first_ns=0, rig=fake_run.RIG, truth=Non
     path_found = fake_run.trajectory(first_ns)
     recorder.finish(path_found, path_found)
     return path
-
-
-def read(path: Path, column: str) -> dict[str, list]:
-    """Values by entity of the component whose column ends in `column`, rows in order of frames."""
-    rows = defaultdict(list)
-    for chunk in RrdReader(path).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        names = [name for name in batch.schema.names if name.split(":")[-1] == column]
-        for name in names:
-            has_frames = entities.FRAME_TIMELINE in batch.schema.names
-            frames = batch["frame"].to_pylist() if has_frames else [-1] * len(batch)
-            values = zip(frames, batch[name].to_pylist(), strict=True)
-            rows[chunk.entity_path.lstrip("/")] += [row for row in values if row[1] is not None]
-    return {entity: sorted(found, key=lambda row: row[0]) for entity, found in rows.items()}
 
 
 def run_script(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -109,7 +96,7 @@ def test_holds_every_entity_on_both_timelines(recording):
 def test_poses_are_those_of_the_run(recording):
     tracked = [frame for frame in range(fake_run.FRAMES) if frame != fake_run.LOST_FRAME]
     for entity in (entities.CAUSAL_POSES, entities.SMOOTHED_POSES):
-        rows = read(recording, "scalars")[entity]
+        rows = read_rrd(recording, "scalars")[entity]
         assert [frame for frame, _ in rows] == tracked
         for frame, row in rows:
             expected = fake_run.pose(frame)
@@ -120,12 +107,12 @@ def test_poses_are_those_of_the_run(recording):
 
 
 def test_camera_moves_along_the_causal_path(recording):
-    rows = read(recording, "quaternion")[entities.CAM0]
+    rows = read_rrd(recording, "quaternion")[entities.CAM0]
     assert len(rows) == fake_run.FRAMES - 1
     for frame, (quat,) in rows:
         expected = quat_xyzw_from_rotation(fake_run.pose(frame)[:3, :3])
         assert np.asarray(quat) == pytest.approx(expected, abs=1e-6)
-    lines = read(recording, "strips")[entities.CAUSAL_PATH]
+    lines = read_rrd(recording, "strips")[entities.CAUSAL_PATH]
     assert [frame for frame, _ in lines] == [*range(1, 6), *range(8, 22)]  # none across the loss
     for frame, (line,) in lines:
         ends = [fake_run.pose(frame - 1)[:3, 3], fake_run.pose(frame)[:3, 3]]
@@ -133,12 +120,12 @@ def test_camera_moves_along_the_causal_path(recording):
 
 
 def test_smoothed_path_ends_as_one_strip_for_each_segment(recording):
-    last = [strips for frame, strips in read(recording, "strips")[entities.SMOOTHED_PATH]][0]
+    last = [strips for frame, strips in read_rrd(recording, "strips")[entities.SMOOTHED_PATH]][0]
     assert [len(strip) for strip in last] == [6, 15]
 
 
 def test_each_landmark_settles_once(recording):
-    rows = read(recording, "positions")
+    rows = read_rrd(recording, "positions")
     settled = np.concatenate([points for _, points in rows[entities.SETTLED_LANDMARKS]])
     (_, first), *_ = rows[entities.LOCAL_LANDMARKS]
     assert len(first) == fake_run.LANDMARKS
@@ -148,16 +135,16 @@ def test_each_landmark_settles_once(recording):
 @pytest.mark.parametrize("images, scale", [("full", 1.0), ("half", 0.5), ("none", 1.0)])
 def test_overlays_lie_on_the_image(tmp_path, images, scale):
     path = record(tmp_path / "run.rrd", images=images)
-    blobs = read(path, "blob").get(entities.LEFT_IMAGE, [])
+    blobs = read_rrd(path, "blob").get(entities.LEFT_IMAGE, [])
     assert len(blobs) == (0 if images == "none" else fake_run.FRAMES)
-    ((width, height),) = read(path, "resolution")[entities.LEFT][0][1]
+    ((width, height),) = read_rrd(path, "resolution")[entities.LEFT][0][1]
     for _, (blob,) in blobs:
         image = cv2.imdecode(np.array(blob, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         assert image.shape == (height, width)
-    points = read(path, "positions")[f"{entities.FEATURES}/tracked"]
+    points = read_rrd(path, "positions")[f"{entities.FEATURES}/tracked"]
     points = [row for row in points if row[0] == 3][0][1]
     assert np.array(points) == pytest.approx((fake_run.view(3).xy[8:] + 0.5) * scale, abs=1 / 31)
-    (matrix,) = read(path, "image_from_camera")[entities.LEFT][0][1]
+    (matrix,) = read_rrd(path, "image_from_camera")[entities.LEFT][0][1]
     centre = (fake_run.CAMERA.cx + 0.5) * scale
     assert matrix[6] == pytest.approx(centre) and matrix[0] == pytest.approx(50.0 * scale)
 
@@ -181,12 +168,12 @@ def test_truth_lies_on_the_estimate(tmp_path, is_stereo, scale):
     turned[:, :3, 3] *= scale
     rig = fake_run.RIG if is_stereo else Rig(fake_run.CAMERA)
     path = record(tmp_path / "run.rrd", rig=rig, truth=Trajectory(found.stamps_ns, turned))
-    shown = [strips for _, strips in read(path, "strips")[entities.TRUE_PATH]][-1]
+    shown = [strips for _, strips in read_rrd(path, "strips")[entities.TRUE_PATH]][-1]
     assert np.array(shown[0]) == pytest.approx(found.positions, abs=1e-3)
 
 
 def test_loss_is_in_the_events(recording):
-    texts = [(frame, text) for frame, (text,) in read(recording, "text")[entities.EVENTS]]
+    texts = [(frame, text) for frame, (text,) in read_rrd(recording, "text")[entities.EVENTS]]
     keyframes = [(frame, text) for frame, text in texts if text.startswith("keyframe")]
     assert [frame for frame, _ in keyframes] == [0, 2, 4, *range(8, 22, 2)]
     assert keyframes[1][1] == "keyframe: 20 of 22 matches agree"
@@ -202,7 +189,7 @@ def test_replaces_an_older_file(tmp_path, recording):
     path = tmp_path / "run.rrd"
     path.write_bytes(b"old" * 1_000_000)
     record(path)
-    assert len(read(path, "blob")[entities.LEFT_IMAGE]) == fake_run.FRAMES
+    assert len(read_rrd(path, "blob")[entities.LEFT_IMAGE]) == fake_run.FRAMES
 
 
 @pytest.mark.parametrize("name", ["folder", "file.txt/run.rrd"])
@@ -246,7 +233,7 @@ def test_run_killed_in_the_middle_leaves_a_file_that_opens(tmp_path):
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     assert run_script(script, path).returncode == -signal.SIGKILL
-    assert len(read(path, "blob")[entities.LEFT_IMAGE]) >= 25
+    assert len(read_rrd(path, "blob")[entities.LEFT_IMAGE]) >= 25
 
 
 def test_recorder_without_frames_closes(tmp_path):
