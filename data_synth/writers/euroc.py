@@ -41,11 +41,11 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     """
     suffix = SUFFIXES[codec]
     stamps = [camera.tolist() for camera in recording.stamps_ns]
-    homes = [path / "mav0" / f"cam{camera}" for camera in range(len(stamps))]
-    for camera, home in enumerate(homes):
-        (home / "data").mkdir(parents=True)
-        _write_yaml(home / "sensor.yaml", _camera_sensor(recording, camera))
-        write_lines(home / "data.csv", _image_lines(recording, camera, suffix))
+    folders = [path / "mav0" / f"cam{camera}" for camera in range(len(stamps))]
+    for camera, folder in enumerate(folders):
+        (folder / "data").mkdir(parents=True)
+        _write_yaml(folder / "sensor.yaml", _camera_sensor(recording, camera))
+        write_lines(folder / "data.csv", _image_lines(recording, camera, suffix))
     _write_body(path / "mav0", recording)
     write_tum(path / "groundtruth.tum", written_truth(recording))
     write_calibration(path / "calibration.yaml", recording.rig)
@@ -55,7 +55,7 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     write_images(
         shots,
         codec,
-        lambda camera, index: homes[camera] / "data" / f"{stamps[camera][index]}{suffix}",
+        lambda camera, index: folders[camera] / "data" / f"{stamps[camera][index]}{suffix}",
         lambda index: path / "depth" / f"{stamps[0][index]}.tiff",
     )
 

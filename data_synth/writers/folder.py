@@ -29,9 +29,9 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
         OSError: a file cannot be written.
         OutputError: the same, of the truth or the calibration.
     """
-    homes = (path / "left", path / "right") if recording.rig.is_stereo else (path,)
-    for home in homes:
-        home.mkdir(parents=True, exist_ok=True)
+    folders = (path / "left", path / "right") if recording.rig.is_stereo else (path,)
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
     if recording.has_depth:
         (path / "depth").mkdir()
     write_lines(path / "times.txt", map(seconds_text, written_stamps(recording, 0)))
@@ -42,6 +42,6 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     write_images(
         shots,
         codec,
-        lambda camera, index: homes[camera] / f"{index:06d}{suffix}",
+        lambda camera, index: folders[camera] / f"{index:06d}{suffix}",
         lambda index: path / "depth" / f"{index:06d}.tiff",
     )

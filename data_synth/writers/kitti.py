@@ -30,9 +30,9 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     check_kitti(recording.rig, any(dropped.any() for dropped in recording.dropped))
     recording = _from_first_frame(recording)
     first = 2 if recording.has_colour else 0
-    homes = [path / f"image_{first + camera}" for camera in range(len(recording.stamps_ns))]
-    for home in homes:
-        home.mkdir(parents=True)
+    folders = [path / f"image_{first + camera}" for camera in range(len(recording.stamps_ns))]
+    for folder in folders:
+        folder.mkdir(parents=True)
     write_lines(path / "calib.txt", _calibration(recording.rig))
     write_lines(path / "times.txt", map(seconds_text, recording.stamps_ns[0].tolist()))
     poses = recording.cam0_truth.world_from_cam
@@ -44,7 +44,7 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
     write_images(
         shots,
         codec,
-        lambda camera, index: homes[camera] / f"{index:06d}{suffix}",
+        lambda camera, index: folders[camera] / f"{index:06d}{suffix}",
         lambda index: path / "depth" / f"{index:06d}.tiff",
     )
 

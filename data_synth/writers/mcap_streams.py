@@ -50,7 +50,7 @@ def messages_of(
     """
     streams = [_moving_transforms(recording), _body_poses(recording)]
     if recording.imu is not None:
-        streams.append(_samples(recording.imu))
+        streams.append(_imu_samples(recording.imu))
     streams.extend(_images(recording, shots, codec))
     first_ns = min(int(each.stamps_ns.min()) for each in streams if each.stamps_ns.size)
     yield from _in_order([_static_transforms(recording, first_ns), *streams])
@@ -100,7 +100,7 @@ def _body_poses(recording: Recording) -> _Stream:
     return _Stream(truth.stamps_ns, messages)
 
 
-def _samples(imu: Imu) -> _Stream:
+def _imu_samples(imu: Imu) -> _Stream:
     # White noise of density n, sampled at rate r, has variance n² r.
     noise = imu.noise
     gyro_variance = 0.0 if noise is None else noise.gyro_noise**2 * imu.rate_hz
@@ -190,9 +190,9 @@ def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:
     """For each camera, rectified_from_cam (3, 3) and projection (3, 4) of the rectified camera."""
     if rig.cam1_from_cam0 is None:
         return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
-    working = rectified_rig(rig)
-    left_rotation = working.cam0_from_rectified[:3, :3].T
-    left = np.column_stack([working.matrix, np.zeros(3)])
+    rectified = rectified_rig(rig)
+    left_rotation = rectified.cam0_from_rectified[:3, :3].T
+    left = np.column_stack([rectified.matrix, np.zeros(3)])
     right = left.copy()
-    right[0, 3] = -working.fx * working.baseline_m
+    right[0, 3] = -rectified.fx * rectified.baseline_m
     return [(left_rotation, left), (left_rotation @ rig.cam1_from_cam0[:3, :3].T, right)]

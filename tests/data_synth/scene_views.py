@@ -42,6 +42,6 @@ def gliding(speed: tuple[float, float, float]) -> Callable[[Floats], Floats]:
 
 
 def points_seen(rays: Floats, depth: Floats, pose: Floats) -> Floats:
-    """Points (N, 3) in the world of all pixels that see something."""
+    """Points (N, 3) in the world of all pixels with finite depth."""
     seen = np.isfinite(depth)
     return (rays[seen] * depth[seen][:, None]) @ pose[:3, :3].T + pose[:3, 3]
