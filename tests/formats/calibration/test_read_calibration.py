@@ -36,7 +36,7 @@ def _message(path: Path, size: tuple[int, int] | None = None) -> str:
     return message
 
 
-# Our own form
+# Own format
 
 
 def test_own_mono(tmp_path: Path) -> None:
@@ -358,7 +358,7 @@ def test_kitti_without_the_left_camera(tmp_path: Path) -> None:
 
 def test_documented_examples_can_be_read(tmp_path: Path) -> None:
     """Every block is a complete file, under a heading with the name of its format."""
-    text = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs/calibration.md").read_text(encoding="utf-8")
     kinds, pairs = [], []
     for part in text.split("\n## ")[1:]:
         for section in ("\n" + part).split("\n### "):

@@ -8,9 +8,9 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from calibration_files import BASALT, COLMAP_HEADER, KITTI_RAW, ORB_FISHEYE, basalt_file
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_calibration_kinds import BASALT, COLMAP_HEAD, KITTI_RAW, ORB_FISHEYE, _basalt
 
 from vo.errors import CalibrationError, VoError
 from vo.formats.calibration import FORMATS, read_calibration
@@ -79,8 +79,8 @@ FILES = {
     "KITTI raw": KITTI_RAW,
     "KITTI": "P0: 707.1 0 601.9 0 0 707.1 183.1 0 0 0 1 0\n"
     "P1: 707.1 0 601.9 -379.8 0 707.1 183.1 0 0 0 1 0\n",
-    "COLMAP": COLMAP_HEAD + "1 OPENCV 640 480 600 601 320 240 0.1 0.2 0.3 0.4\n",
-    "Basalt": _basalt("ds", BASALT["ds"][0]),
+    "COLMAP": COLMAP_HEADER + "1 OPENCV 640 480 600 601 320 240 0.1 0.2 0.3 0.4\n",
+    "Basalt": basalt_file("ds", BASALT["ds"][0]),
     "ORB-SLAM3": ORB_FISHEYE,
     "ROS camera_info": ROS,
     "OpenCV": OPENCV_XML,
