@@ -91,6 +91,24 @@ def test_a_stream_that_ends_before_its_first_frame_is_an_error(
         run(camera(synthetic_stereo, 0), tmp_path, config=FAST)
 
 
+def test_a_stream_that_fails_keeps_the_results_so_far(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    stream = camera(synthetic_stereo)
+
+    def unplugged() -> Iterator[Frame]:
+        yield from islice(stream.frames(), 4)
+        raise SourceError("the camera does not respond")
+
+    with pytest.raises(SourceError, match="does not respond"):
+        run(Camera(stream.rig, unplugged()), tmp_path, config=FAST)
+    written = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert written["status"] == "failed"
+    assert written["error"].endswith("the camera does not respond")
+    assert written["tracked"] == 4
+    assert len((tmp_path / "causal.tum").read_text(encoding="utf-8").splitlines()) == 4
+
+
 def test_frames_of_a_stream_cannot_be_left_out_and_interpolated(
     synthetic_stereo: Path, tmp_path: Path
 ) -> None:
