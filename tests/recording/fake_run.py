@@ -1,4 +1,4 @@
-"""A short made-up run: keyframes, landmarks, one lost frame and a second segment."""
+"""A short synthetic run: keyframes, landmarks, one lost frame and a second segment."""
 
 from functools import partial
 

@@ -10,8 +10,8 @@ from vo.errors import OutputError
 from vo.recording.background import BackgroundRecorder
 
 
-class Slow:
-    """A recorder that waits until it is let go, and then keeps what it is told."""
+class BlockedRecorder:
+    """A recorder that is blocked until `go` is set, and then stores frame numbers."""
 
     def __init__(self, error: Exception | None = None) -> None:
         self.go = threading.Event()
@@ -42,8 +42,8 @@ def finish(recorder: BackgroundRecorder) -> None:
     recorder.finish(fake_run.trajectory(), fake_run.trajectory())
 
 
-def test_everything_arrives_in_order():
-    inner = Slow()
+def test_all_frames_are_recorded_in_order():
+    inner = BlockedRecorder()
     inner.go.set()
     recorder = begun(inner, queue_size=100)
     for frame in range(50):
@@ -53,8 +53,8 @@ def test_everything_arrives_in_order():
     assert inner.finished
 
 
-def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
-    inner = Slow()
+def test_a_slow_recorder_loses_frames_without_blocking(caplog):
+    inner = BlockedRecorder()
     recorder = begun(inner, queue_size=4)
     taken = []
 
@@ -72,12 +72,12 @@ def test_a_slow_recorder_loses_frames_and_holds_nobody_up(caplog):
     assert inner.finished
     left_out = 20 - len(inner.frames)
     assert 15 <= left_out <= 16
-    assert len(taken) == len(inner.frames)  # of a frame that is left out no snapshot is taken
+    assert len(taken) == len(inner.frames)  # no snapshots of frames that are left out
     assert f"{left_out} frames are missing in the recording" in caplog.text
 
 
-def test_a_hanging_recorder_is_given_up(caplog):
-    inner = Slow()
+def test_a_hanging_recorder_is_stopped(caplog):
+    inner = BlockedRecorder()
     recorder = begun(inner, timeout_s=0.3)
     fake_run.record(recorder, 0)
     with caplog.at_level(logging.WARNING):
@@ -86,8 +86,8 @@ def test_a_hanging_recorder_is_given_up(caplog):
     inner.go.set()
 
 
-def test_whatever_goes_wrong_is_one_warning(caplog):
-    inner = Slow(ValueError("of some kind"))
+def test_any_exception_is_one_warning(caplog):
+    inner = BlockedRecorder(ValueError("of some kind"))
     inner.go.set()
     recorder = begun(inner)
     with caplog.at_level(logging.WARNING):
@@ -99,8 +99,8 @@ def test_whatever_goes_wrong_is_one_warning(caplog):
     ]
 
 
-def test_what_cannot_begin_says_so_before_the_run():
-    class Closed(Slow):
+def test_an_error_at_the_beginning_is_raised_before_the_run():
+    class Closed(BlockedRecorder):
         def begin(self, name, rig, ground_truth):
             raise OutputError("cannot write")
 

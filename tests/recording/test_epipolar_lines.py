@@ -7,7 +7,7 @@ from vo.recording.epipolar import epipolar_lines
 from vo.types import Camera, View
 
 PLAIN = Camera(width=640, height=480, fx=400.0, fy=410.0, cx=320.0, cy=240.0)
-BENT = Camera(640, 480, 400.0, 410.0, 320.0, 240.0, "radtan", (-0.25, 0.05, 0.001, -0.001))
+DISTORTED = Camera(640, 480, 400.0, 410.0, 320.0, 240.0, "radtan", (-0.25, 0.05, 0.001, -0.001))
 
 
 def seen(camera: Camera, points: np.ndarray) -> np.ndarray:
@@ -24,15 +24,15 @@ def make_view(camera: Camera) -> View:
 
 
 def distance_to_curve(point: np.ndarray, curve: np.ndarray) -> float:
-    """Of a pixel to a chain of pixels (k, 2)."""
+    """Distance of a pixel to a polyline of pixels (k, 2)."""
     start, along = curve[:-1], np.diff(curve, axis=0)
     share = ((point - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
     nearest = start + share.clip(0.0, 1.0)[:, None] * along
     return float(np.linalg.norm(nearest - point, axis=1).min())
 
 
-@pytest.mark.parametrize("camera, within_px", [(PLAIN, 1e-3), (BENT, 0.5)])
-def test_lines_pass_through_where_the_points_are_now(camera, within_px):
+@pytest.mark.parametrize("camera, within_px", [(PLAIN, 1e-3), (DISTORTED, 0.5)])
+def test_lines_pass_through_the_points_in_this_image(camera, within_px):
     rng = np.random.default_rng(1)
     view = make_view(camera)
     before = make_transform(so3_exp(np.array([0.0, 0.4, 0.0])), np.array([1.0, 0.0, 2.0]))
@@ -47,7 +47,7 @@ def test_lines_pass_through_where_the_points_are_now(camera, within_px):
     assert max(distances) < within_px
 
 
-def test_a_camera_that_stands_still_has_none():
+def test_there_are_no_lines_without_camera_motion():
     view = make_view(PLAIN)
     xy = np.array([[100.0, 100.0]], dtype=np.float32)
     assert len(epipolar_lines(view, xy, np.eye(4), np.eye(4))) == 0

@@ -1,4 +1,4 @@
-"""What other programs read: COLMAP models, PLY, MCAP; read back with their own readers."""
+"""COLMAP models, PLY and MCAP files, read back with other libraries."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import exact_run
 import numpy as np
-import orbit
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -32,15 +32,15 @@ from vo.recording.recorder import Recorder
 from vo.run import run
 from vo.types import Camera, Rig, Trajectory
 
-RIG = Rig(orbit.PINHOLE)
+RIG = Rig(exact_run.PINHOLE)
 RUN_FRAMES = 12
 
 
-def record(recorder: Recorder, camera: Camera = orbit.PINHOLE) -> None:
+def record(recorder: Recorder, camera: Camera = exact_run.PINHOLE) -> None:
     recorder.begin("a name", RIG, None)
-    for frame in range(orbit.FRAMES):
-        orbit.record(recorder, frame, camera)
-    recorder.finish(orbit.smoothed(), orbit.smoothed())
+    for frame in range(exact_run.FRAMES):
+        exact_run.record(recorder, frame, camera)
+    recorder.finish(exact_run.smoothed(), exact_run.smoothed())
 
 
 def colmap_errors(model: Any) -> np.ndarray:
@@ -72,23 +72,23 @@ def read_mcap(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
-def test_colmap_gets_the_lens_as_it_was_found_to_be_on_the_way(tmp_path: Path) -> None:
+def test_the_colmap_camera_has_the_estimated_distortion(tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    found = replace(orbit.PINHOLE, distortion_model="radtan", distortion=(0.01, 0.0, 0.0, 0.0))
+    found = replace(exact_run.PINHOLE, distortion_model="radtan", distortion=(0.01, 0.0, 0.0, 0.0))
     recorder = ColmapRecorder(tmp_path)
     recorder.begin("a name", RIG, None)
-    for frame in range(orbit.FRAMES):
-        orbit.record(recorder, frame, orbit.PINHOLE if frame < 2 else found)
-    recorder.finish(orbit.smoothed(), orbit.smoothed())
+    for frame in range(exact_run.FRAMES):
+        exact_run.record(recorder, frame, exact_run.PINHOLE if frame < 2 else found)
+    recorder.finish(exact_run.smoothed(), exact_run.smoothed())
     (camera,) = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0")).cameras.values()
     assert camera.model.name == "OPENCV"
     assert camera.params[4] == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("lens", orbit.LENSES)
+@pytest.mark.parametrize("lens", exact_run.LENSES)
 def test_colmap_reads_an_exact_model(lens: str, tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    record(ColmapRecorder(tmp_path), orbit.LENSES[lens])
+    record(ColmapRecorder(tmp_path), exact_run.LENSES[lens])
     model = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
     expected = {
         "pinhole": "PINHOLE",
@@ -98,79 +98,81 @@ def test_colmap_reads_an_exact_model(lens: str, tmp_path: Path) -> None:
         "double_sphere": "PINHOLE",
     }
     assert [camera.model_name for camera in model.cameras.values()] == [expected[lens]]
-    assert model.num_images() == orbit.FRAMES
+    assert model.num_images() == exact_run.FRAMES
     errors = colmap_errors(model)
     assert len(errors) > 1000
     assert errors.max() < 0.002  # pixels are written with three decimals
     found = np.array([point.xyz for point in model.points3D.values()])
-    true = orbit.points()
+    true = exact_run.points()
     nearest = np.abs(found[:, None] - true[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
     for image in model.images.values():
         number = int(image.name.removeprefix("frame_").removesuffix(".png"))
-        expected_centre = orbit.pose(number)[:3, 3]
+        expected_centre = exact_run.pose(number)[:3, 3]
         np.testing.assert_allclose(image.projection_center(), expected_centre, atol=1e-9)
         picture = cv2.imread(str(tmp_path / "images" / image.name), cv2.IMREAD_GRAYSCALE)
         if lens != "double_sphere":
-            shown = orbit.view(number, orbit.LENSES[lens]).image0
+            shown = exact_run.view(number, exact_run.LENSES[lens]).image0
             np.testing.assert_array_equal(picture, shown)
 
 
-def test_what_left_the_map_is_kept_and_what_was_wrong_is_not() -> None:
+def test_landmarks_outside_of_the_map_are_kept_and_outliers_removed() -> None:
     reconstruction = Reconstruction()
-    for frame in range(orbit.FRAMES):
-        snapshot = orbit.snapshot(frame)
+    for frame in range(exact_run.FRAMES):
+        snapshot = exact_run.snapshot(frame)
         assert snapshot.landmarks is not None
         xyz = snapshot.landmarks.xyz.copy()
-        xyz[snapshot.landmarks.ids == 200] += 1.0  # a landmark that no observation agrees with
+        xyz[snapshot.landmarks.ids == 200] += 1.0  # a landmark at a wrong position
         landmarks = replace(snapshot.landmarks, xyz=xyz)
-        reconstruction.add(orbit.estimate(frame), replace(snapshot, landmarks=landmarks))
-    (model,) = reconstruction.models(orbit.smoothed())
+        reconstruction.add(exact_run.estimate(frame), replace(snapshot, landmarks=landmarks))
+    (model,) = reconstruction.models(exact_run.smoothed())
     seen = np.bincount(
-        np.concatenate([orbit.sightings(k, orbit.PINHOLE).ids for k in range(orbit.FRAMES)]),
-        minlength=orbit.POINTS,
+        np.concatenate(
+            [exact_run.sightings(k, exact_run.PINHOLE).ids for k in range(exact_run.FRAMES)]
+        ),
+        minlength=exact_run.POINTS,
     )
     expected = np.setdiff1d(np.flatnonzero(seen >= 2), [200])
-    np.testing.assert_allclose(model.xyz, orbit.points()[expected], atol=1e-9)
+    np.testing.assert_allclose(model.xyz, exact_run.points()[expected], atol=1e-9)
     np.testing.assert_array_equal(model.grey, expected % 256)
     assert model.error_px.max() < 1e-9
 
 
 def test_points_move_with_the_final_path() -> None:
     reconstruction = Reconstruction()
-    for frame in range(orbit.FRAMES):
-        reconstruction.add(orbit.estimate(frame), orbit.snapshot(frame))
+    for frame in range(exact_run.FRAMES):
+        reconstruction.add(exact_run.estimate(frame), exact_run.snapshot(frame))
     move = make_transform(so3_exp(np.array([0.1, 0.4, -0.2])), np.array([3.0, -1.0, 2.0]))
-    path = orbit.smoothed()
+    path = exact_run.smoothed()
     (before,) = reconstruction.models(path)
     (after,) = reconstruction.models(Trajectory(path.stamps_ns, move @ path.world_from_cam))
     moved = before.xyz @ move[:3, :3].T + move[:3, 3]
     np.testing.assert_allclose(after.xyz, moved, atol=1e-9)
 
 
-def test_each_segment_is_a_model_of_its_own(tmp_path: Path) -> None:
+def test_each_segment_is_a_separate_model(tmp_path: Path) -> None:
     pytest.importorskip("pycolmap")
     (tmp_path / "sparse" / "7").mkdir(parents=True)
     (tmp_path / "sparse" / "7" / "images.txt").write_text("of an earlier run")
     (tmp_path / "sparse" / "8").mkdir()
-    (tmp_path / "sparse" / "8" / "mine.txt").write_text("somebody's")
+    (tmp_path / "sparse" / "8" / "mine.txt").write_text("other content")
     recorder = ColmapRecorder(tmp_path)
     recorder.begin("a", RIG, None)
     for frame in range(3):
-        orbit.record(recorder, frame)
-    for frame in range(8, orbit.FRAMES):  # the map is a new one
-        estimate, snapshot = orbit.estimate(frame, segment=1), orbit.snapshot(frame)
+        exact_run.record(recorder, frame)
+    for frame in range(8, exact_run.FRAMES):  # the map is a new one
+        estimate, snapshot = exact_run.estimate(frame, segment=1), exact_run.snapshot(frame)
         assert snapshot.landmarks is not None
         kept = tuple(s for s in snapshot.landmarks.sightings if s.frame_index >= 8)
         keyframes = tuple(k for k in estimate.keyframes if k.frame_index >= 8)
         snapshot = replace(snapshot, landmarks=replace(snapshot.landmarks, sightings=kept))
         recorder.record(replace(estimate, keyframes=keyframes), lambda snapshot=snapshot: snapshot)
-    recorder.finish(orbit.smoothed(), orbit.smoothed())
+    recorder.finish(exact_run.smoothed(), exact_run.smoothed())
     names = [path.name for path in sorted((tmp_path / "sparse").iterdir())]
     assert names == ["0", "1", "8"]
     lines = (tmp_path / "sparse" / "0" / "images.txt").read_text().splitlines()
     assert [line.split()[-1] for line in lines[::2]] == [
-        f"frame_{frame:06d}.png" for frame in range(8, orbit.FRAMES)
+        f"frame_{frame:06d}.png" for frame in range(8, exact_run.FRAMES)
     ]
 
 
@@ -181,7 +183,7 @@ def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
     colour = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
     for name in ("a 1.png", "other/a 1.png"):
         assert cv2.imwrite(str(recorded / name), colour)
-    images, grey = ImageFolder(written), orbit.view(0, orbit.PINHOLE).image0
+    images, grey = ImageFolder(written), exact_run.view(0, exact_run.PINHOLE).image0
     found = []
     for frame, name in enumerate(["a 1.png", "other/a 1.png", "missing.png", "a 1.png"]):
         found.append(images.add(frame, recorded / name, grey, is_recorded=frame < 3))
@@ -192,8 +194,8 @@ def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
         np.testing.assert_array_equal(picture, grey)
 
 
-def test_the_recording_is_never_written_over(tmp_path: Path) -> None:
-    image = orbit.view(0, orbit.PINHOLE).image0
+def test_images_of_the_recording_are_never_overwritten(tmp_path: Path) -> None:
+    image = exact_run.view(0, exact_run.PINHOLE).image0
     (tmp_path / "a.png").write_bytes(b"mine")
     with pytest.raises(OSError, match="the images of the recording"):
         ImageFolder(tmp_path / ".." / tmp_path.name).add(
@@ -206,40 +208,42 @@ def test_ply_holds_the_points_in_grey(tmp_path: Path) -> None:
     record(PlyRecorder(tmp_path / "new" / "map.ply"))
     rows = read_ply(tmp_path / "new" / "map.ply")
     assert len(rows) > 250
-    ids = np.argmin(np.linalg.norm(rows["xyz"][:, None] - orbit.points()[None], axis=2), axis=1)
-    np.testing.assert_allclose(rows["xyz"], orbit.points()[ids], atol=1e-5)
+    ids = np.argmin(np.linalg.norm(rows["xyz"][:, None] - exact_run.points()[None], axis=2), axis=1)
+    np.testing.assert_allclose(rows["xyz"], exact_run.points()[ids], atol=1e-5)
     np.testing.assert_array_equal(rows["rgb"], np.repeat((ids % 256)[:, None], 3, axis=1))
 
 
 def test_mcap_opens_with_the_official_decoders(tmp_path: Path) -> None:
-    record(McapRecorder(tmp_path / "a.mcap"), orbit.LENSES["radtan4"])
+    record(McapRecorder(tmp_path / "a.mcap"), exact_run.LENSES["radtan4"])
     messages = read_mcap(tmp_path / "a.mcap")
     for topic in ("/tf", "/pose", "/image", "/calibration", "/features", "/map"):
-        assert [time for time, _ in messages[topic]] == orbit.smoothed().stamps_ns.tolist(), topic
+        assert [time for time, _ in messages[topic]] == exact_run.smoothed().stamps_ns.tolist(), (
+            topic
+        )
     last = messages["/pose"][-1][1]
     np.testing.assert_allclose(
         [last.pose.position.x, last.pose.position.y, last.pose.position.z],
-        orbit.pose(orbit.FRAMES - 1)[:3, 3],
+        exact_run.pose(exact_run.FRAMES - 1)[:3, 3],
     )
     frames = [(t.parent_frame_id, t.child_frame_id) for t in messages["/tf"][3][1].transforms]
     assert frames == [("cam0", "cam0_image"), ("world", "cam0")]
-    assert len(messages["/path"][-1][1].poses) == orbit.FRAMES
+    assert len(messages["/path"][-1][1].poses) == exact_run.FRAMES
     image = np.frombuffer(messages["/image"][2][1].data, dtype=np.uint8)
     assert cv2.imdecode(image, cv2.IMREAD_GRAYSCALE).shape == (120, 160)
     cloud = messages["/map"][4][1]
     points = np.frombuffer(cloud.data, dtype=np.uint8).reshape(-1, cloud.point_stride)
     xyz = np.ascontiguousarray(points[:, :12]).view("<f4")
-    expected = orbit.landmarks(4, orbit.LENSES["radtan4"])
+    expected = exact_run.landmarks(4, exact_run.LENSES["radtan4"])
     np.testing.assert_allclose(xyz, expected.xyz, atol=1e-5)
     tracked = messages["/features"][5][1].points[1]
     marks = np.array([(point.x, point.y) for point in tracked.points])
-    seen = orbit.sightings(5, orbit.LENSES["radtan4"]).xy
+    seen = exact_run.sightings(5, exact_run.LENSES["radtan4"]).xy
     np.testing.assert_allclose(marks, seen, atol=1e-3)
     assert messages["/calibration"][0][1].distortion_model == "plumb_bob"
 
 
 @pytest.mark.parametrize("kind", [PlyRecorder, McapRecorder])
-def test_a_full_disk_ends_the_output_and_not_the_run(
+def test_a_full_disk_ends_the_output_but_not_the_run(
     kind: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     if not Path("/dev/full").exists():
@@ -251,7 +255,7 @@ def test_a_full_disk_ends_the_output_and_not_the_run(
     with caplog.at_level(logging.WARNING):
         try:
             record(both)
-        except OutputError as error:  # found out before the run
+        except OutputError as error:  # found before the run
             assert "No space left" in str(error)
             return
     assert [r.getMessage() for r in caplog.records if "stopped" in r.getMessage()] == [
@@ -261,7 +265,9 @@ def test_a_full_disk_ends_the_output_and_not_the_run(
 
 
 @pytest.mark.parametrize("kind", [PlyRecorder, McapRecorder, ColmapRecorder])
-def test_what_cannot_be_written_is_said_before_the_run(kind: Any, tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_written_is_an_error_before_the_run(
+    kind: Any, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match="choose another"):
         kind(tmp_path / "file" / "below").begin("a", RIG, None)
@@ -281,7 +287,7 @@ def exported(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -
     return folder
 
 
-def test_a_run_is_exported_whole(exported: Path) -> None:
+def test_exports_contain_the_whole_run(exported: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     summary = json.loads((exported / "run" / "summary.json").read_text(encoding="utf-8"))
     model = pycolmap.Reconstruction(str(exported / "model" / "sparse" / "0"))
@@ -301,13 +307,15 @@ def test_a_run_is_exported_whole(exported: Path) -> None:
     np.testing.assert_allclose([(p.x, p.y, p.z) for p in poses], causal.positions, atol=1e-6)
 
 
-def test_exports_change_nothing(exported: Path, synthetic_stereo: Path, tmp_path: Path) -> None:
+def test_exports_do_not_change_the_results(
+    exported: Path, synthetic_stereo: Path, tmp_path: Path
+) -> None:
     run(synthetic_stereo, tmp_path, config=load_config("fast"), end=RUN_FRAMES)
     for name in ("trajectory.tum", "causal.tum", "covariance.csv"):
         assert (tmp_path / name).read_bytes() == (exported / "run" / name).read_bytes()
 
 
-def test_vo_run_goes_on_when_an_export_fails(synthetic_stereo: Path, tmp_path: Path) -> None:
+def test_vo_run_continues_if_an_export_fails(synthetic_stereo: Path, tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full here")
     (tmp_path / "full.mcap").symlink_to("/dev/full")

@@ -1,4 +1,4 @@
-"""Streaming to a viewer that runs, and what happens when it does not, or no longer."""
+"""Streaming to a running viewer, and failures of the viewer."""
 
 import os
 import signal
@@ -35,7 +35,7 @@ for frame in range(60):
         time.sleep(0.5)
     fake_run.record(recorder, frame)
 recorder.finish(fake_run.trajectory(), fake_run.trajectory())
-print('the run goes on')
+print('the run continues')
 """
 
 
@@ -47,7 +47,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def viewer(tmp_path):
-    """A viewer without a window, which saves what it is sent; its process, URL and file."""
+    """A viewer without a window that saves the received data; its process, URL and file."""
     port, saved = free_port(), tmp_path / "saved.rrd"
     command = [VIEWER, "--save", saved, "--port", str(port), "--bind", "127.0.0.1"]
     nothing = subprocess.DEVNULL
@@ -65,7 +65,7 @@ def viewer(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_what_is_streamed_arrives(viewer):
+def test_a_viewer_receives_all_frames(viewer):
     _, url, saved = viewer
     recorder = RerunRecorder(None, viewer=url)
     recorder.begin("fake", fake_run.RIG, fake_run.trajectory())
@@ -84,7 +84,7 @@ def test_what_is_streamed_arrives(viewer):
 
 
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGSTOP"])
-def test_a_viewer_that_goes_away_harms_neither_run_nor_file(viewer, tmp_path, how):
+def test_run_and_file_continue_if_the_viewer_fails(viewer, tmp_path, how):
     process, url, _ = viewer
     path = tmp_path / "run.rrd"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent)])}
@@ -92,9 +92,9 @@ def test_a_viewer_that_goes_away_harms_neither_run_nor_file(viewer, tmp_path, ho
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
     process.send_signal(signal.SIGKILL)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "the run goes on\n"
-    told = [line for line in done.stderr.splitlines() if "stopped:" in line or "hangs" in line]
-    assert len(told) == 1, done.stderr
+    assert done.stdout == "the run continues\n"
+    warnings = [line for line in done.stderr.splitlines() if "stopped:" in line or "hangs" in line]
+    assert len(warnings) == 1, done.stderr
     images = [
         chunk.num_rows
         for chunk in RrdReader(path).stream().to_chunks()
@@ -112,22 +112,22 @@ def test_a_viewer_that_goes_away_harms_neither_run_nor_file(viewer, tmp_path, ho
         ("rerun+https://a.b:5/proxy", "rerun+https://a.b:5/proxy"),
     ],
 )
-def test_addresses_as_people_type_them(typed, url):
+def test_short_addresses_are_completed(typed, url):
     assert viewer_url(typed) == url
 
 
 @pytest.mark.parametrize("typed", ["http://a:1", "a:b", "", "a:99999"])
-def test_other_addresses_are_one_line(typed):
+def test_an_invalid_address_is_an_error(typed):
     with pytest.raises(OutputError, match="is not the address of a viewer; use HOST:PORT"):
         viewer_url(typed)
 
 
-def test_nobody_there_is_one_line():
+def test_a_missing_viewer_is_an_error():
     with pytest.raises(OutputError, match=r"no viewer answers at 127\.0\.0\.1:\d+ \(.+\)"):
         check_viewer(viewer_url(str(free_port())))
 
 
-def test_something_else_there_is_one_line():
+def test_another_server_at_the_address_is_an_error():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -136,7 +136,7 @@ def test_something_else_there_is_one_line():
             check_viewer(viewer_url(str(other.getsockname()[1])))
 
 
-def test_a_served_viewer_answers_and_ends():
+def test_a_served_viewer_answers_until_it_is_stopped():
     served = start_web()
     try:
         check_viewer(served.url)

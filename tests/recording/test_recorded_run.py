@@ -1,4 +1,4 @@
-"""A recording of a real run: its poses are those of the files, and it is small."""
+"""Recordings of real runs: poses and size."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ from vo.types import Trajectory
 
 
 def poses_in(path: Path, entity: str) -> Trajectory:
-    """Poses that a recording has at an entity."""
+    """Poses of an entity in a recording."""
     stamps, rows = [], []
     for chunk in RrdReader(path).stream().to_chunks():
         batch = chunk.to_record_batch()
@@ -33,7 +33,7 @@ def poses_in(path: Path, entity: str) -> Trajectory:
 
 
 @pytest.mark.parametrize("mode", ["stereo", "mono"])
-def test_poses_are_those_of_the_files(synthetic_stereo, tmp_path, mode):
+def test_poses_equal_those_of_the_files(synthetic_stereo, tmp_path, mode):
     rrd = tmp_path / "run.rrd"
     run(synthetic_stereo, tmp_path, config=load_config("fast"), end=14, mode=mode, rrd=rrd)
     for entity, name in (

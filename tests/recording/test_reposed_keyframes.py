@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import exact_run
 import numpy as np
-import orbit
 import pytest
 from rrd import STATIC, read_rrd
 
@@ -35,37 +35,41 @@ def pose_of(frame: int, world_from_cam0: Floats) -> KeyframePose:
 def frames(
     store: TrajectoryStore, moves: Mapping[int, Floats]
 ) -> Iterator[tuple[Estimate, Snapshot]]:
-    """The frames of `orbit`; at some of them the first keyframes are moved in the world."""
-    for frame in range(orbit.FRAMES):
-        for keyframe in orbit.window(frame):
-            store.store(keyframe, pose_of(keyframe, orbit.pose(keyframe)))
-        store.add(frame, frame * 100_000_000, 0, frame, orbit.pose(frame))
+    """The frames of `exact_run`; at some of them the first keyframes are moved in the world."""
+    for frame in range(exact_run.FRAMES):
+        for keyframe in exact_run.window(frame):
+            store.store(keyframe, pose_of(keyframe, exact_run.pose(keyframe)))
+        store.add(frame, frame * 100_000_000, 0, frame, exact_run.pose(frame))
         if frame in moves:
             for old in store.keyframes_by_id(REPOSED):
                 world_from_cam0 = moves[frame] @ old.world_from_cam0
                 store.store(old.frame_index, replace(old, world_from_cam0=world_from_cam0))
-        estimate = replace(orbit.estimate(frame), keyframes=store.take_moved())
-        yield estimate, orbit.snapshot(frame)
+        estimate = replace(exact_run.estimate(frame), keyframes=store.take_moved())
+        yield estimate, exact_run.snapshot(frame)
 
 
 def record(recorder: Recorder, moves: Mapping[int, Floats]) -> TrajectoryStore:
     store = TrajectoryStore()
-    recorder.begin("a name", Rig(orbit.PINHOLE), None)
+    recorder.begin("a name", Rig(exact_run.PINHOLE), None)
     for estimate, snapshot in frames(store, moves):
         recorder.record(estimate, lambda snapshot=snapshot: snapshot)
-    recorder.finish(orbit.smoothed(), store.trajectory())
+    recorder.finish(exact_run.smoothed(), store.trajectory())
     return store
 
 
 def last_keyframe(landmark: int) -> int:
-    seen = [f for f in range(orbit.FRAMES) if landmark in orbit.sightings(f, orbit.PINHOLE).ids]
+    seen = [
+        f
+        for f in range(exact_run.FRAMES)
+        if landmark in exact_run.sightings(f, exact_run.PINHOLE).ids
+    ]
     return max(seen, default=-1)
 
 
 def moved_points(move: Floats) -> Floats:
     """All points (POINTS, 3), those last observed by a re-posed keyframe moved with it."""
-    xyz = orbit.points()
-    is_moved = np.array([last_keyframe(k) in REPOSED for k in range(orbit.POINTS)])
+    xyz = exact_run.points()
+    is_moved = np.array([last_keyframe(k) in REPOSED for k in range(exact_run.POINTS)])
     xyz[is_moved] = transform_points(move, xyz[is_moved])
     return xyz
 
@@ -100,13 +104,13 @@ def test_the_viewer_gets_the_moved_path_and_landmarks(
     np.testing.assert_allclose(centres, positions, atol=1e-5)
     chunks = newest(read_rrd(path, "positions"), entities.SETTLED_LANDMARKS)
     found = np.concatenate([np.reshape(chunk, (-1, 3)) for chunk in chunks])
-    in_map = orbit.landmarks(orbit.FRAMES - 1, orbit.PINHOLE).ids
-    settled = [k for k in range(orbit.POINTS) if last_keyframe(k) >= 0 and k not in in_map]
+    in_map = exact_run.landmarks(exact_run.FRAMES - 1, exact_run.PINHOLE).ids
+    settled = [k for k in range(exact_run.POINTS) if last_keyframe(k) >= 0 and k not in in_map]
     expected = moved_points(total)[settled]
     assert len(found) == len(expected) > 50
     order, expected_order = np.lexsort(found.T), np.lexsort(expected.astype(np.float32).T)
     np.testing.assert_allclose(found[order], expected[expected_order], atol=1e-5)
-    assert np.linalg.norm(expected - orbit.points()[settled], axis=1).max() > 0.5
+    assert np.linalg.norm(expected - exact_run.points()[settled], axis=1).max() > 0.5
 
 
 @pytest.mark.usefixtures("small_chunks")
@@ -151,11 +155,11 @@ def test_exported_points_move_with_the_last_keyframe_that_observes_them() -> Non
         reconstruction.add(estimate, snapshot)
     (model,) = reconstruction.models(store.trajectory())
     poses = np.array([k.world_from_cam0 for k in store.keyframes()])
-    np.testing.assert_allclose(model.world_from_image0, poses @ orbit.CAM0_FROM_IMAGE0)
+    np.testing.assert_allclose(model.world_from_image0, poses @ exact_run.CAM0_FROM_IMAGE0)
     expected = moved_points(MOVE)
     distance = np.linalg.norm(model.xyz[:, None] - expected, axis=2)
     assert distance.min(axis=1).max() < 1e-9
-    assert (np.linalg.norm(model.xyz[:, None] - orbit.points(), axis=2).min(axis=1) > 0.1).any()
+    assert (np.linalg.norm(model.xyz[:, None] - exact_run.points(), axis=2).min(axis=1) > 0.1).any()
 
 
 def test_history_reports_moves_of_old_keyframes_only() -> None:

@@ -33,7 +33,7 @@ def record(path: Path, *, images="half", first_ns=0, rig=fake_run.RIG, truth=Non
 
 
 def run_script(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run Python code of its own, with what is here on its path."""
+    """Run Python code in a new process that can import the modules of this folder."""
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
@@ -48,7 +48,7 @@ def recording(tmp_path_factory) -> Path:
     return record(path, truth=fake_run.trajectory())
 
 
-def test_rerun_itself_finds_nothing_wrong(recording):
+def test_rerun_verifies_the_file(recording):
     command = Path(sys.executable).parent / "rerun"
     done = subprocess.run(
         [command, "rrd", "verify", recording], capture_output=True, text=True, timeout=60
@@ -93,7 +93,7 @@ def test_holds_every_entity_on_both_timelines(recording):
     assert timelines[entities.TRUE_PATH] == timelines[entities.WORLD] == set()
 
 
-def test_poses_are_those_of_the_run(recording):
+def test_poses_equal_those_of_the_run(recording):
     tracked = [frame for frame in range(fake_run.FRAMES) if frame != fake_run.LOST_FRAME]
     for entity in (entities.CAUSAL_POSES, entities.SMOOTHED_POSES):
         rows = read_rrd(recording, "scalars")[entity]
@@ -119,7 +119,7 @@ def test_camera_moves_along_the_causal_path(recording):
         assert np.array(line) == pytest.approx(np.array(ends), abs=1e-4)
 
 
-def test_smoothed_path_ends_as_one_strip_for_each_segment(recording):
+def test_final_smoothed_path_is_one_strip_per_segment(recording):
     last = [strips for frame, strips in read_rrd(recording, "strips")[entities.SMOOTHED_PATH]][0]
     assert [len(strip) for strip in last] == [6, 15]
 
@@ -162,7 +162,7 @@ def test_sensor_time_is_exact_for_small_and_epoch_stamps(tmp_path, first_ns, kin
 
 
 @pytest.mark.parametrize("is_stereo, scale", [(True, 1.0), (False, 4.0)])
-def test_truth_lies_on_the_estimate(tmp_path, is_stereo, scale):
+def test_ground_truth_is_aligned_with_the_estimate(tmp_path, is_stereo, scale):
     found = fake_run.trajectory()
     turned = fake_run.pose(4) @ found.world_from_cam
     turned[:, :3, 3] *= scale
@@ -172,7 +172,7 @@ def test_truth_lies_on_the_estimate(tmp_path, is_stereo, scale):
     assert np.array(shown[0]) == pytest.approx(found.positions, abs=1e-3)
 
 
-def test_loss_is_in_the_events(recording):
+def test_events_contain_the_loss_and_the_recovery(recording):
     texts = [(frame, text) for frame, (text,) in read_rrd(recording, "text")[entities.EVENTS]]
     keyframes = [(frame, text) for frame, text in texts if text.startswith("keyframe")]
     assert [frame for frame, _ in keyframes] == [0, 2, 4, *range(8, 22, 2)]
@@ -185,7 +185,7 @@ def test_loss_is_in_the_events(recording):
     ]
 
 
-def test_replaces_an_older_file(tmp_path, recording):
+def test_an_existing_file_is_replaced(tmp_path, recording):
     path = tmp_path / "run.rrd"
     path.write_bytes(b"old" * 1_000_000)
     record(path)
@@ -193,7 +193,7 @@ def test_replaces_an_older_file(tmp_path, recording):
 
 
 @pytest.mark.parametrize("name", ["folder", "file.txt/run.rrd"])
-def test_says_that_the_file_cannot_be_written(tmp_path, name):
+def test_a_file_that_cannot_be_written_is_an_error(tmp_path, name):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file.txt").touch()
     with pytest.raises(OutputError, match=r"cannot write the recording .*choose another") as error:
@@ -212,17 +212,17 @@ def test_a_full_disk_ends_the_recording_not_the_run(tmp_path):
         "resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))\n"
         "for frame in range(200): fake_run.record(recorder, frame)\n"
         "recorder.finish(fake_run.trajectory(), fake_run.trajectory())\n"
-        "print('the run goes on')\n"
+        "print('the run continues')\n"
     )
     done = run_script(script, tmp_path / "run.rrd")
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "the run goes on\n"
+    assert done.stdout == "the run continues\n"
     assert len([line for line in done.stderr.splitlines() if "stopped" in line]) == 1, done.stderr
     assert (tmp_path / "run.rrd").stat().st_size <= 150_000
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_run_killed_in_the_middle_leaves_a_file_that_opens(tmp_path):
+def test_the_file_of_a_killed_run_opens(tmp_path):
     path = tmp_path / "run.rrd"
     script = (
         "import os, signal, sys; from pathlib import Path\n"
@@ -239,13 +239,13 @@ def test_run_killed_in_the_middle_leaves_a_file_that_opens(tmp_path):
 def test_recorder_without_frames_closes(tmp_path):
     recorder = RerunRecorder(tmp_path / "run.rrd")
     nothing = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
-    recorder.finish(nothing, nothing)  # never begun
+    recorder.finish(nothing, nothing)  # before begin
     recorder.begin("fake", fake_run.RIG, None)
     recorder.finish(nothing, nothing)
     assert len(RrdReader(tmp_path / "run.rrd").recordings()) == 1
 
 
-def test_null_recorder_takes_everything():
+def test_null_recorder_accepts_all_calls():
     recorder: Recorder = NullRecorder()
     recorder.begin("fake", fake_run.RIG, fake_run.trajectory())
     fake_run.record(recorder, 0)

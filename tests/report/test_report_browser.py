@@ -45,7 +45,7 @@ def report(report_runs: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def open_page(browser: Any, path: Path, **options: Any) -> tuple[Any, list[str]]:
-    """The page, and what went wrong or was asked for beside itself."""
+    """The page, its errors, and its requests for other files."""
     page = browser.new_page(**options)
     seen: list[str] = []
     page.on("console", lambda message: seen.append(f"console: {message.text}"))
@@ -56,7 +56,7 @@ def open_page(browser: Any, path: Path, **options: Any) -> tuple[Any, list[str]]
     return page, [each for each in seen if "request: data:" not in each]
 
 
-def test_opens_alone_and_shows_the_numbers(
+def test_the_page_opens_without_requests_and_shows_the_numbers(
     browser: Any, report: Path, report_runs: list[Path]
 ) -> None:
     page, seen = open_page(browser, report)
@@ -72,14 +72,14 @@ def test_opens_alone_and_shows_the_numbers(
     page.close()
 
 
-def test_fits_a_telephone(browser: Any, report: Path) -> None:
+def test_the_page_fits_a_phone(browser: Any, report: Path) -> None:
     page, _ = open_page(browser, report, viewport={"width": 390, "height": 800})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.close()
 
 
 @pytest.mark.parametrize(("scheme", "is_dark"), [("light", False), ("dark", True)])
-def test_can_be_read_in_light_and_dark(
+def test_the_page_is_legible_in_light_and_dark_mode(
     browser: Any, report: Path, scheme: str, is_dark: bool
 ) -> None:
     page, _ = open_page(browser, report, color_scheme=scheme)

@@ -1,4 +1,4 @@
-"""What stands in the page of `vo report`, also for runs that are not as they should be."""
+"""Content of the page of `vo report`, also for incomplete and damaged runs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from vo.evaluation.inputs import load_inputs
 from vo.evaluation.report import evaluate
 from vo.formats.trajectory import read_tum, write_tum
 from vo.report.entry import Entry
-from vo.report.quantities import duration, length, number, share
+from vo.report.quantities import duration, length, number, percentage
 from vo.report.run_folder import read_run
 from vo.report.verdict import verdict
 
 
 class Page(HTMLParser):
-    """Text of a page outside of its figures and style, its ids, and what it would load."""
+    """Text of a page without figures and style, its ids, and the addresses it refers to."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ def page_of(tmp_path: Path, *arguments: str | Path) -> Page:
     return Page(tmp_path / "report.html")
 
 
-def test_a_page_holds_the_numbers_of_its_run(
+def test_a_page_contains_the_numbers_of_its_run(
     report_runs: list[Path], synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     page = page_of(tmp_path, report_runs[0])
@@ -83,13 +83,13 @@ def test_a_page_holds_the_numbers_of_its_run(
     assert f"RPE {length(found.rpe_frames.translation.rmse)}" in page.text
     assert f"keyframes {summary['keyframes']}" in page.text
     assert f"memory {summary['peak_rss_mb']:.0f} MB" in page.text
-    assert "features.count" in page.text  # `fast` is not as by default
+    assert "features.count" in page.text  # changed by `fast`
     assert page.images >= 2
     for name in ("path", "error_time", "error_distance", "rpe", "uncertainty", "counts", "stages"):
         assert f"plot-{name}" in page.ids
 
 
-def test_a_page_needs_nothing_else(report_runs: list[Path], tmp_path: Path) -> None:
+def test_a_page_is_self_contained(report_runs: list[Path], tmp_path: Path) -> None:
     page = page_of(tmp_path, *report_runs)
     assert page.loads
     assert all(value.startswith(("#", "data:")) for value in page.loads)
@@ -100,7 +100,7 @@ def test_a_page_needs_nothing_else(report_runs: list[Path], tmp_path: Path) -> N
     assert len(page.source) < 1_500_000
 
 
-def test_several_runs_stand_in_one_table(report_runs: list[Path], tmp_path: Path) -> None:
+def test_several_runs_are_compared_in_one_table(report_runs: list[Path], tmp_path: Path) -> None:
     page = page_of(tmp_path, *report_runs)
     assert "2 runs compared" in page.text
     rows = re.findall(r"<tr>.*?</tr>", page.source)
@@ -109,7 +109,7 @@ def test_several_runs_stand_in_one_table(report_runs: list[Path], tmp_path: Path
     assert {"plot-inliers", "plot-times", "plot-counts_1", "plot-counts_2"} <= set(page.ids)
 
 
-def test_a_run_keeps_its_colour_also_where_others_are_missing(
+def test_a_run_has_the_same_colour_in_all_figures(
     report_runs: list[Path], own_run: Path, tmp_path: Path
 ) -> None:
     change_summary(own_run, source="gone")
@@ -133,7 +133,7 @@ def test_names_are_escaped(report_runs: list[Path], tmp_path: Path) -> None:
     assert odd.name in page.text
 
 
-def test_a_lost_stretch_is_shaded(own_run: Path, tmp_path: Path) -> None:
+def test_times_without_tracking_are_shaded(own_run: Path, tmp_path: Path) -> None:
     whole = page_of(tmp_path, own_run)
     rows = (own_run / "frames.csv").read_text(encoding="utf-8").splitlines()
     rows[6:9] = [row.replace(",tracking,", ",lost,") for row in rows[6:9]]
@@ -148,7 +148,9 @@ def test_a_lost_stretch_is_shaded(own_run: Path, tmp_path: Path) -> None:
     assert ">no pose</text>" in page.source
 
 
-def test_runs_of_other_recordings_have_paths_of_their_own(own_run: Path, tmp_path: Path) -> None:
+def test_runs_of_different_recordings_have_separate_path_figures(
+    own_run: Path, tmp_path: Path
+) -> None:
     other = Path(shutil.copytree(own_run, tmp_path / "other"))
     change_summary(other, source="another/recording")
     page = page_of(tmp_path, own_run, other)
@@ -156,7 +158,7 @@ def test_runs_of_other_recordings_have_paths_of_their_own(own_run: Path, tmp_pat
     assert "another/recording" in page.text
 
 
-def test_segments_are_aligned_each_by_itself(own_run: Path, tmp_path: Path) -> None:
+def test_each_segment_is_aligned_separately(own_run: Path, tmp_path: Path) -> None:
     stamps = read_tum(own_run / "trajectory.tum").stamps_ns
     segments = [
         {
@@ -204,11 +206,13 @@ def test_a_run_without_frames_or_covariances_is_shown(own_run: Path, tmp_path: P
         (0, "bad", "no path"),
     ],
 )
-def test_the_verdict_is_honest(own_run: Path, tracked: int, grade: str, word: str) -> None:
+def test_the_verdict_depends_on_the_number_of_tracked_frames(
+    own_run: Path, tracked: int, grade: str, word: str
+) -> None:
     change_summary(own_run, tracked=tracked)
     found = verdict(Entry("a", 0, read_run(own_run)))
     assert (found.grade, found.word) == (grade, word)
-    assert any("no truth to compare with" in each for each in found.sentences) == (tracked > 0)
+    assert any("There is no ground truth" in each for each in found.sentences) == (tracked > 0)
 
 
 def test_a_run_without_a_pose_is_shown(own_run: Path, tmp_path: Path) -> None:
@@ -221,7 +225,7 @@ def test_a_run_without_a_pose_is_shown(own_run: Path, tmp_path: Path) -> None:
     assert "plot-path" not in page.ids
 
 
-def test_truth_may_be_given_or_be_missing(
+def test_ground_truth_may_be_given_or_missing(
     own_run: Path, synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     change_summary(own_run, source=str(tmp_path / "gone"))
@@ -235,7 +239,7 @@ def test_truth_may_be_given_or_be_missing(
     assert "does not exist" in make(own_run, "--truth", tmp_path / "no.txt", expect=1)
 
 
-def test_plots_are_written_for_papers(report_runs: list[Path], tmp_path: Path) -> None:
+def test_plots_are_written_as_pdf_and_png(report_runs: list[Path], tmp_path: Path) -> None:
     output, plots = tmp_path / "deep" / "a.html", tmp_path / "plots"
     make(report_runs[0], "-o", output, "--plots", plots, "--no-images")
     assert Page(output).images == 0
@@ -246,7 +250,7 @@ def test_plots_are_written_for_papers(report_runs: list[Path], tmp_path: Path) -
 
 
 @pytest.mark.parametrize("content", [None, "no json", "[]", '{"frames": 1}'])
-def test_what_is_no_run_is_refused(content: str | None, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(content: str | None, tmp_path: Path) -> None:
     if content is not None:
         (tmp_path / "summary.json").write_text(content, encoding="utf-8")
     assert "error: " in make(tmp_path, "-o", tmp_path / "r.html", expect=1)
@@ -256,24 +260,22 @@ def test_what_is_no_run_is_refused(content: str | None, tmp_path: Path) -> None:
     ("name", "value"),
     [("source", 5), ("tracked", "all"), ("segments", None), ("versions", []), ("wall_s", "1")],
 )
-def test_a_summary_of_other_makers_is_refused(own_run: Path, name: str, value: object) -> None:
+def test_a_summary_with_wrong_types_is_refused(own_run: Path, name: str, value: object) -> None:
     change_summary(own_run, **{name: value})
     assert f"summary.json: '{name}' is {value}; run" in make(own_run, expect=1)
 
 
-def test_a_report_replaces_nothing_but_a_report(own_run: Path, tmp_path: Path) -> None:
+def test_a_report_replaces_only_html_pages(own_run: Path, tmp_path: Path) -> None:
     before = (own_run / "trajectory.tum").read_bytes()
-    said = make(own_run, "-o", own_run / "trajectory.tum", expect=1)
-    assert "trajectory.tum is no report and would be replaced" in said
+    output = make(own_run, "-o", own_run / "trajectory.tum", expect=1)
+    assert "trajectory.tum is not a report and would be replaced" in output
     assert (own_run / "trajectory.tum").read_bytes() == before
     for _ in range(2):
         make(own_run, "-o", tmp_path / "r.html", "--no-images")
 
 
 @pytest.mark.parametrize("name", ["frames.csv", "covariance.csv", "trajectory.tum", "causal.tum"])
-def test_a_line_that_was_cut_off_costs_no_more_than_itself(
-    own_run: Path, tmp_path: Path, name: str
-) -> None:
+def test_only_a_truncated_line_is_ignored(own_run: Path, tmp_path: Path, name: str) -> None:
     whole = (own_run / name).read_bytes()
     partial = own_run / f"{name}.partial"
     partial.write_bytes(whole[: whole.rindex(b"\n", 0, -1) + 8])
@@ -284,7 +286,7 @@ def test_a_line_that_was_cut_off_costs_no_more_than_itself(
     assert "cut off" in result.stderr
 
 
-def test_damaged_files_are_named(own_run: Path, tmp_path: Path) -> None:
+def test_the_error_names_the_damaged_file(own_run: Path, tmp_path: Path) -> None:
     rows = (own_run / "frames.csv").read_text(encoding="utf-8").replace("tracking,0", "tracking")
     (own_run / "frames.csv").write_text(rows, encoding="utf-8")
     assert "frames.csv is damaged" in make(own_run, "-o", tmp_path / "r.html", expect=1)
@@ -302,9 +304,9 @@ def test_numbers_are_short(value: float, text: str) -> None:
     assert number(value) == text
 
 
-def test_quantities_have_fitting_units() -> None:
+def test_units_fit_the_size_of_quantities() -> None:
     assert [length(v) for v in (12.34, 0.1234, 0.00123)] == ["12.3 m", "12.3 cm", "1.23 mm"]
     assert length(0.5, "map units") == "0.500 map units"
     assert [duration(v) for v in (5.0, 300.0, 7200.0)] == ["5.00 s", "5.00 min", "2.00 h"]
-    assert [share(p, 2000) for p in (2000, 1999, 0)] == ["100 %", "99.9 %", "0 %"]
+    assert [percentage(p, 2000) for p in (2000, 1999, 0)] == ["100 %", "99.9 %", "0 %"]
     assert np.isclose(float(number(3.14159)), 3.14)

@@ -1,1 +1,1 @@
-"""Runs as one HTML page that can be sent to others."""
+"""Report of runs as one self-contained HTML page."""

@@ -1,4 +1,4 @@
-"""One run of a report: what it left behind, and how far it is from the truth."""
+"""One run of a report: its results, and its evaluation against the ground truth."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from vo.types import Bytes, Floats, Ints, Trajectory
 
 _NS_PER_S = 1e9
 _LABEL_LENGTH = 40
-_GAP_STEPS = 2.5  # a single frame that is missing is no gap
+_GAP_STEPS = 2.5  # a single missing frame is not a gap
 
 
 @dataclass(frozen=True, eq=False)
 class Thumbnail:
-    """A small picture of a frame: (H, W) uint8, and what happened there."""
+    """A small image (H, W) of a frame, and the event at this frame."""
 
     frame: int
     seconds: float
@@ -32,18 +32,18 @@ class Entry:
     """A run in a report.
 
     Attributes:
-        name: short, told apart from the others of the report.
-        number: its place in the report, from 0, which chooses its colour.
-        run: what it left behind.
-        evaluation: against the truth, None where there is none.
-        truth: the whole truth, None where there is none.
-        truth_note: where the truth came from, or why there is none.
-        notes: what a reader of the numbers should know.
-        thumbnails: of frames where something happened.
-        zero_ns: the stamp that plots over time count from.
-        others: the segments beside the longest, each against the truth and aligned by itself.
-        causal_ate_m: root mean square of the position error of the path as it was known at the
-            time, aligned by itself; None where it is not known.
+        name: short, unique in the report.
+        number: index in the report, which determines the colour.
+        run: its results.
+        evaluation: against the ground truth, None without one.
+        truth: the whole ground truth, None without one.
+        truth_note: source of the ground truth, or the reason why there is none.
+        notes: remarks on the evaluation.
+        thumbnails: images of frames with events.
+        zero_ns: stamp of time 0 in the plots.
+        others: evaluations of the other segments than the longest, each aligned separately.
+        causal_ate_m: root mean square of the position error of the causal path, aligned
+            separately; None if unknown.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """The name for legends: not too long, and not hidden by a leading underscore."""
+        """The name for legends: shortened; matplotlib would hide a leading underscore."""
         name = self.name
         if len(name) > _LABEL_LENGTH:
             name = f"{name[: _LABEL_LENGTH // 2]}…{name[-_LABEL_LENGTH // 2 :]}"
@@ -72,9 +72,9 @@ class Entry:
 
     @property
     def without_pose_s(self) -> list[tuple[float, float]]:
-        """Stretches of frames without a pose at the time, from the frame before to the one after.
+        """Time intervals without a causal pose, from the frame before to the frame after.
 
-        The start, before the first pose, counts as well.
+        They include the time before the first pose.
         """
         frames = self.run.frames
         if frames is None or not len(frames):
@@ -90,7 +90,7 @@ class Entry:
 
 
 def gaps(stamps_ns: Ints) -> list[int]:
-    """Rows of a path before which poses are missing, so that no line may lead there."""
+    """Rows of a path before which poses are missing, so that its line is interrupted there."""
     steps = np.diff(stamps_ns)
     if len(steps) == 0:
         return []
@@ -98,7 +98,7 @@ def gaps(stamps_ns: Ints) -> list[int]:
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:
-    """Short names of run folders: as many of their last parts as tell them apart."""
+    """Short unique names of run folders: the last parts of their paths, as few as possible."""
     parts = [folder.resolve().parts for folder in folders]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(each[-count:]) for each in parts]
@@ -108,7 +108,7 @@ def names_of(folders: Sequence[Path]) -> list[str]:
 
 
 def first_stamps(runs: Sequence[RunRecord]) -> list[int]:
-    """The stamp that each run's time counts from: the same for runs that overlap in time."""
+    """The stamp of time 0 of each run; a common one if all runs overlap in time."""
     spans = [_span(run) for run in runs]
     latest_begin = max(begin for begin, _ in spans)
     earliest_end = min(end for _, end in spans)

@@ -1,4 +1,4 @@
-"""HTML that escapes what it is given."""
+"""HTML elements with escaped text."""
 
 from __future__ import annotations
 
@@ -6,28 +6,28 @@ import html
 
 
 class Markup(str):
-    """Text that is HTML already."""
+    """Text that is HTML, to be inserted without escaping."""
 
 
 def element(tag: str, *children: str, **attributes: str) -> Markup:
-    """An HTML element; text in it is escaped, `Markup` is not.
+    """An HTML element; its text is escaped, `Markup` is not.
 
-    A trailing underscore of an attribute's name is dropped (`class_`), others become hyphens.
+    In names of attributes, a trailing underscore is removed (`class_`), others become hyphens.
     """
-    written = "".join(
+    formatted = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{html.escape(value, quote=True)}"'
         for name, value in attributes.items()
     )
-    return Markup(f"<{tag}{written}>{join(*children)}</{tag}>")
+    return Markup(f"<{tag}{formatted}>{join(*children)}</{tag}>")
 
 
 def join(*children: str) -> Markup:
-    """Pieces one after the other."""
+    """Pieces one after another; text is escaped."""
     return Markup("".join(c if isinstance(c, Markup) else html.escape(c) for c in children))
 
 
 def table(heading: list[str], rows: list[list[str]], **attributes: str) -> Markup:
-    """A table whose first column names its rows; it scrolls where it is too wide."""
+    """A table whose first column contains row headings; it scrolls if it is too wide."""
     head = element("tr", *(element("th", text, scope="col") for text in heading))
     body = [
         element("tr", element("th", row[0], scope="row"), *(element("td", c) for c in row[1:]))

@@ -1,4 +1,4 @@
-"""Puts a report together: one HTML file that needs nothing else."""
+"""Creates a report: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from vo.report.markup import Markup, element, join
 from vo.report.plots.catalogue import Plot
 
 _ERRORS = ("error_time", "error_distance", "rpe", "drift")
-_BEGINS = "<!doctype html>"
-# Nothing may be loaded, whatever a file's name manages to smuggle in.
+_DOCTYPE = "<!doctype html>"
+# Forbids loading anything, even if a file name contained HTML.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def make_page(entries: Sequence[Entry], plots: Sequence[Plot]) -> str:
-    """The whole page."""
-    several = len(entries) > 1
+    """The HTML of a report."""
+    is_comparison = len(entries) > 1
     names = ", ".join(entry.name for entry in entries)
-    title = f"{len(entries)} runs compared" if several else "Visual odometry report"
+    title = f"{len(entries)} runs compared" if is_comparison else "Visual odometry report"
     parts = [
         element("header", element("h1", title)),
-        *(sections.opening(entry, several) for entry in entries),
-        *([sections.comparison(entries)] if several else []),
-        sections.drawings("Path", [plot for plot in plots if plot.name.startswith("path")]),
-        sections.drawings("Errors", _named(plots, *_ERRORS)),
-        sections.drawings("Uncertainty", _named(plots, "uncertainty")),
-        sections.drawings("Tracking and time", _named(plots, "inliers", "times")),
-        *(_of_run(entry, plots, several) for entry in entries),
+        *(sections.run_header(entry, is_comparison) for entry in entries),
+        *([sections.comparison(entries)] if is_comparison else []),
+        sections.plot_section("Path", [plot for plot in plots if plot.name.startswith("path")]),
+        sections.plot_section("Errors", _named(plots, *_ERRORS)),
+        sections.plot_section("Uncertainty", _named(plots, "uncertainty")),
+        sections.plot_section("Tracking and time", _named(plots, "inliers", "times")),
+        *(_run_sections(entry, plots, is_comparison) for entry in entries),
         sections.settings(entries),
         element("section", element("h2", "Details"), *_details(entries)),
     ]
@@ -42,18 +42,22 @@ def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
     return [plot for plot in plots if plot.run is None and plot.name in names]
 
 
-def _of_run(entry: Entry, plots: Sequence[Plot], several: bool) -> Markup:
+def _run_sections(entry: Entry, plots: Sequence[Plot], is_comparison: bool) -> Markup:
     own = [plot for plot in plots if plot.run == entry.number]
-    name = f", {entry.name}" if several else ""
+    name = f", {entry.name}" if is_comparison else ""
     return join(
-        sections.drawings(f"Tracking and time{name}", own),
-        sections.pictures(entry, f"What the camera saw{name}"),
+        sections.plot_section(f"Tracking and time{name}", own),
+        sections.image_section(entry, f"Images{name}"),
     )
 
 
 def _details(entries: Sequence[Entry]) -> list[Markup]:
-    each = [part(entry) for entry in entries for part in (sections.gaps, sections.segments)]
-    return [*each, sections.origins(entries)]
+    each = [
+        part(entry)
+        for entry in entries
+        for part in (sections.frames_without_pose, sections.segments)
+    ]
+    return [*each, sections.provenance(entries)]
 
 
 def _document(title: str, body: Markup) -> str:
@@ -68,30 +72,32 @@ def _document(title: str, body: Markup) -> str:
         element("style", Markup(style)),
     )
     page = join(element("head", head), element("body", element("main", body)))
-    return f'{_BEGINS}\n<html lang="en">{page}</html>\n'
+    return f'{_DOCTYPE}\n<html lang="en">{page}</html>\n'
 
 
 def _is_page(path: Path) -> bool:
-    """Whether a file is a page, or empty."""
+    """Whether a file is an HTML page, or empty."""
     try:
         with path.open("rb") as stream:
-            begins = stream.read(len(_BEGINS)).decode(errors="replace").lower()
+            beginning = stream.read(len(_DOCTYPE)).decode(errors="replace").lower()
     except OSError:
         return False
-    return not begins or begins == _BEGINS
+    return not beginning or beginning == _DOCTYPE
 
 
 def write_page(path: Path, page: str) -> None:
     """Write a report.
 
     Raises:
-        OutputError: it cannot be written, or would replace something else than a page.
+        OutputError: the file cannot be written, or exists and is not an HTML page.
     """
     if path.is_file() and not _is_page(path):
-        raise OutputError(f"{path} is no report and would be replaced; choose another file")
+        raise OutputError(f"{path} is not a report and would be replaced; choose another file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8", errors="replace")  # names may be no UTF-8
+        path.write_text(
+            page, encoding="utf-8", errors="replace"
+        )  # names may contain bytes that are not UTF-8
     except OSError as error:
         raise OutputError(
             f"report {path} cannot be written: {error.strerror or error}; choose another file"
@@ -99,10 +105,10 @@ def write_page(path: Path, page: str) -> None:
 
 
 def write_plots(folder: Path, plots: Sequence[Plot]) -> list[Path]:
-    """Write each figure as PNG and PDF.
+    """Write each figure as PNG and PDF; the files.
 
     Raises:
-        OutputError: one cannot be written.
+        OutputError: a file cannot be written.
     """
     from vo.report.plots.style import drawing
 

@@ -1,14 +1,14 @@
-"""Numbers as people read them."""
+"""Numbers with units as text."""
 
 from __future__ import annotations
 
 import math
 
-_SMALLER = ((1.0, "m", 1.0), (1e-2, "cm", 1e2), (0.0, "mm", 1e3))
+_LENGTH_UNITS = ((1.0, "m", 1.0), (1e-2, "cm", 1e2), (0.0, "mm", 1e3))
 
 
 def number(value: float, digits: int = 3) -> str:
-    """With so many significant digits, and no exponent unless it is far from 1."""
+    """A number with this many significant digits, without exponent unless far from 1."""
     if not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -23,21 +23,21 @@ def length(value: float, unit: str = "m") -> str:
     """A length; metres below 1 m are given in cm or mm."""
     if unit != "m":
         return f"{number(value)} {unit}"
-    for least, name, factor in _SMALLER:
-        if abs(value) >= least:
+    for minimum, name, factor in _LENGTH_UNITS:
+        if abs(value) >= minimum:
             return f"{number(value * factor)} {name}"
     return f"{number(value)} m"
 
 
 def length_scale(largest_m: float) -> tuple[float, str]:
-    """What to multiply metres by for an axis that goes up to so many, and the unit then."""
+    """Factor from metres to the unit of an axis with this maximum, and the unit."""
     if largest_m < 0.03:
         return 1e3, "mm"
     return (1e2, "cm") if largest_m < 0.5 else (1.0, "m")
 
 
 def duration(seconds: float) -> str:
-    """In s, min or h."""
+    """A duration in s, min or h."""
     if seconds < 120.0:
         return f"{number(seconds)} s"
     if seconds < 7200.0:
@@ -45,8 +45,8 @@ def duration(seconds: float) -> str:
     return f"{number(seconds / 3600.0)} h"
 
 
-def share(part: float, whole: float) -> str:
-    """In percent; 100 % only if it is all."""
+def percentage(part: float, whole: float) -> str:
+    """A ratio in percent, rounded down; 100 % only if `part` equals `whole`."""
     if not whole:
         return "–"
     percent = 100.0 * part / whole

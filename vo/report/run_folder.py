@@ -1,4 +1,4 @@
-"""Reads back what `vo run` wrote into its folder, as far as it is there."""
+"""Reads the output folder of `vo run`; missing files are allowed."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _log = logging.getLogger(__name__)
 
 _PARTIAL = ".partial"  # of a run that was killed
 _STAGE_SUFFIX = "_ms"
-# What a report cannot do without, by its type in JSON.
-_NEEDED: Mapping[Any, tuple[str, ...]] = {
+# Keys of the summary that a report requires, by their type in JSON.
+_REQUIRED: Mapping[Any, tuple[str, ...]] = {
     str: ("source", "format", "mode", "status"),
     int: ("frames", "tracked", "keyframes", "landmarks", "start", "end", "stride", "seed"),
     (int, float): ("path_m", "frames_per_s", "wall_s", "peak_rss_mb"),
@@ -35,7 +35,7 @@ _NEEDED: Mapping[Any, tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class FrameTable:
-    """`frames.csv`: one row (N,) per frame, as it was known when it was taken in."""
+    """`frames.csv`: one row per frame, as known when it was processed; arrays are (N,)."""
 
     frame: Ints
     stamp_ns: Ints
@@ -52,7 +52,7 @@ class FrameTable:
 
 @dataclass(frozen=True, eq=False)
 class Sigmas:
-    """Standard deviations of keyframe poses (K,): of the position in lengths, of the rotation."""
+    """Standard deviations of keyframe poses (K,); the position in the length unit of the run."""
 
     stamp_ns: Ints
     segment: Ints
@@ -62,16 +62,16 @@ class Sigmas:
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """What a run left behind.
+    """Results of a run.
 
     Attributes:
         path: its folder.
         summary: `summary.json`.
-        config: `config.yaml` as text, empty if it is not there.
-        trajectory: the smoothed path, which may be empty.
-        causal: the path as it was known at the time, which may be empty.
-        frames: None of a run from before there was `frames.csv`.
-        sigmas: None where no covariance is known.
+        config: `config.yaml` as text, empty if missing.
+        trajectory: the smoothed path, possibly empty.
+        causal: the causal path, possibly empty.
+        frames: None if `frames.csv` is missing.
+        sigmas: None without covariances.
     """
 
     path: Path
@@ -84,11 +84,11 @@ class RunRecord:
 
     @property
     def unit(self) -> str:
-        """Of every length."""
+        """Unit of every length."""
         return str(self.summary.get("length_unit", "m"))
 
     def segment_of(self, stamps_ns: Ints) -> Ints:
-        """Number of the segment that each stamp (N,) lies in, -1 outside of all."""
+        """Number (N,) of the segment that contains each stamp, -1 outside of all segments."""
         numbers = np.full(len(stamps_ns), -1, dtype=np.int64)
         for segment in self.summary.get("segments", ()):
             first, last = segment["first_stamp_ns"], segment["last_stamp_ns"]
@@ -100,10 +100,10 @@ def read_run(folder: Path) -> RunRecord:
     """Read the folder of a run, finished or not.
 
     Raises:
-        SourceError: it is no such folder, or a file in it is damaged.
+        SourceError: the folder is not that of a run, or a file in it is damaged.
     """
     if not folder.is_dir():
-        raise SourceError(f"{folder} is not a folder; give the --output of a `vo run`")
+        raise SourceError(f"{folder} is not a folder; use the --output of a `vo run`")
     return RunRecord(
         folder,
         _summary(folder / "summary.json"),
@@ -117,14 +117,14 @@ def read_run(folder: Path) -> RunRecord:
 
 def _summary(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise SourceError(f"{path.parent} has no {path.name}; give the --output of a `vo run`")
+        raise SourceError(f"{path.parent} has no {path.name}; use the --output of a `vo run`")
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
     if not isinstance(summary, dict) or "schema_version" not in summary:
-        raise SourceError(f"{path} is no summary of a run; give the --output of a `vo run`")
-    for kind, names in _NEEDED.items():
+        raise SourceError(f"{path} is not the summary of a run; use the --output of a `vo run`")
+    for kind, names in _REQUIRED.items():
         for name in names:
             found = summary.get(name, "missing")
             if name not in summary or not isinstance(found, kind):
@@ -139,8 +139,8 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _there(path: Path) -> Path | None:
-    """The file, or what a killed run left of it."""
+def _existing(path: Path) -> Path | None:
+    """The file, or the partial file of a killed run; None without content."""
     for each in (path, path.with_name(path.name + _PARTIAL)):
         if each.is_file() and each.stat().st_size:
             return each
@@ -148,21 +148,21 @@ def _there(path: Path) -> Path | None:
 
 
 def _trajectory(path: Path) -> Trajectory:
-    found = _there(path)
+    found = _existing(path)
     if found is None:
         return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
     return read_tum(found)
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    found = _there(path)
+    found = _existing(path)
     if found is None:
         return []
     try:
         text = found.read_text(encoding="utf-8", errors="replace")
         lines, _, cut_off = text.rpartition("\n")
         if cut_off:
-            _log.warning("%s: the last line is cut off and left out", found)
+            _log.warning("%s: the last line is cut off and ignored", found)
         return list(csv.DictReader(lines.split("\n")))
     except (OSError, csv.Error) as error:
         raise SourceError(f"{found} cannot be read: {error}; run `vo run` again") from error
@@ -189,7 +189,7 @@ def _frames(path: Path) -> FrameTable | None:
 
 
 def _sigmas(path: Path) -> Sigmas | None:
-    """Root of the trace of the rotation's and of the translation's 3x3 blocks."""
+    """Square roots of the traces of the 3x3 blocks of rotation and translation."""
     try:
         known = [row for row in _rows(path) if row["c_rx_rx"]]
         if not known:

@@ -1,4 +1,4 @@
-"""The parts of a report's page, from top to bottom."""
+"""Sections of a report, from top to bottom."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from vo.report.plots.style import SERIES
 from vo.report.quantities import number
 from vo.report.settings import changed_settings
 from vo.report.svg import inline_svg
-from vo.report.verdict import figures, verdict
+from vo.report.verdict import key_figures, verdict
 
 _JPEG_QUALITY = 70
 _SIGNS = {"good": "✓", "caution": "!", "bad": "✕"}
 
 
-def opening(entry: Entry, several: bool) -> Markup:
-    """What to know first of a run: verdict, warnings and, of a single one, its numbers."""
+def run_header(entry: Entry, is_comparison: bool) -> Markup:
+    """Verdict, warnings and, for a report of one run, its key figures."""
     found = verdict(entry)
     summary = entry.run.summary
     sign = element("span", _SIGNS[found.grade], class_="sign", aria_hidden="true")
     chip = element("span", sign, found.word, class_=f"chip {found.grade}")
     about = f"{summary['mode']}, {summary['format']}, from {summary['source']}"
-    title = element("h2", _swatch(entry.number) if several else Markup(), entry.name, chip)
+    title = element("h2", _swatch(entry.number) if is_comparison else Markup(), entry.name, chip)
     parts = [title, element("p", *_sentences(found.sentences), class_="verdict")]
-    if not several:
+    if not is_comparison:
         parts.append(_cards(entry))
     warnings = [*summary["warnings"], *([summary["error"]] if summary["error"] else [])]
     if warnings:
@@ -63,14 +63,14 @@ def _cards(entry: Entry) -> Markup:
             element("dd", each.value),
             element("dd", each.meaning, class_="meaning"),
         )
-        for each in figures(entry)
+        for each in key_figures(entry)
     ]
     return element("dl", *cards, class_="cards")
 
 
 def comparison(entries: Sequence[Entry]) -> Markup:
     """A table with a column for every run."""
-    columns = [{each.name: each for each in figures(entry)} for entry in entries]
+    columns = [{each.name: each for each in key_figures(entry)} for entry in entries]
     names = list(dict.fromkeys(name for column in columns for name in column))
     rows = [
         ["verdict", *(verdict(entry).word for entry in entries)],
@@ -89,8 +89,8 @@ def _cell(value: str, meaning: str) -> Markup:
     return join(value, element("small", meaning))
 
 
-def drawings(title: str, plots: Sequence[Plot]) -> Markup:
-    """Figures under a heading; nothing where there are none."""
+def plot_section(title: str, plots: Sequence[Plot]) -> Markup:
+    """Figures under a heading; empty without figures."""
     if not plots:
         return Markup()
     parts = [element("h2", title)]
@@ -101,15 +101,15 @@ def drawings(title: str, plots: Sequence[Plot]) -> Markup:
     return element("section", *parts)
 
 
-def pictures(entry: Entry, title: str) -> Markup:
-    """Frames where something happened."""
+def image_section(entry: Entry, title: str) -> Markup:
+    """Images of frames with events."""
     if not entry.thumbnails:
         return Markup()
-    shown = [_picture(each) for each in entry.thumbnails]
-    return element("section", element("h2", title), element("div", *shown, class_="thumbs"))
+    thumbnails = [_thumbnail(each) for each in entry.thumbnails]
+    return element("section", element("h2", title), element("div", *thumbnails, class_="thumbs"))
 
 
-def _picture(thumbnail: Thumbnail) -> Markup:
+def _thumbnail(thumbnail: Thumbnail) -> Markup:
     done, data = cv2.imencode(".jpg", thumbnail.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     assert done
     source = "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
@@ -119,8 +119,8 @@ def _picture(thumbnail: Thumbnail) -> Markup:
     return element("figure", image, element("figcaption", caption))
 
 
-def gaps(entry: Entry) -> Markup:
-    """Frames without a pose, and why."""
+def frames_without_pose(entry: Entry) -> Markup:
+    """Frames without a pose, and the reasons."""
     ranges = entry.run.summary["without_pose"]
     if not ranges:
         return Markup()
@@ -129,7 +129,7 @@ def gaps(entry: Entry) -> Markup:
         for each in ranges
     ]
     inside = table(["frames", "number", "state", "reason"], rows)
-    title = element("summary", f"Frames without a pose, {entry.name} ({len(rows)} stretches)")
+    title = element("summary", f"Frames without a pose, {entry.name} ({len(rows)} ranges)")
     return element("details", title, inside)
 
 
@@ -138,7 +138,7 @@ def _range(first: int, last: int) -> str:
 
 
 def segments(entry: Entry) -> Markup:
-    """Stretches of the path, if there are several."""
+    """Segments of the path, if there are several."""
     found = entry.run.summary["segments"]
     if len(found) < 2:
         return Markup()
@@ -152,35 +152,37 @@ def segments(entry: Entry) -> Markup:
 
 
 def settings(entries: Sequence[Entry]) -> Markup:
-    """What was set otherwise than by default, and all settings of each run."""
+    """Settings that differ from the defaults, and all settings of each run."""
     parts = [element("h2", "Settings")]
     changed = changed_settings([entry.run.config for entry in entries], Config())
     if changed:
         rows = [[name, *values] for name, values in changed.items()]
-        parts.append(table(["not as by default", *(entry.name for entry in entries)], rows))
+        parts.append(
+            table(["different from the default", *(entry.name for entry in entries)], rows)
+        )
     else:
-        parts.append(element("p", "All as by default."))
+        parts.append(element("p", "All settings have their default values."))
     for entry in entries:
-        text = element("pre", entry.run.config or "config.yaml is not there")
+        text = element("pre", entry.run.config or "config.yaml is missing")
         parts.append(element("details", element("summary", f"config.yaml of {entry.name}"), text))
     return element("section", *parts)
 
 
-def origins(entries: Sequence[Entry]) -> Markup:
-    """With what the runs were made."""
+def provenance(entries: Sequence[Entry]) -> Markup:
+    """Recordings, frames and software versions of the runs."""
     keys = list(dict.fromkeys(key for e in entries for key in e.run.summary["versions"]))
     rows = [
         ["source", *(str(e.run.summary["source"]) for e in entries)],
         ["folder", *(str(e.run.path.resolve()) for e in entries)],
-        ["frames", *(_asked(e) for e in entries)],
+        ["frames", *(_requested_frames(e) for e in entries)],
         ["seed", *(str(e.run.summary["seed"]) for e in entries)],
         *([key, *(str(e.run.summary["versions"].get(key, "–")) for e in entries)] for key in keys),
     ]
     inside = table(["", *(entry.name for entry in entries)], rows)
-    return element("details", element("summary", "Made with"), inside)
+    return element("details", element("summary", "Recordings and versions"), inside)
 
 
-def _asked(entry: Entry) -> str:
+def _requested_frames(entry: Entry) -> str:
     summary = entry.run.summary
     stride = f", every {summary['stride']}." if summary["stride"] != 1 else ""
     return f"{summary['start']} to {summary['end']}{stride}"

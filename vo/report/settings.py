@@ -1,4 +1,4 @@
-"""Which settings of a run differ from the defaults."""
+"""Settings of runs that differ from the defaults."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from vo.config import Config
 
 
 def changed_settings(texts: Sequence[str], defaults: Config) -> dict[str, list[str]]:
-    """Values of each run by `section.key`, for settings where one of them is not the default.
+    """Values of each run by `section.key`, for settings that differ from the default in any run.
 
     Args:
-        texts: `config.yaml` of each run; one that cannot be read has no values.
-        defaults: what counts as not changed.
+        texts: `config.yaml` of each run; an invalid one has no values.
+        defaults: the default settings.
     """
-    usual = dict(_flat(defaults.model_dump(mode="json")))
+    default_values = dict(_flat(defaults.model_dump(mode="json")))
     found = [dict(_flat(_parsed(text))) for text in texts]
-    names = [*usual, *(name for each in found for name in each if name not in usual)]
+    names = [
+        *default_values,
+        *(name for each in found for name in each if name not in default_values),
+    ]
     return {
         name: [str(each.get(name, "–")) for each in found]
         for name in dict.fromkeys(names)
-        if any(name in each and each[name] != usual.get(name) for each in found)
+        if any(name in each and each[name] != default_values.get(name) for each in found)
     }
 
 

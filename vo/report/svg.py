@@ -1,4 +1,4 @@
-"""Figures as SVG that stands in a page: its colours follow the page, its ids are its own."""
+"""Figures as inline SVG, with the colours of the page and unique ids."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COLOURS = {
     style.LOST: "lost",
     **{colour: f"series-{number}" for number, colour in enumerate(style.SERIES)},
 }
-"""Names of the page's colours, by the figures' own."""
+"""CSS variables of the page, by colours of the figures."""
 
 _FONT = re.compile(r"font: ([0-9.]+px) [^;\"]*")
 _REFERENCE = re.compile(r'(\bid="|url\(#|href="#)')
@@ -30,9 +30,9 @@ def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
     """A figure as an `<svg>` element.
 
     Args:
-        figure: drawn within `style.drawing`.
-        prefix: of its ids, different for every figure of a page.
-        caption: for those who cannot see it.
+        figure: drawn inside `style.drawing`.
+        prefix: prefix of its ids, unique in the page.
+        caption: text for screen readers.
     """
     import matplotlib
 

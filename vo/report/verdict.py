@@ -1,4 +1,4 @@
-"""How good a run was, in plain words and a few numbers."""
+"""Quality of a run in a few sentences and key figures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 from vo.evaluation.report import Evaluation
 from vo.report.entry import Entry
-from vo.report.quantities import duration, length, number, share
+from vo.report.quantities import duration, length, number, percentage
 
 Grade = Literal["good", "caution", "bad"]
 
@@ -20,8 +20,8 @@ _KITTI_M = 100.0
 _MOSTLY = 0.5
 
 
-class Figure(NamedTuple):
-    """A number that sums a run up: its name, the value with its unit, and what it means."""
+class KeyFigure(NamedTuple):
+    """A number that describes a run: name, value with unit, and meaning."""
 
     name: str
     value: str
@@ -29,7 +29,7 @@ class Figure(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What to say first of a run."""
+    """Assessment of a run."""
 
     grade: Grade
     word: str
@@ -37,14 +37,14 @@ class Verdict(NamedTuple):
 
 
 def verdict(entry: Entry) -> Verdict:
-    """A run in a few sentences, the worst news first."""
+    """Assess a run by its coverage, end and warnings."""
     summary = entry.run.summary
     frames, tracked = summary["frames"], summary["tracked"]
     sentences = [_coverage(entry)]
     if entry.evaluation is not None:
         sentences.append(_accuracy(entry.evaluation, is_whole=len(summary["segments"]) < 2))
     elif tracked:
-        sentences.append("There is no truth to compare with: nothing here says how exact it is.")
+        sentences.append("There is no ground truth: the accuracy of the path is unknown.")
     if not tracked:
         return Verdict("bad", "no path", tuple(sentences))
     if summary["status"] != "finished":
@@ -66,7 +66,7 @@ def _coverage(entry: Entry) -> str:
     what = "All" if tracked == frames else f"{tracked} of"
     text = f"{what} {frames} frames have a pose"
     if tracked < frames:
-        text += f" ({share(tracked, frames)})"
+        text += f" ({percentage(tracked, frames)})"
     segments = len(summary["segments"])
     if segments > 1:
         text += f", in {segments} segments that are not connected"
@@ -76,7 +76,7 @@ def _coverage(entry: Entry) -> str:
 def _accuracy(evaluation: Evaluation, *, is_whole: bool) -> str:
     ate = evaluation.ate.translation
     what = "The path" if is_whole else f"The longest segment ({len(evaluation.matched)} poses)"
-    text = f"{what} is {length(ate.rmse)} off the truth (root mean square"
+    text = f"{what} is {length(ate.rmse)} away from the ground truth (root mean square"
     text += f", {_ALIGNED[evaluation.alignment.kind]})"
     if evaluation.path_m > 0.0:
         text += f", {number(100.0 * ate.rmse / evaluation.path_m, 2)} % of its length"
@@ -87,52 +87,56 @@ def _accuracy(evaluation: Evaluation, *, is_whole: bool) -> str:
     lengths = [each.length_m for each in segments.lengths]
     span = f"{lengths[0]:g} m" if len(lengths) == 1 else f"{lengths[0]:g} to {lengths[-1]:g} m"
     return (
-        f"{text}; it drifts by {number(segments.translation_percent)} % over stretches of {span}."
+        f"{text}; it drifts by {number(segments.translation_percent)} % over sub-paths of {span}."
     )
 
 
-def figures(entry: Entry) -> list[Figure]:
-    """The numbers that sum a run up, also those of the table that compares runs."""
+def key_figures(entry: Entry) -> list[KeyFigure]:
+    """Key figures of a run, also used in the comparison of runs."""
     summary = entry.run.summary
     frames, tracked = summary["frames"], summary["tracked"]
     span_s = _span_s(entry)
     return [
-        Figure("frames with a pose", share(tracked, frames), f"{tracked} of {frames}"),
-        *_judged_figures(entry, is_whole=len(summary["segments"]) < 2),
-        Figure(
+        KeyFigure("frames with a pose", percentage(tracked, frames), f"{tracked} of {frames}"),
+        *_evaluation_figures(entry, is_whole=len(summary["segments"]) < 2),
+        KeyFigure(
             "path",
             length(summary["path_m"], entry.run.unit),
-            "in map units: one camera cannot know the scale"
+            "in map units: the scale of a single camera is unknown"
             if entry.run.unit != "m"
             else f"in {duration(span_s)}"
             if span_s
             else "",
         ),
-        Figure(
+        KeyFigure(
             "frames per second",
             number(summary["frames_per_s"]),
             f"{duration(summary['wall_s'])} for {frames} frames",
         ),
-        Figure("keyframes", str(summary["keyframes"]), f"{summary['landmarks']} landmarks"),
-        Figure("inliers", _or_dash(summary["median_inliers"]), "median over frames with a pose"),
-        Figure("memory", f"{summary['peak_rss_mb']:.0f} MB", "at most, without the smoother"),
+        KeyFigure("keyframes", str(summary["keyframes"]), f"{summary['landmarks']} landmarks"),
+        KeyFigure("inliers", _or_dash(summary["median_inliers"]), "median over frames with a pose"),
+        KeyFigure(
+            "memory",
+            f"{summary['peak_rss_mb']:.0f} MB",
+            "peak, without the process of the optimizer",
+        ),
     ]
 
 
-def _judged_figures(entry: Entry, *, is_whole: bool) -> list[Figure]:
+def _evaluation_figures(entry: Entry, *, is_whole: bool) -> list[KeyFigure]:
     evaluation = entry.evaluation
     if evaluation is None:
         return []
     ate, frames, segments = evaluation.ate, evaluation.rpe_frames, evaluation.segments
     meaning = f"rmse, {evaluation.alignment.kind}" + ("" if is_whole else ", longest segment")
-    found = [Figure("ATE", length(ate.translation.rmse), meaning)]
+    found = [KeyFigure("ATE", length(ate.translation.rmse), meaning)]
     if entry.causal_ate_m is not None:
-        found.append(Figure("ATE, causal", length(entry.causal_ate_m), "as known at the time"))
+        found.append(KeyFigure("ATE, causal", length(entry.causal_ate_m), "as known at that time"))
     if segments is not None:
         is_kitti = segments.lengths[0].length_m >= _KITTI_M
         drift = number(100.0 * segments.rotation_deg_per_m)
         found.append(
-            Figure(
+            KeyFigure(
                 "drift",
                 f"{number(segments.translation_percent)} %",
                 f"t_rel{' as on KITTI' if is_kitti else ''}, and {drift} ° per 100 m",
@@ -140,7 +144,7 @@ def _judged_figures(entry: Entry, *, is_whole: bool) -> list[Figure]:
         )
     if frames is not None:
         found.append(
-            Figure(
+            KeyFigure(
                 "RPE",
                 length(frames.translation.rmse),
                 f"from pose to pose, and {number(frames.rotation.rmse)} °",
@@ -148,7 +152,7 @@ def _judged_figures(entry: Entry, *, is_whole: bool) -> list[Figure]:
         )
     scale = evaluation.alignment.scale_error_percent
     if scale is not None:
-        found.append(Figure("scale error", f"{number(scale, 2)} %", "longer is positive"))
+        found.append(KeyFigure("scale error", f"{number(scale, 2)} %", "longer is positive"))
     return found
 
 

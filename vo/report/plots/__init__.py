@@ -1,1 +1,1 @@
-"""The figures of a report; each module draws what belongs together."""
+"""Figures of a report, grouped by subject."""

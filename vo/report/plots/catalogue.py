@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Plot(NamedTuple):
-    """A figure with its name for files, what it shows in words, and the run it is of, if one."""
+    """A figure with its file name, caption, and number of its run, None for several runs."""
 
     name: str
     caption: str
@@ -22,39 +22,38 @@ class Plot(NamedTuple):
 
 
 _PATH = "Camera path from above and from the side"
-_OF_ALL = (
+_ALL_RUNS = (
     (
         "error_time",
-        "Error of each pose over time, after alignment to the truth.",
+        "Error of each pose over time, after alignment to the ground truth.",
         errors.draw_errors_over_time,
     ),
     (
         "error_distance",
-        "Error of each pose by distance travelled, after alignment to the truth.",
+        "Error of each pose by distance travelled, after alignment to the ground truth.",
         errors.draw_errors_over_distance,
     ),
     (
         "rpe",
-        "Distribution of relative errors: how many of the steps err by up to so much. The dot is "
-        "the median.",
+        "Cumulative distribution of relative errors. The dot is the median.",
         errors.draw_relative_errors,
     ),
     ("drift", "Mean drift over sub-paths of each length.", errors.draw_drift),
     (
         "uncertainty",
-        "Standard deviation of each keyframe's pose against the first of its segment, from the "
-        "covariance.",
+        "Standard deviation of each keyframe's pose relative to the first of its segment, from "
+        "the covariance.",
         tracking.draw_uncertainty,
     ),
 )
-_OF_SEVERAL = (
-    ("inliers", "Landmarks that agree with the pose, over time.", tracking.draw_inliers),
-    ("times", "How many of the frames took up to so long.", times.draw_total_times),
+_COMPARISONS = (
+    ("inliers", "Inliers over time.", tracking.draw_inliers),
+    ("times", "Cumulative distribution of the wall time per frame.", times.draw_total_times),
 )
-_OF_ONE = (
+_SINGLE_RUN = (
     (
         "counts",
-        "Features, and landmarks of the map matched and agreeing with the pose, over time.",
+        "Matched landmarks, and inliers among them, over time.",
         tracking.draw_counts,
     ),
     ("stages", "Wall time of the frames by stage.", times.draw_stages),
@@ -62,19 +61,19 @@ _OF_ONE = (
 
 
 def draw_all(entries: Sequence[Entry]) -> Iterator[Plot]:
-    """Every figure that there is something to draw for."""
+    """All figures for which there are data."""
     with style.drawing():
         yield from _paths(entries)
-        for name, caption, draw in _OF_ALL:
+        for name, caption, draw in _ALL_RUNS:
             figure = draw(entries)
             if figure is not None:
                 yield Plot(name, caption, figure)
-        for name, caption, draw in _OF_SEVERAL if len(entries) > 1 else ():
+        for name, caption, draw in _COMPARISONS if len(entries) > 1 else ():
             figure = draw(entries)
             if figure is not None:
                 yield Plot(name, caption, figure)
         for number, entry in enumerate(entries):
-            for name, caption, draw_one in _OF_ONE:
+            for name, caption, draw_one in _SINGLE_RUN:
                 figure = draw_one(entry)
                 if figure is not None:
                     suffix = f"_{number + 1}" if len(entries) > 1 else ""
@@ -82,7 +81,7 @@ def draw_all(entries: Sequence[Entry]) -> Iterator[Plot]:
 
 
 def _paths(entries: Sequence[Entry]) -> Iterator[Plot]:
-    """One figure for the runs of each recording: others are in other worlds."""
+    """One figure for the runs of each recording, which have a common world frame."""
     sources = list(dict.fromkeys(str(entry.run.summary["source"]) for entry in entries))
     for number, source in enumerate(sources, start=1):
         together = [entry for entry in entries if str(entry.run.summary["source"]) == source]

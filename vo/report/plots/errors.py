@@ -1,4 +1,4 @@
-"""Errors against the truth: over time, over distance, as distributions, by length."""
+"""Errors against the ground truth: over time, over distance, distributions, by length."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Judged = tuple[Entry, Evaluation]
+Evaluated = tuple[Entry, Evaluation]
 
 
-def judged(entries: Sequence[Entry]) -> list[Judged]:
-    """The runs that have a truth."""
+def evaluated(entries: Sequence[Entry]) -> list[Evaluated]:
+    """The runs with an evaluation."""
     return [(entry, entry.evaluation) for entry in entries if entry.evaluation is not None]
 
 
 def draw_errors_over_time(entries: Sequence[Entry]) -> Figure | None:
-    """Position and rotation error of each pose; stretches without a pose are shaded."""
-    return _draw_errors(judged(entries), "time")
+    """Position and rotation error of each pose; times without a pose are shaded."""
+    return _draw_errors(evaluated(entries), "time")
 
 
 def draw_errors_over_distance(entries: Sequence[Entry]) -> Figure | None:
-    """The same by metres travelled."""
-    return _draw_errors(judged(entries), "distance")
+    """Position and rotation error of each pose over the distance travelled."""
+    return _draw_errors(evaluated(entries), "distance")
 
 
-def _draw_errors(runs: list[Judged], by: Literal["time", "distance"]) -> Figure | None:
+def _draw_errors(runs: list[Evaluated], by: Literal["time", "distance"]) -> Figure | None:
     if not runs:
         return None
     figure = new_figure(4.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
     shown = [(entry, each) for entry, e in runs for each in (e, *entry.others)]
     if by == "distance":
-        shown = runs  # how long the way from one segment to the next was is not known
+        shown = runs  # the distance between segments is unknown
     factor, unit = _scale([evaluation.ate for _, evaluation in shown])
     for entry, evaluation in shown:
         x = _abscissa(entry, evaluation, by)
@@ -73,7 +73,7 @@ def _abscissa(entry: Entry, evaluation: Evaluation, by: Literal["time", "distanc
 
 
 def rotation_errors(evaluation: Evaluation) -> Floats:
-    """Angles (N,) in degrees; a straight path's alignment says nothing of the roll about it."""
+    """Angles (N,) in degrees; the alignment of a straight path leaves its roll undetermined."""
     if evaluation.alignment.kind in ("se3", "sim3"):
         return evaluation.rotation_alone_deg
     return evaluation.ate.rotation_deg
@@ -89,8 +89,8 @@ def _finish(figure: Figure, both: Sequence[Axes], with_legend: bool) -> None:
 
 
 def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
-    """How errors of motion are distributed: share of steps with an error up to each value."""
-    runs = judged(entries)
+    """Cumulative distributions of the relative errors."""
+    runs = evaluated(entries)
     rows = [_over_frames(runs), _over_metres(runs)]
     rows = [row for row in rows if row[1]]
     if not rows:
@@ -104,9 +104,7 @@ def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
             style = {"color": colour(number), "ls": dash(number), "label": entry.label}
             _cumulative(axes[0], factor * each.translation_m, style)
             _cumulative(axes[1], each.rotation_deg, style)
-        axes[0].set(
-            title=title, xlabel=f"error of translation ({unit})", ylabel="share of steps (%)"
-        )
+        axes[0].set(title=title, xlabel=f"error of translation ({unit})", ylabel="steps (%)")
         axes[1].set(xlabel="error of rotation (°)")
     if len(runs) > 1:
         handles, labels = grid[0][0].get_legend_handles_labels()
@@ -117,12 +115,12 @@ def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
 _Row = tuple[str, list[tuple[Entry, PoseErrors]]]
 
 
-def _over_frames(runs: Sequence[Judged]) -> _Row:
+def _over_frames(runs: Sequence[Evaluated]) -> _Row:
     found = [(entry, e.rpe_frames) for entry, e in runs if e.rpe_frames is not None]
     return "Relative error from pose to pose", found
 
 
-def _over_metres(runs: Sequence[Judged]) -> _Row:
+def _over_metres(runs: Sequence[Evaluated]) -> _Row:
     found = [(entry, e.rpe_metres) for entry, e in runs if e.rpe_metres is not None]
     lengths = sorted({e.delta_m for _, e in runs if e.rpe_metres is not None})
     return f"Relative error over {' or '.join(f'{each:g}' for each in lengths)} m", found
@@ -130,8 +128,8 @@ def _over_metres(runs: Sequence[Judged]) -> _Row:
 
 def _cumulative(axes: Axes, errors: Floats, style: dict[str, Any]) -> None:
     ordered = np.sort(errors)
-    shares = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)
-    axes.plot(*thin(ordered, shares), drawstyle="steps-post", **style)
+    percentages = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)
+    axes.plot(*thin(ordered, percentages), drawstyle="steps-post", **style)
     axes.plot(np.median(errors), 50.0, "o", color=style["color"], ms=5)
     axes.set(ylim=(0.0, 102.0))
     axes.set_xlim(left=0.0)
@@ -139,8 +137,8 @@ def _cumulative(axes: Axes, errors: Floats, style: dict[str, Any]) -> None:
 
 
 def draw_drift(entries: Sequence[Entry]) -> Figure | None:
-    """Drift by length of sub-path, as on the KITTI leaderboard; None if there is but one length."""
-    runs = [(entry, e.segments) for entry, e in judged(entries) if e.segments is not None]
+    """Drift by length of sub-path, as on the KITTI leaderboard; None for a single length."""
+    runs = [(entry, e.segments) for entry, e in evaluated(entries) if e.segments is not None]
     if max((len(segments.lengths) for _, segments in runs), default=0) < 2:
         return None
     figure = new_figure(2.9)

@@ -20,19 +20,19 @@ _FLAT = 0.12  # height by length below which the side view stretches the height
 
 
 def draw_paths(entries: Sequence[Entry]) -> Figure | None:
-    """Paths laid onto the truth if there is one, else each in its own world; None without any."""
+    """Paths aligned with the ground truth if there is one; None without a path."""
     entries = [entry for entry in entries if len(entry.run.trajectory)]
     if not entries:
         return None
-    judged = [entry for entry in entries if entry.evaluation is not None]
-    world = _world(judged[0] if judged else entries[0])
+    evaluated = [entry for entry in entries if entry.evaluation is not None]
+    world = _world(evaluated[0] if evaluated else entries[0])
     across, up = axes_from_above(world)
     vertical = 3 - across - up
     sign = -1.0 if world[:, vertical, 1].mean() > 0 else 1.0  # the camera's y points down
     along = max((across, up), key=lambda axis: float(np.ptp(world[:, axis, 3])))
     figure = new_figure(5.2)
     above, side = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    unit = "m" if judged else entries[0].run.unit
+    unit = "m" if evaluated else entries[0].run.unit
     for axes, x, y, flip in ((above, across, up, 1.0), (side, along, vertical, sign)):
         _draw(axes, entries, x, y, flip)
     above.set(
@@ -50,7 +50,7 @@ def draw_paths(entries: Sequence[Entry]) -> Figure | None:
 
 
 def _world(entry: Entry) -> Floats:
-    """Poses (N, 4, 4) that say which way is up."""
+    """Poses (N, 4, 4) that determine the vertical direction."""
     if entry.evaluation is not None:
         return entry.evaluation.matched.reference
     return entry.run.trajectory.world_from_cam
@@ -61,11 +61,11 @@ def _draw(axes: Axes, entries: Sequence[Entry], x: int, y: int, flip: float) -> 
     if truth is not None:
         positions = truth.positions
         axes.plot(positions[:, x], flip * positions[:, y], color=MUTED, lw=3.2, alpha=0.45)
-        axes.lines[-1].set_label("truth")
+        axes.lines[-1].set_label("ground truth")
     start = None
     for entry in entries:
         if truth is not None and entry.evaluation is None:
-            continue  # its world is another one
+            continue  # in a different world frame
         positions = _positions(entry)
         name = entry.label if len(entries) > 1 else "estimate"
         style = {"color": colour(entry.number), "ls": dash(entry.number), "label": name}
@@ -78,7 +78,7 @@ def _draw(axes: Axes, entries: Sequence[Entry], x: int, y: int, flip: float) -> 
 
 
 def _positions(entry: Entry) -> Floats:
-    """Positions (N, 3), with rows of NaN where poses are missing and where a segment begins."""
+    """Positions (N, 3), with rows of NaN at gaps and at the beginning of segments."""
     if entry.evaluation is not None:
         every = (entry.evaluation, *entry.others)
         stamps = np.concatenate([each.matched.stamps_ns for each in every])

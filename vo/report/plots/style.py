@@ -1,4 +1,4 @@
-"""How every figure of a report looks; its colours are also those of the page in the light."""
+"""Style of the figures of a report; the colours are also those of the page in light mode."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, MUTED, GRID, LOST = "#1f2328", "#656d77", "#d8dce1", "#f6d9c8"
-# Okabe and Ito's colours, told apart with every kind of colour vision.
+# Okabe and Ito (2008): distinct for all kinds of colour vision.
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f6000")
 DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
 
 WIDTH_IN = 11.0
-_MOST_POINTS = 3000
+_MAX_POINTS = 3000
 _RC: Any = {
     "font.family": "sans-serif",
     "font.size": 10.0,
@@ -50,7 +50,7 @@ _RC: Any = {
     "lines.linewidth": 1.5,
     "lines.solid_joinstyle": "round",
     "path.simplify": True,
-    "text.parse_math": False,  # names may hold dollars
+    "text.parse_math": False,  # names may contain dollar signs
     "svg.fonttype": "none",  # text stays text
     "pdf.fonttype": 42,
 }
@@ -58,11 +58,11 @@ _RC: Any = {
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Everything drawn inside has the report's looks, whatever the user's matplotlibrc says."""
+    """Apply the style of the report, independently of the user's matplotlibrc."""
     import matplotlib
 
     with matplotlib.rc_context(), warnings.catch_warnings():
-        # A browser finds letters of all scripts; matplotlib's own font does not have them.
+        # Browsers have glyphs for all scripts, matplotlib's font does not.
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_RC)
@@ -70,7 +70,7 @@ def drawing() -> Iterator[None]:
 
 
 def new_figure(height_in: float) -> Figure:
-    """An empty figure of the page's width, which belongs to no window."""
+    """An empty figure of the page's width, without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -80,33 +80,33 @@ def new_figure(height_in: float) -> Figure:
 
 
 def colour(number: int) -> str:
-    """Of the run or curve with this number."""
+    """Colour of the run or curve with this number."""
     return SERIES[number % len(SERIES)]
 
 
 def dash(number: int) -> Any:
-    """A second sign beside the colour, for print and for those who see no colours."""
+    """Dash pattern of the run or curve with this number, for print and without colour vision."""
     return DASHES[number % len(DASHES)]
 
 
-def shade(axes: Axes, stretches: Sequence[tuple[float, float]], label: str = "no pose") -> None:
-    """Mark stretches of time behind the curves; the first of them goes into the legend."""
-    for number, (begin, end) in enumerate(stretches):
+def shade(axes: Axes, intervals: Sequence[tuple[float, float]], label: str = "no pose") -> None:
+    """Shade time intervals behind the curves; the first one is in the legend."""
+    for number, (begin, end) in enumerate(intervals):
         name = label if number == 0 else "_"
         axes.axvspan(begin, max(end, begin), color=LOST, lw=1.0, zorder=0.5, label=name)
 
 
 def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """A long curve with fewer points that looks the same: least and largest value of each piece."""
-    if len(x) <= _MOST_POINTS:
+    """A long curve with fewer points: the minimum and maximum of each piece."""
+    if len(x) <= _MAX_POINTS:
         return x, y
-    pieces = np.array_split(np.arange(len(x)), _MOST_POINTS // 2)
+    pieces = np.array_split(np.arange(len(x)), _MAX_POINTS // 2)
     rows = [sorted((p[np.argmin(y[p])], p[np.argmax(y[p])])) for p in pieces]
     kept = np.unique(np.concatenate(rows))
     return x[kept], y[kept]
 
 
 def broken(x: Floats, y: Floats, cuts: Floats) -> tuple[Floats, Floats]:
-    """A curve of increasing x with a gap before each of these x."""
+    """A curve with increasing x, and a gap before each x in `cuts`."""
     rows = np.searchsorted(x, cuts)
     return np.insert(x, rows, np.nan), np.insert(y, rows, np.nan)

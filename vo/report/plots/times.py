@@ -1,4 +1,4 @@
-"""Where the time went."""
+"""Wall time of the frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vo.types import Floats
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Stages that a reader thinks of as one; what is in none of them is `other`.
+# Stages shown as one; the remaining time is `other`.
 _GROUPS = {
     "read": ("read",),
     "features": ("features",),
@@ -23,23 +23,23 @@ _GROUPS = {
     "map": ("start", "map"),
     "smooth": ("window", "smooth"),
 }
-_MOST_BINS = 200
+_MAX_BINS = 200
 
 
 def draw_stages(entry: Entry) -> Figure | None:
-    """Milliseconds by stage of one run: over time, stacked, and the mean of each."""
+    """Wall time by stage of one run: stacked over time, and the means."""
     frames = entry.run.frames
     if frames is None or len(frames) < 2:
         return None
     spent = _grouped(entry)
-    bins = np.array_split(np.arange(len(frames)), min(_MOST_BINS, len(frames)))
+    bins = np.array_split(np.arange(len(frames)), min(_MAX_BINS, len(frames)))
     seconds = entry.seconds(frames.stamp_ns)
     middle = np.array([seconds[rows].mean() for rows in bins])
     figure = new_figure(3.4)
     over_time, means = figure.subplots(1, 2, width_ratios=(2.2, 1.0))
     layers = [np.array([values[rows].mean() for rows in bins]) for values in spent.values()]
     over_time.stackplot(middle, *layers, colors=SERIES, step="mid", lw=0)
-    # The first frame compiles and starts programs: it would flatten all others.
+    # Without the first frame, which takes much longer than the others.
     highest = np.percentile(np.sum(layers, axis=0), 98)
     over_time.set_ylim(0.0, 1.3 * highest)
     over_time.margins(x=0.0)
@@ -56,7 +56,7 @@ def _draw_means(axes, spent: dict[str, Floats]) -> None:  # type: ignore[no-unty
     axes.invert_yaxis()
     axes.grid(False, axis="y")
     axes.margins(x=0.18)
-    axes.set(title=f"Mean, together {sum(values):.1f} ms", xlabel="ms")
+    axes.set(title=f"Mean, in total {sum(values):.1f} ms", xlabel="ms")
 
 
 def _grouped(entry: Entry) -> dict[str, Floats]:
@@ -72,7 +72,7 @@ def _grouped(entry: Entry) -> dict[str, Floats]:
 
 
 def draw_total_times(entries: Sequence[Entry]) -> Figure | None:
-    """Wall time of the frames of several runs, as a share of frames up to each time."""
+    """Cumulative distribution of the wall time per frame of several runs."""
     runs = [(entry, entry.run.frames) for entry in entries if entry.run.frames is not None]
     if not runs:
         return None
@@ -83,13 +83,13 @@ def draw_total_times(entries: Sequence[Entry]) -> Figure | None:
     for entry, frames in runs:
         number = entry.number
         ordered = np.sort(frames.total_ms)
-        shares = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)
+        percentages = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)
         style = {"color": colour(number), "ls": dash(number), "label": entry.label}
-        axes.plot(*thin(ordered, shares), drawstyle="steps-post", **style)
+        axes.plot(*thin(ordered, percentages), drawstyle="steps-post", **style)
     axes.set_xscale("log")
     for which in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
         which(LogFormatter(minor_thresholds=(1.5, 0.5)))
-    axes.set(title="Wall time of a frame", xlabel="ms", ylabel="share of frames (%)")
+    axes.set(title="Wall time of a frame", xlabel="ms", ylabel="frames (%)")
     axes.set_ylim(0.0, 102.0)
     figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
     return figure

@@ -1,4 +1,4 @@
-"""What was seen in the images, and how sure the poses are."""
+"""Matches and inliers, and the uncertainty of the poses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def draw_counts(entry: Entry) -> Figure | None:
-    """Matches and inliers of one run's frames, its keyframes as ticks below."""
+    """Matches and inliers of the frames of one run, with keyframes as ticks."""
     frames = entry.run.frames
     if frames is None:
         return None
@@ -28,7 +28,7 @@ def draw_counts(entry: Entry) -> Figure | None:
         style = {"color": colour(1 - number), "ls": dash(1 - number), "label": name}
         axes.plot(*thin(seconds, counts.astype(np.float64)), **style)
     keyframes = seconds[frames.keyframe == 1]
-    # One path of many ticks: as markers they would each be an element of the page.
+    # One line for all ticks: each marker would be an element of the page.
     ticks = np.tile([0.0, 0.05, np.nan], len(keyframes))
     style = {"color": MUTED, "lw": 0.8, "transform": axes.get_xaxis_transform()}
     axes.plot(np.repeat(keyframes, 3), ticks, **style)
@@ -43,7 +43,7 @@ def draw_counts(entry: Entry) -> Figure | None:
 
 
 def draw_inliers(entries: Sequence[Entry]) -> Figure | None:
-    """Inliers of several runs over each other."""
+    """Inliers of several runs."""
     runs = [(entry, entry.run.frames) for entry in entries if entry.run.frames is not None]
     if not runs:
         return None
@@ -61,14 +61,14 @@ def draw_inliers(entries: Sequence[Entry]) -> Figure | None:
 
 
 def metres_per_unit(entry: Entry) -> float:
-    """What brings a run's lengths to the truth's size, if its scale was aligned to that."""
+    """Factor from the run's lengths to metres, by the alignment with the ground truth."""
     if entry.evaluation is None:
         return 1.0
     return float(entry.evaluation.alignment.reference_from_estimate.scale)
 
 
 def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
-    """One standard deviation of keyframes' positions and rotations, as the run itself says."""
+    """Standard deviations of keyframe positions and rotations, estimated by the run."""
     runs = [(entry, entry.run.sigmas) for entry in entries if entry.run.sigmas is not None]
     if not runs:
         return None
@@ -86,7 +86,7 @@ def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
         for axes in (upper, lower):
             shade(axes, runs[0][0].without_pose_s)
     units = sorted({"m" if entry.evaluation else entry.run.unit for entry, _ in runs})
-    upper.set(title="Own estimate of uncertainty (1σ)", ylabel=f"position ({' or '.join(units)})")
+    upper.set(title="Estimated uncertainty (1σ)", ylabel=f"position ({' or '.join(units)})")
     lower.set(ylabel="rotation (°)", xlabel="time (s)")
     for axes in (upper, lower):
         axes.set_ylim(bottom=0.0)

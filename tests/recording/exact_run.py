@@ -1,4 +1,4 @@
-"""A made-up walk with exact geometry: a sliding map of four keyframes that see points ahead."""
+"""A synthetic run with exact geometry: a sliding map of four keyframes that observe points."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def smoothed() -> Trajectory:
 
 
 def sightings(frame: int, camera: Camera) -> Sightings:
-    """In a map whose landmarks come with the frames: later frames see those with higher ids."""
+    """Observations in a growing map: later frames observe landmarks with higher ids."""
     local = transform_points(inverse(pose(frame) @ CAM0_FROM_IMAGE0), points())
     pixels = cameras.project(camera, local)
     size = (camera.width - 1, camera.height - 1)
