@@ -22,7 +22,7 @@ from vo.types import Floats, ImuNoise, Trajectory
 
 FIRST_STAMP_NS = 1_700_000_000_000_000_000
 
-_ELBOW_ROOM_M = 0.3
+_MIN_CLEARANCE_M = 0.3
 _OUT_OF_SIGHT_M = -1e4
 
 
@@ -89,7 +89,7 @@ def make_plan(recipe: Recipe) -> Plan:
         cam0_truth=Trajectory(timing.stamps_ns[0], world_from_cam0),
         body_truth=body,
         imu=imu,
-        movers=_present(scene, mover_poses),
+        movers=_mover_truths(scene, mover_poses),
         has_depth=recipe.depth or recipe.format == "tum",
     )
     return Plan(recipe, scene, path, timing, mover_poses, mover_velocities, recording)
@@ -103,13 +103,13 @@ def _movers(scene: Scene, times_s: Floats, world_from_cam0: Floats) -> tuple[Flo
     for i, body in enumerate(scene.bodies):
         poses[:, i], velocities[:, i] = poses_at(body, times_s, scene.course.ground)
         apart = np.linalg.norm(poses[:, i, :2, 3] - camera, axis=1).min()
-        if apart < body.radius_m + _ELBOW_ROOM_M:
+        if apart < body.radius_m + _MIN_CLEARANCE_M:
             poses[:, i, 2, 3] = _OUT_OF_SIGHT_M
             velocities[:, i] = 0.0
     return poses, velocities
 
 
-def _present(scene: Scene, poses: Floats) -> tuple[MoverTruth, ...]:
+def _mover_truths(scene: Scene, poses: Floats) -> tuple[MoverTruth, ...]:
     return tuple(
         MoverTruth(body.name, poses[:, i])
         for i, body in enumerate(scene.bodies)

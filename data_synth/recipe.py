@@ -35,17 +35,19 @@ class Effects(Section):
     blur: float = Field(1.0, ge=0, le=10, description="motion blur: longest exposure, 8 ms at 1")
     noise: float = Field(1.0, ge=0, le=20, description="shot and read noise")
     exposure: float = Field(
-        1.0, ge=0, le=5, description="light that changes, and auto-exposure that lags behind it"
+        1.0, ge=0, le=5, description="changing light, and auto-exposure with a lag"
     )
     vignetting: float = Field(1.0, ge=0, le=3, description="dark corners: 25 % at 1")
     gamma: float = Field(0.0, ge=0, le=2, description="curve of grey levels: x^(1/2.2) at 1")
     rolling_shutter: float = Field(
         0.0, ge=0, le=5, description="time from the first row to the last, 20 ms at 1"
     )
-    movers: float = Field(0.0, ge=0, le=5, description="people, cars or carts that move about")
-    drops: float = Field(0.0, ge=0, le=50, description="frames that are missing, 1 % at 1")
-    jitter: float = Field(0.0, ge=0, le=50, description="deviation of the stamps, 0.5 ms at 1")
-    dark: float = Field(0.0, ge=0, le=5, description="stretches of 2 s with little light")
+    movers: float = Field(0.0, ge=0, le=5, description="moving people, cars or carts")
+    drops: float = Field(0.0, ge=0, le=50, description="missing frames, 1 % at 1")
+    jitter: float = Field(
+        0.0, ge=0, le=50, description="standard deviation of the stamps, 0.5 ms at 1"
+    )
+    dark: float = Field(0.0, ge=0, le=5, description="intervals of 2 s with little light")
     blackout: int = Field(0, ge=0, le=10_000, description="black frames in the middle")
 
 
@@ -62,19 +64,21 @@ class ImuRecipe(Section):
 class Recipe(Section):
     """All settings of a synthetic recording."""
 
-    about: str = Field("", description="one line on what it is for")
-    world: WorldName = Field("room", description="where")
+    about: str = Field("", description="purpose, in one line")
+    world: WorldName = Field("room", description="world to render")
     motion: MotionName = Field("handheld", description="how the camera moves")
     camera: str = Field("euroc", description="name of a camera, or a calibration file")
-    mono: bool = Field(False, description="leave the second camera out")
-    scale: float = Field(1.0, gt=0, le=8, description="of the images' size; the view stays")
-    seconds: float = Field(20.0, gt=0, le=3600, description="length")
+    mono: bool = Field(False, description="only the first camera")
+    scale: float = Field(
+        1.0, gt=0, le=8, description="factor of the image size; the field of view does not change"
+    )
+    seconds: float = Field(20.0, gt=0, le=3600, description="duration")
     fps: float = Field(20.0, gt=0, le=1000, description="frames per second")
-    speed: float = Field(1.0, gt=0, le=10, description="of the motion, 1 as usual")
-    seed: int = Field(0, ge=0, description="of every random choice")
+    speed: float = Field(1.0, gt=0, le=10, description="factor of the speed of the motion")
+    seed: int = Field(0, ge=0, description="random seed")
     format: FormatName = Field("euroc", description="layout on disk")
-    codec: CodecName = Field("png", description="of the images")
-    depth: bool = Field(False, description="write the true depth of each image of cam0")
+    codec: CodecName = Field("png", description="image codec")
+    depth: bool = Field(False, description="write true depth images of cam0")
     effects: Effects = Effects()
     imu: ImuRecipe = ImuRecipe()
 

@@ -1,7 +1,7 @@
 """Records that the parts of the generator exchange.
 
-Conventions as in `vo.types`. The body frame looks along x with y to the left and z up; it is also
-the frame of the inertial sensor. The world has z up and gravity (0, 0, -9.81) m/s². A frame's stamp
+Conventions as in `vo.types`. The body frame has x ahead, y to the left and z up; it is also the
+frame of the inertial sensor. The world has z up and gravity (0, 0, -9.81) m/s². A frame's stamp
 is the middle of the exposure of the image's middle row.
 """
 

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from data_synth.film import film
+from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import Recipe, dump_recipe
 from data_synth.records import Recording, Shot
@@ -43,11 +43,11 @@ def make_sequence(
         OutputError: the output exists already, or cannot be written.
     """
     path = Path(output)
-    _refuse_existing(path, force)  # before the time is spent
+    _check_output(path, force)  # before rendering, which takes long
     plan = make_plan(recipe)
     write = load_writer(recipe.format)
-    with _whole(path, force) as partial, ThreadPoolExecutor() as pool:
-        shots = _counted(film(plan, pool), len(plan.recording), on_frame)
+    with _atomic_output(path, force) as partial, ThreadPoolExecutor() as pool:
+        shots = _counted(render_frames(plan, pool), len(plan.recording), on_frame)
         write(partial, plan.recording, shots, recipe.codec)
         if not FORMATS[recipe.format].suffix:
             (partial / "recipe.yaml").write_text(dump_recipe(recipe), encoding="utf-8")
@@ -61,24 +61,24 @@ def _counted(shots: Iterator[Shot], total: int, on_frame: OnFrame | None) -> Ite
             on_frame(done, total)
 
 
-def _refuse_existing(path: Path, force: bool) -> None:
+def _check_output(path: Path, force: bool) -> None:
     try:
         taken = path.exists() and (not path.is_dir() or any(path.iterdir()))
     except OSError as error:
         raise OutputError(f"{path} cannot be read: {error.strerror or error}") from error
     if taken and not force:
         raise OutputError(f"{path} exists already; choose another path, or --force to replace it")
-    if force and path.is_dir() and not _is_ours(path):
+    if force and path.is_dir() and not _is_replaceable(path):
         raise OutputError(f"{path} is not a synthetic recording and is not replaced")
 
 
-def _is_ours(folder: Path) -> bool:
+def _is_replaceable(folder: Path) -> bool:
     """Whether a folder may be replaced: it is empty or a synthetic recording."""
     return (folder / "recipe.yaml").is_file() or not any(folder.iterdir())
 
 
 @contextmanager
-def _whole(path: Path, force: bool) -> Iterator[Path]:
+def _atomic_output(path: Path, force: bool) -> Iterator[Path]:
     """A temporary path that is renamed to `path` at the end, or removed on an error."""
     partial = path.parent / f".{path.name}.partial-{os.getpid()}"
     try:

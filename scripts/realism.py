@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.film import film
+from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe, recipe_names
 from vo.geometry.cameras import normalise
@@ -120,7 +120,7 @@ def _synthetic(name: str) -> Row:
     plan = make_plan(load_recipe(name, ["mono=true", "format=euroc"]))
     middle = max(0, len(plan.recording) // 2 - FRAMES // 2)
     with ThreadPoolExecutor() as pool:
-        shots = list(film(plan, pool, range(middle, middle + FRAMES)))
+        shots = list(render_frames(plan, pool, range(middle, middle + FRAMES)))
     images = [shot.images[0] for shot in shots if shot.images[0] is not None]
     return _row(f"`{name}`", images, plan.recording.rig.cam0)
 

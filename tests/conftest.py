@@ -19,7 +19,7 @@ def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     groundtruth.tum has the true poses of just these frames.
     """
-    from data_synth.film import film
+    from data_synth.frame_rendering import render_frames
     from data_synth.plan import make_plan
     from data_synth.recipe import load_recipe
     from data_synth.writers import euroc
@@ -39,7 +39,7 @@ def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     folder = tmp_path_factory.mktemp("synthetic") / "walk"
     with ThreadPoolExecutor() as pool:
-        shots = film(plan, pool, range(taken.start, taken.stop))
+        shots = render_frames(plan, pool, range(taken.start, taken.stop))
         renumbered = (replace(shot, index=shot.index - taken.start) for shot in shots)
         euroc.write(folder, recording, renumbered, "png")
     return folder

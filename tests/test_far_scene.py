@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from data_synth.film import film
+from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from vo.config import Config
@@ -23,7 +23,7 @@ def test_a_pair_high_above_the_ground_keeps_its_scale() -> None:
     odometry = Odometry(plan.recording.rig, Config(threads=1))
     disparities_px = []
     with ThreadPoolExecutor() as pool:
-        for index, shot in enumerate(film(plan, pool, FRAMES)):
+        for index, shot in enumerate(render_frames(plan, pool, FRAMES)):
             left, right = shot.images
             assert left is not None
             estimate = odometry.track(Frame(index, round(index / recipe.fps * 1e9), (left, right)))

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.film import film
+from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from vo.backend.optimizer import InProcessOptimizer
@@ -86,7 +86,7 @@ def _recording() -> Recording:
     plan = make_plan(recipe)
     frames = []
     with ThreadPoolExecutor() as pool:
-        for shot in film(plan, pool, range(FIRST, FIRST + COUNT)):
+        for shot in render_frames(plan, pool, range(FIRST, FIRST + COUNT)):
             index = len(frames)
             left, right = shot.images
             assert left is not None

@@ -32,7 +32,7 @@ class Handling:
         rng: random numbers of the wander.
         freedom: 0…1, scale of the wander off the route.
         heights_m: lowest and highest height above the ground.
-        outlook: direction of view, radians to the left of ahead.
+        view_yaw: direction of view, radians to the left of ahead.
         seconds: length of the path.
         speed: of the motion, 1 is usual.
         repeats: whether the wander is periodic in `seconds`.
@@ -41,7 +41,7 @@ class Handling:
     rng: np.random.Generator
     freedom: float
     heights_m: tuple[float, float]
-    outlook: float
+    view_yaw: float
     seconds: float
     speed: float
     repeats: bool
@@ -64,7 +64,7 @@ class Handling:
 def car(profile: MotionProfile, handling: Handling) -> Floats:
     """Lean on the springs with the accelerations, and shake slightly with the road."""
     shake = [handling.wander(profile, size, 0.35, 1.0) for size in (0.003, 0.002, 0.002)]
-    heave, pitch, roll = (profile.stir * s for s in shake)
+    heave, pitch, roll = (profile.relative_speed * s for s in shake)
     pitch = pitch + profile.slope + _LEAN_RAD_S2_M * profile.smoothed(profile.ahead_m_s2, 0.4)
     roll = roll + _LEAN_RAD_S2_M * profile.smoothed(profile.left_m_s2, 0.4)
     z = profile.points[:, 2] + handling.heights_m[0] + heave
@@ -74,7 +74,7 @@ def car(profile: MotionProfile, handling: Handling) -> Floats:
 def robot(profile: MotionProfile, handling: Handling) -> Floats:
     """Stay level; small stiff wheels shake the camera slightly."""
     shake = [handling.wander(profile, size, 0.25, 0.6) for size in (0.0006, 0.0015, 0.0015)]
-    heave, pitch, roll = (profile.stir * s for s in shake)
+    heave, pitch, roll = (profile.relative_speed * s for s in shake)
     z = profile.points[:, 2] + handling.heights_m[0] + heave
     return np.column_stack([profile.points[:, :2], z, profile.heading, pitch + profile.slope, roll])
 
@@ -85,19 +85,19 @@ def handheld(profile: MotionProfile, handling: Handling) -> Floats:
     drift = [
         handling.freedom * handling.wander(profile, size, 3.0, 9.0) for size in (0.05, 0.05, 0.08)
     ]
-    left = profile.stir * _SWAY_M * np.sin(0.5 * steps)
+    left = profile.relative_speed * _SWAY_M * np.sin(0.5 * steps)
     x = profile.points[:, 0] - np.sin(profile.heading) * left + drift[0]
     y = profile.points[:, 1] + np.cos(profile.heading) * left + drift[1]
     z = (
         profile.points[:, 2]
         + handling.heights_m[0]
-        + profile.stir * _BOB_M * np.cos(steps)
+        + profile.relative_speed * _BOB_M * np.cos(steps)
         + drift[2]
     )
     tremble = [handling.wander(profile, 0.002, 0.22, 0.4) for _ in range(3)]
-    yaw = profile.smoothed(profile.heading, 1.8) + handling.outlook
+    yaw = profile.smoothed(profile.heading, 1.8) + handling.view_yaw
     yaw = yaw + handling.look(profile, 0.16, 2.5, 8.0) + tremble[0]
-    nod = profile.stir * 0.006 * np.sin(steps)
+    nod = profile.relative_speed * 0.006 * np.sin(steps)
     pitch = np.deg2rad(-5.0) + handling.look(profile, 0.09, 2.5, 7.0) + tremble[1] + nod
     roll = handling.look(profile, 0.06, 2.0, 6.0) + tremble[2] + 0.2 * left
     return np.column_stack([x, y, z, yaw, pitch, roll])
@@ -114,7 +114,7 @@ def drone(profile: MotionProfile, handling: Handling) -> Floats:
     x, y = (profile.points[:, i] + handling.wander(profile, aside, *near) for i in (0, 1))
     yaw = (
         profile.smoothed(profile.heading, 1.5)
-        + handling.outlook
+        + handling.view_yaw
         + handling.look(profile, 0.35, 5.0, 12.0)
     )
     off = yaw - profile.heading

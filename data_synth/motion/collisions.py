@@ -36,7 +36,7 @@ def find_collision(path: PosePath, clearance: Clearance, margin_m: float) -> Col
     Args:
         path: an open path.
         clearance: distances (N,) of points (N, 3) to the nearest solid.
-        margin_m: least distance.
+        margin_m: minimum distance.
     """
     # The controls bound the speed of the spline, and so the length of every stretch.
     spans = np.linalg.norm(np.diff(path.controls[:, :3], axis=0), axis=1)

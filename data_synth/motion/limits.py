@@ -14,7 +14,7 @@ from vo.types import Floats
 Carrier = Literal["car", "robot", "handheld", "drone", "drone_indoors", "rotate"]
 
 LARGE_M = 200.0  # closed routes longer than this are for cars
-HIGH_M = 20.0  # head room above which drones fly high
+HIGH_M = 20.0  # head room above which drones fly outdoors
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ class MotionProfile:
         slope: (N,) angle of ascent of the route.
         ahead_m_s2: (N,) acceleration along the route.
         left_m_s2: (N,) horizontal acceleration across it.
-        stir: (N,) speed relative to the usual one, 0…1; scales bobbing and shaking.
+        relative_speed: (N,) speed relative to the usual one, 0…1; scales bobbing and shaking.
     """
 
     times_s: Floats
@@ -34,7 +34,7 @@ class MotionProfile:
     slope: Floats
     ahead_m_s2: Floats
     left_m_s2: Floats
-    stir: Floats
+    relative_speed: Floats
 
     def smoothed(self, values: Floats, seconds: float) -> Floats:
         """Smooth a series (N,) over a time."""
@@ -58,7 +58,7 @@ def make_profile(route: Route, schedule: Schedule, times_s: Floats, ease_s: floa
         slope=np.arctan2(first[:, 2], flat),
         ahead_m_s2=np.gradient(speeds, step),
         left_m_s2=speeds**2 * bend,
-        stir=smoothed(np.minimum(np.abs(speeds) / usual, 1.0), 0.5 / step),
+        relative_speed=smoothed(np.minimum(np.abs(speeds) / usual, 1.0), 0.5 / step),
     )
 
 

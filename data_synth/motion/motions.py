@@ -30,8 +30,8 @@ _LEAD = 14  # controls before the start and after the end, for 0.6 s
 _SMOOTHING_STEPS = 60
 
 _FREEDOMS = (1.0, 0.5, 0.25, 0.0)
-_LEAST_CUT_M = 0.06
-_SEED_WAY, _SEED_SCHEDULE, _SEED_WANDER = 21, 22, 23
+_MIN_CUT_M = 0.06
+_SEED_ROUTE, _SEED_SCHEDULE, _SEED_WANDER = 21, 22, 23
 
 
 def mount(motion: MotionName, course: Course) -> Floats:
@@ -74,7 +74,7 @@ def make_path(
     carrier = carrier_of(motion, course, polygon_length_m(course.waypoints))
     limits = LIMITS[carrier]
 
-    def room(points: Floats) -> Floats:
+    def free_distance(points: Floats) -> Floats:
         # On slopes, the nearest point of the ground is not the one below.
         above = 0.7 * (points[:, 2] - course.ground(points[:, :2]))
         return np.minimum(clearance(points), above)
@@ -82,7 +82,7 @@ def make_path(
     collision: Collision | None = None
     for freedom in _FREEDOMS:
         path = _make_path(motion, carrier, course, freedom, seconds, speed, seed)
-        collision = find_collision(path, room, limits.margin_m)
+        collision = find_collision(path, free_distance, limits.margin_m)
         if collision is None:
             return path
     raise ConfigError(f"{motion}: {_describe(collision, limits)}; choose another motion or world")
@@ -116,7 +116,7 @@ def _make_path(
         rng=np.random.default_rng([seed, _SEED_WANDER]),
         freedom=freedom,
         heights_m=height_range_m(carrier, course.head_room_m),
-        outlook=float(np.deg2rad(course.outlook_deg)),
+        view_yaw=float(np.deg2rad(course.view_yaw_deg)),
         seconds=seconds,
         speed=speed,
         repeats=motion == "loop",
@@ -130,11 +130,11 @@ def _route(course: Course, limits: Limits, freedom: float, seed: int) -> Route:
     return make_route(
         course.waypoints,
         course.ground,
-        cut_m=max(_LEAST_CUT_M, min(limits.cut_m, 0.7 * spare) * freedom),
+        cut_m=max(_MIN_CUT_M, min(limits.cut_m, 0.7 * spare) * freedom),
         weave_m=min(limits.weave_m, 0.2 * spare) * freedom,
         weave_length_m=limits.weave_length_m,
         level_m=limits.level_m,
-        rng=np.random.default_rng([seed, _SEED_WAY]),
+        rng=np.random.default_rng([seed, _SEED_ROUTE]),
     )
 
 

@@ -142,8 +142,8 @@ def _weave(
     left = smoothed_closed(left, 0.15 * weave_length_m / step)
     usual = len(points) * step / weave_length_m
     shift = np.zeros(len(points))
-    for share in (0.6, 1.0, 1.4):
-        waves = max(1, round(share * usual))
+    for ratio in (0.6, 1.0, 1.4):
+        waves = max(1, round(ratio * usual))
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
         shift += np.sin(2.0 * np.pi * waves * np.arange(len(points)) / len(points) + phase) / 3.0
     return np.asarray(weave_m * shift[:, None] * left)

@@ -7,7 +7,7 @@ import numpy as np
 from data_synth.motion.speed_profile import Schedule, SpeedProfile, chain, leg, rest
 from vo.errors import ConfigError
 
-# For smoothing, and for the inertial samples after the last frame.
+# Extra time for smoothing, and for the inertial samples after the last frame.
 _BEYOND_S = 6.0
 
 _BISECTIONS = 40
@@ -24,7 +24,7 @@ def drive_on(speed_profile: SpeedProfile, seconds: float) -> Schedule:
 def stop_and_go(
     speed_profile: SpeedProfile, seconds: float, ease_s: float, rng: np.random.Generator
 ) -> Schedule:
-    """Alternate between driving and standing; drive a bit backwards after the second stop."""
+    """Alternate between driving and standing; reverse a short distance after the second stop."""
     usual_m_s = speed_profile.length_m / speed_profile.lap_s
     parts: list[Schedule] = []
     at, elapsed = 0.0, 0.0

@@ -104,9 +104,8 @@ def _reachable(squared_speeds: Floats, gain: float) -> Floats:
 def leg(speed_profile: SpeedProfile, start_m: float, end_m: float) -> Schedule:
     """Schedule from rest at one point to rest at another, forwards or backwards."""
     low, high = sorted((start_m, end_m))
-    count = 3 + int(
-        (high - low) / speed_profile.step_m
-    )  # at least one row between the ends, with a speed above 0
+    # At least one row between the ends, with a speed above 0.
+    count = 3 + int((high - low) / speed_profile.step_m)
     distances = np.linspace(low, high, count)
     lap = np.append(speed_profile.squared_speeds, speed_profile.squared_speeds[0])
     squared_speeds = np.interp(

@@ -12,7 +12,7 @@ from vo.types import Floats
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 _ROUNDING = 1e-6
 
-# Columns: the axes right, down and forward of a camera that looks along the body's x.
+# Columns: the axes right, down and forward of a camera that faces along the body's x.
 BODY_FROM_LOOKING_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
@@ -53,7 +53,7 @@ def bspline(controls: Floats, at: Floats, derivative: int = 0, lap: Floats | Non
 
 @dataclass(frozen=True, eq=False)
 class PosePath:
-    """A path of the body, whose x looks ahead, y to the left and z up.
+    """A path of the body, with x ahead, y to the left and z up.
 
     Positive pitch lifts the nose, positive roll lowers the right side.
 

@@ -56,24 +56,7 @@ class HeightField(NamedTuple):
 def make_height_field(ground: Ground | None) -> HeightField:
     """The ground as arrays, without light."""
     if ground is None:
-        none = np.zeros((1, 1), np.float32)
-        level = np.zeros(1, np.int64)
-        return HeightField(
-            none,
-            np.zeros(2),
-            1.0,
-            1.0,
-            none[0],
-            none[0],
-            level,
-            level + 1,
-            0,
-            1.0,
-            0.0,
-            0.0,
-            none,
-            1,
-        )
+        return _no_ground()
     heights = np.ascontiguousarray(ground.heights, dtype=np.float32)
     levels = _max_pyramid(_cell_peaks(heights))
     slopes = _max_pyramid(_cell_slopes(heights, ground.cell))
@@ -92,6 +75,26 @@ def make_height_field(ground: Ground | None) -> HeightField:
         stain=float(ground.stain),
         stain_scale=float(ground.density) * STAIN_PER_TEXEL,
         light=np.zeros_like(heights),
+        finer=1,
+    )
+
+
+def _no_ground() -> HeightField:
+    one_point = np.zeros((1, 1), np.float32)
+    return HeightField(
+        heights=one_point,
+        corner=np.zeros(2),
+        cell=1.0,
+        per_m=1.0,
+        peaks=one_point[0],
+        slopes=one_point[0],
+        starts=np.zeros(1, np.int64),
+        widths=np.ones(1, np.int64),
+        texture=0,
+        density=1.0,
+        stain=0.0,
+        stain_scale=0.0,
+        light=one_point,
         finer=1,
     )
 
@@ -120,9 +123,8 @@ def _cell_slopes(heights: Floats32, cell: float) -> Floats32:
     z = heights.astype(np.float64)
     across, up = np.abs(np.diff(z, axis=1)), np.abs(np.diff(z, axis=0))
     steepest = np.hypot(np.maximum(across[:-1], across[1:]), np.maximum(up[:, :-1], up[:, 1:]))
-    return np.asarray(
-        steepest / cell * (1.0 + 1e-6), dtype=np.float32
-    )  # so that rounding lowers none
+    # Slightly enlarged, so that none is below its bound after rounding to float32.
+    return np.asarray(steepest / cell * (1.0 + 1e-6), dtype=np.float32)
 
 
 def _max_pyramid(cells: Floats32) -> list[Floats32]:

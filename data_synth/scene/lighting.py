@@ -15,7 +15,7 @@ from vo.types import Floats, Ints
 _LAMP_GRID = 4
 _SKY_RAYS = 24
 _POINTS_PER_TASK = 4000
-_MOST_GROUND_POINTS = 1024
+_MAX_GROUND_POINTS = 1024
 
 
 def bake_lighting(world: World, lighting: Lighting) -> World:
@@ -69,7 +69,7 @@ def _height_field(world: World, lighting: Lighting) -> HeightField:
         return height_field
     cells = np.array(height_field.heights.shape) - 1
     finer = max(1, round(height_field.cell * lighting.points_per_m))
-    finer = max(1, min(finer, _MOST_GROUND_POINTS // int(cells.max())))
+    finer = max(1, min(finer, _MAX_GROUND_POINTS // int(cells.max())))
     return height_field._replace(light=np.zeros(finer * cells + 1, np.float32), finer=finer)
 
 
@@ -77,7 +77,7 @@ def _sizes(world: World, lighting: Lighting) -> Ints:
     """Rows and columns (N, 6, 2) of the grid on each face."""
     sides = 2.0 * world.shapes[: len(world.bounds), 3:6]
     counts = 2 + np.ceil(sides * lighting.points_per_m).astype(np.int64)
-    counts = np.minimum(counts, max(2, lighting.most_points))
+    counts = np.minimum(counts, max(2, lighting.max_points))
     rows, columns = counts[:, [2, 2, 1]], counts[:, [1, 0, 0]]
     return np.repeat(np.stack([rows, columns], axis=2), 2, axis=1)
 

@@ -27,15 +27,15 @@ class Course:
         half_width_m: free distance on both sides, also at corners.
         head_room_m: free height above the ground.
         ground: heights (N,) of the ground below points (N, 2).
-        outlook: usual direction of view of handheld cameras and drones, degrees to the left of
-            ahead.
+        view_yaw_deg: usual direction of view of handheld cameras and drones, degrees to the left
+            of ahead.
     """
 
     waypoints: Floats
     half_width_m: float
     head_room_m: float
     ground: Heights
-    outlook_deg: float = 0.0
+    view_yaw_deg: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

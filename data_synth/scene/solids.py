@@ -93,7 +93,7 @@ class Lighting:
         sky: radiance of the sky at the zenith; it is paler at the horizon and has soft clouds.
         corner_m: distance up to which surfaces occlude each other's ambient light.
         points_per_m: density of the points at which light is baked.
-        most_points: largest number of such points along a side of a face.
+        max_points: largest number of such points along a side of a face.
     """
 
     lamps: tuple[Lamp, ...] = ()
@@ -103,4 +103,4 @@ class Lighting:
     sky: float = 0.8
     corner_m: float = 0.9
     points_per_m: float = 16.0
-    most_points: int = 256
+    max_points: int = 256

@@ -116,7 +116,7 @@ class AutoExposure:
             return
         # Relative to the settings of that image, not to the present ones: otherwise the delay
         # would make the control loop oscillate.
-        change = self._target / max(_light(mean ** (1.0 / self._exponent)), 1e-6)
+        change = self._target / max(_mean_light(mean ** (1.0 / self._exponent)), 1e-6)
         change = float(np.clip(change, 1.0 / _MAX_CHANGE, _MAX_CHANGE))
         target = self._log_limited(float(np.exp(self._log_used[frame])) * change)
         self._log_target += self._step * (target - self._log_target)
@@ -126,8 +126,8 @@ class AutoExposure:
         return float(np.log(limited))
 
 
-def _light(mean: float) -> float:
-    """Estimate of the mean light of a scene, of full scale, from the mean of its clipped image.
+def _mean_light(mean: float) -> float:
+    """Estimate of the mean light on the sensor, of full scale, from the mean of a clipped image.
 
     For light distributed evenly from 0 to twice its mean m, the mean of the image is m up to 1/2
     and 1 - 1 / (4 m) above.

@@ -27,10 +27,10 @@ def drifting_light(times_s: Floats, strength: float, seed: int) -> Floats:
     strength 1, up or down; a second step has the opposite direction.
     """
     rng = np.random.default_rng([seed, _SEED_WANDER])
-    shares = rng.uniform(0.5, 1.0, len(_PERIODS_S)) * rng.choice([-1.0, 1.0], len(_PERIODS_S))
-    shares /= np.abs(shares).sum()
+    weights = rng.uniform(0.5, 1.0, len(_PERIODS_S)) * rng.choice([-1.0, 1.0], len(_PERIODS_S))
+    weights /= np.abs(weights).sum()
     periods = np.array(_PERIODS_S) * rng.uniform(0.8, 1.2, len(_PERIODS_S))
-    drift = np.sin(2.0 * np.pi * times_s[:, None] / periods) @ shares
+    drift = np.sin(2.0 * np.pi * times_s[:, None] / periods) @ weights
     # As powers, so that light stays positive and twice the strength applies each factor twice.
     return np.asarray(_WANDER ** (strength * drift) * _STEP ** (strength * _steps(times_s, seed)))
 

@@ -72,7 +72,7 @@ def develop(
     else:
         normals, shot, read = _EVEN, np.float32(0.0), np.float32(0.0)
     curve = _curve(grey_exponent(effects))
-    _expose(grey, scale, factors, normals, shot, read, curve, image)
+    _simulate_sensor(grey, scale, factors, normals, shot, read, curve, image)
     return image
 
 
@@ -105,7 +105,7 @@ def _curve(exponent: float) -> Bytes:
 
 
 @compiled(error_model="numpy")
-def _expose(
+def _simulate_sensor(
     radiance: Floats32,
     scale: np.float32,
     vignette: Floats32,

@@ -73,10 +73,10 @@ def _stamps(
     rng = np.random.default_rng([seed, _SEED_JITTER])
     normals = rng.standard_normal((1 + cameras, len(times_s)))
     common = np.sqrt(1.0 - _OWN_JITTER**2) * normals[0]
-    most = _MAX_JITTER * 1e9 / fps
+    max_ns = _MAX_JITTER * 1e9 / fps
     stamps = []
     for own in normals[1:]:
-        late_ns = np.clip(strength * _JITTER_NS * (common + _OWN_JITTER * own), -most, most)
+        late_ns = np.clip(strength * _JITTER_NS * (common + _OWN_JITTER * own), -max_ns, max_ns)
         stamps.append(first_stamp_ns + np.round(times_s * 1e9 + late_ns).astype(np.int64))
     return tuple(stamps)
 

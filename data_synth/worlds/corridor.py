@@ -62,9 +62,9 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     for side in range(4):
         _side(build, kit, plan, side)
     lamps = _lamps(build, plan) + _daylight(plan)
-    course = Course(_loop(plan), HALF_WIDTH_M, 2.3, flat_ground(), outlook_deg=-15.0)
+    course = Course(_loop(plan), HALF_WIDTH_M, 2.3, flat_ground(), view_yaw_deg=-15.0)
     people = _people(build, plan, round(_USUAL_PEOPLE * movers))
-    light = Lighting(lamps, ambient=0.68, points_per_m=4.0, most_points=200)
+    light = Lighting(lamps, ambient=0.68, points_per_m=4.0, max_points=200)
     return Scene(bake_lighting(build.world(), light), course, people)
 
 

@@ -136,7 +136,7 @@ def _facade(plan: Facade, grain: Floats32, rng: Rng, shape: tuple[int, int]) -> 
         _courses(rng, sheet, brick=plan.wall == "brick")
     _trim(rng, plan, sheet)
     for opening in plan.windows:
-        _runs(rng, sheet, opening)
+        _dirt_streaks(rng, sheet, opening)
         _window(rng, plan, sheet, opening)
     for opening in plan.shops:
         _shop(rng, sheet, opening)
@@ -173,7 +173,7 @@ def _trim(rng: Rng, plan: Facade, sheet: _Sheet) -> None:
                 sheet.patch(Opening(x, z, 0.35, 0.33))[:] *= 1.14
 
 
-def _runs(rng: Rng, sheet: _Sheet, opening: Opening) -> None:
+def _dirt_streaks(rng: Rng, sheet: _Sheet, opening: Opening) -> None:
     """Streaks of dirt below a sill."""
     length = float(rng.uniform(0.4, 1.0))
     patch = sheet.patch(Opening(opening.x, opening.z - length, opening.width, length))
@@ -195,7 +195,7 @@ def _window(rng: Rng, plan: Facade, sheet: _Sheet, opening: Opening) -> None:
         for low, high in parts or [(0.1, opening.height - 0.1)]:
             pane = Opening(opening.x + 0.1 + k * wide, opening.z + low, wide - 0.06, high - low)
             _pane(rng, sheet.patch(pane))
-    if rng.random() < 0.3:  # a blind, let down in part
+    if rng.random() < 0.3:  # a blind, partly closed
         drop = float(rng.uniform(0.2, 0.9)) * opening.height
         blind = sheet.patch(
             Opening(opening.x, opening.z + opening.height - drop, opening.width, drop)

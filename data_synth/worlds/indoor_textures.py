@@ -1,6 +1,6 @@
 """Seeded grey textures of surfaces indoors, as (H, W) float32 in 0…1.
 
-Some are calm on purpose: real walls of painted plaster give a tracker next to nothing.
+Some have little structure on purpose, as real painted walls do.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def linoleum(rng: Rng, shape: tuple[int, int], shade: float = 0.42) -> Floats32:
 
 
 def carpet(rng: Rng, shape: tuple[int, int], shade: float = 0.36) -> Floats32:
-    """Carpet tiles of 128 texels, laid in turned directions, with loops and lint."""
+    """Carpet tiles of 128 texels in alternating directions, with loops and lint."""
     image = np.full(shape, shade, np.float32)
     side = 128
     for top in range(0, shape[0], side):
@@ -133,7 +133,7 @@ def cloth(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 
 def skin(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """A face or a hand: blots where it has its features."""
+    """A face or a hand, with blots for its features."""
     image = rng.uniform(0.3, 0.62) + 0.03 * noise(rng, shape, 1.3)
     specks(rng, image, count=image.size // 3000, radius=(3, 10), contrast=-0.3)
     return clipped(image)
@@ -156,7 +156,7 @@ def _scuffs(rng: Rng, image: Floats32, count: int, contrast: float) -> None:
 
 
 def _tyre_marks(rng: Rng, image: Floats32, count: int) -> None:
-    """Long bent bands, each a pair of wheels wide apart."""
+    """Long bent bands in pairs, as of the two wheels of an axle."""
     layer = np.zeros(image.shape, np.float32)
     for _ in range(count):
         centre = tuple(int(c) for c in rng.uniform(-0.3, 1.3, 2) * image.shape[::-1])

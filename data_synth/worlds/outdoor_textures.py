@@ -175,7 +175,7 @@ def shop_sign(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 
 def placard(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """A bill: a picture of patches, with words above and below."""
+    """A poster: patches, with words above and below."""
     image = rng.uniform(0.3, 0.75) + 0.07 * noise(rng, shape, 1.4)
     height, width = shape
     for _ in range(7):
@@ -190,7 +190,7 @@ def placard(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 
 def glass(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """Panes of a car: dark, and paler above where they mirror the sky."""
+    """Panes of a car: dark, and paler at the top, where they reflect the sky."""
     fall = np.linspace(0.26, 0.07, shape[0], dtype=np.float32)[:, None]
     image = fall + 0.03 * noise(rng, shape, 1.6)
     return clipped(image)

@@ -18,7 +18,7 @@ def shade(value: float) -> Floats32:
 
 @dataclass(frozen=True)
 class Palette:
-    """Numbers of textures."""
+    """Numbers of the textures."""
 
     asphalt: int
     tar: int
@@ -45,7 +45,7 @@ class Palette:
 
 
 def paint_palette(build: Builder) -> Palette:
-    """Paint all of them."""
+    """Paint the textures of a palette."""
     large, medium = (2048, 2048), (1024, 1024)
     return Palette(
         asphalt=build.paint(paint.asphalt, large),

@@ -1,4 +1,4 @@
-"""Seeded grey textures of printed or patterned things: signs, boards, doors, goods.
+"""Seeded grey textures of printed or patterned objects: signs, boards, doors, goods.
 
 They are meant to be fitted to a face, so their first row is its upper edge.
 """
@@ -57,7 +57,7 @@ def notices(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 
 def door_leaf(rng: Rng, shape: tuple[int, int], shade: float = 0.5) -> Floats32:
-    """A flush door: upright grain, a kick plate and the fingerprints of years."""
+    """A flush door: upright grain, a kick plate and fingerprints."""
     image = shade + 0.03 * noise(rng, shape, 1.1, stretch=0.12) + 0.012 * noise(rng, shape, 0.5)
     plate = int(0.9 * shape[0])
     image[plate:] = 0.5 + 0.02 * noise(rng, shape, 1.0, stretch=8.0)[plate:]
@@ -68,7 +68,7 @@ def door_leaf(rng: Rng, shape: tuple[int, int], shade: float = 0.5) -> Floats32:
 
 
 def view_outside(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """What a window shows: pale sky, houses out of focus and the tops of trees."""
+    """The view from a window: pale sky, houses out of focus and the tops of trees."""
     height, width = shape
     image = np.linspace(0.97, 0.82, height, dtype=np.float32)[:, None] * np.ones(shape, np.float32)
     image += 0.02 * noise(rng, shape, 1.8, stretch=2.0)
@@ -134,7 +134,7 @@ def shutter(rng: Rng, shape: tuple[int, int], text: str) -> Floats32:
 
 
 def carton_stack(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """A pallet's worth of equal cartons in courses, taped, printed, under film."""
+    """Equal cartons of a pallet in courses, with tape and print, under film."""
     rows, columns = int(rng.integers(2, 5)), int(rng.integers(2, 4))
     base = float(rng.uniform(0.35, 0.62))
     image = base + 0.025 * noise(rng, shape, 1.4) + 0.012 * noise(rng, shape, 0.6)
@@ -154,8 +154,8 @@ def carton_stack(rng: Rng, shape: tuple[int, int]) -> Floats32:
 def barrel(rng: Rng, shape: tuple[int, int]) -> Floats32:
     """A drum: hoops across, a label, rust and dents."""
     image = rng.uniform(0.2, 0.6) + 0.03 * noise(rng, shape, 1.2) + 0.015 * noise(rng, shape, 0.5)
-    for share in (0.04, 0.34, 0.66, 0.95):
-        row = int(share * shape[0])
+    for fraction in (0.04, 0.34, 0.66, 0.95):
+        row = int(fraction * shape[0])
         image[row : row + 5] += 0.14
         image[row + 5 : row + 9] -= 0.14
     for left in range(shape[1] // 8, shape[1], shape[1] // 2):

@@ -30,7 +30,7 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     """
     build = _furnished(seed)
     half = np.array(_COURSE)
-    course = Course(np.vstack([half, -half]), 0.5, 2.5, flat_ground(), outlook_deg=-25.0)
+    course = Course(np.vstack([half, -half]), 0.5, 2.5, flat_ground(), view_yaw_deg=-25.0)
     people = _people(build, round(_USUAL_PEOPLE * movers))
     return Scene(bake_lighting(build.world(), _LIGHT), course, people)
 
@@ -49,7 +49,7 @@ def _people(build: Builder, count: int) -> tuple[Body, ...]:
 def _furnished(seed: int) -> Builder:
     build = Builder(np.random.default_rng(seed))
     _shell(build)
-    _wall_things(build)
+    _wall_decorations(build)
     wood = [build.paint(textures.wood) for _ in range(3)]
     cloth = [build.paint(textures.fabric) for _ in range(3)]
     spines = [build.paint(textures.books, (128, 512)) for _ in range(4)]
@@ -88,7 +88,7 @@ def _shell(build: Builder) -> None:
         build.add(centre, size, texture, density=_WALL_DENSITY)
 
 
-def _wall_things(build: Builder) -> None:
+def _wall_decorations(build: Builder) -> None:
     """Posters and skirting on all walls, a rug on the floor and beams below the ceiling."""
     wood = build.paint(textures.wood)
     for wall in range(4):

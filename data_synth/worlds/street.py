@@ -18,7 +18,7 @@ from data_synth.worlds.trees import tree
 from data_synth.worlds.vehicles import Paint
 from vo.types import Floats
 
-_SEED = 30  # of this world, beside the seed of the recording
+_SEED = 30  # of this world, in addition to the seed of the recording
 _USUAL_CARS, _USUAL_PEOPLE = 5, 8
 _TURN_RADIUS_M = 13.0
 _ONCOMING_M_S, _ONCOMING_RADIUS_M = 7.0, 7.0
@@ -57,7 +57,7 @@ def _daylight(build: Builder) -> Lighting:
         sky=0.97,
         corner_m=4.0,
         points_per_m=2.4,
-        most_points=50,
+        max_points=50,
     )
 
 

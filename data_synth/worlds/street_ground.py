@@ -35,7 +35,7 @@ def lay_ground(build: Builder, palette: Palette) -> None:
     for crossing in plan.crossings():
         _corners(build, palette, crossing)
         _markings(build, palette, crossing)
-    _wear(build, palette)
+    _road_details(build, palette)
 
 
 def lay_pavement(build: Builder, palette: Palette, side: Frontage, level: int) -> None:
@@ -58,7 +58,7 @@ def lay_pavement(build: Builder, palette: Palette, side: Frontage, level: int) -
     _strip(build, side.place, (-side.length / 2, side.length / 2), garden, 0.1, palette.grass)
 
 
-def lay_ear(
+def lay_kerb_extension(
     build: Builder, palette: Palette, place: Place, span: tuple[float, float], green: bool
 ) -> None:
     """A raised part of the strip of parking bays, paved or with grass, with its kerb."""
@@ -163,7 +163,7 @@ def _mark(
     build.add(place.at(*at, 0.0), (*size, 2 * _MARK_M), texture, yaw, density, stain=0.3)
 
 
-def _wear(build: Builder, palette: Palette) -> None:
+def _road_details(build: Builder, palette: Palette) -> None:
     """Manholes, gullies, and patches of the road."""
     route = plan.lane(0.0, 6.0)
     ends = np.roll(route, -1, axis=0)
@@ -173,10 +173,10 @@ def _wear(build: Builder, palette: Palette) -> None:
         for along in np.arange(6.0, length - 3.0, 5.5):
             along = float(along + build.rng.uniform(-2.0, 2.0))
             x, y = (float(c) for c in start + (end - start) * along / length)
-            _one_wear(build, palette, Place(x, y, yaw))
+            _road_detail(build, palette, Place(x, y, yaw))
 
 
-def _one_wear(build: Builder, palette: Palette, place: Place) -> None:
+def _road_detail(build: Builder, palette: Palette, place: Place) -> None:
     chance, across = build.rng.random(), float(build.rng.uniform(-3.0, 3.0))
     if chance < 0.4:
         size = (0.72, 0.72, 0.014)

@@ -42,7 +42,7 @@ class Frontage:
 
 
 def frontages() -> tuple[Frontage, ...]:
-    """All of them: around the inner block, opposite it, and along the arms."""
+    """All frontages: around the inner block, opposite it, and along the arms."""
     long, short = 2 * (HALF_X_M - FRONT_M), 2 * (HALF_Y_M - FRONT_M)
     corner = HOUSE_DEPTH_M + 1.0
     sides: list[Frontage] = []

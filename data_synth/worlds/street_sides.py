@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
+from data_synth.worlds import street_furniture as furniture
 from data_synth.worlds import street_plan as layout
-from data_synth.worlds import street_things as things
 from data_synth.worlds.facades import Facade, paint_facade, plan_facade, wall_grain
 from data_synth.worlds.houses import house
 from data_synth.worlds.palette import Palette
-from data_synth.worlds.street_ground import lay_bay, lay_ear
+from data_synth.worlds.street_ground import lay_bay, lay_kerb_extension
 from data_synth.worlds.street_plan import Frontage
 from data_synth.worlds.trees import bush, hedge, tree
 from data_synth.worlds.vehicles import Paint, car, van
@@ -38,7 +38,7 @@ def no_fronts(build: Builder) -> Fronts:
 
 def row_of_houses(build: Builder, palette: Palette, fronts: Fronts, side: Frontage) -> None:
     """Houses from one end to the other, side by side in a town or apart in gardens."""
-    open_share = float(build.rng.choice((0.12, 0.12, 0.65)))
+    garden_probability = float(build.rng.choice((0.12, 0.12, 0.65)))
     x, end = -side.length / 2 + side.left, side.length / 2 - side.right
     while end - x > 4.0:
         room = end - x
@@ -52,7 +52,7 @@ def row_of_houses(build: Builder, palette: Palette, fronts: Fronts, side: Fronta
             )
             wide = plan.width
             place = _moved(side.place, x + wide / 2)
-            if not at_corner and build.rng.random() < open_share:
+            if not at_corner and build.rng.random() < garden_probability:
                 _garden(build, palette, place, wide)
                 place = Place(*place.at(0, _SETBACK_M, 0)[:2], place.yaw)
             house(build, palette, place, plan, front, layout.HOUSE_DEPTH_M)
@@ -84,11 +84,13 @@ def verge(build: Builder, palette: Palette, colours: tuple[Paint, ...], side: Fr
             lay_bay(build, palette, side.place, span)
             _parked(build, palette, colours, side.place, span)
         else:
-            lay_ear(build, palette, side.place, span, green=bool(build.rng.random() < 0.35))
+            lay_kerb_extension(
+                build, palette, side.place, span, green=bool(build.rng.random() < 0.35)
+            )
             _planted(build, palette, side.place, span)
         x, parking = x + long, not parking
     _lamps(build, palette, side)
-    _by_the_wall(build, palette, side)
+    _beside_fronts(build, palette, side)
 
 
 def _moved(place: Place, x: float) -> Place:
@@ -126,11 +128,11 @@ def _border(build: Builder, palette: Palette, place: Place, length: float) -> No
         high = float(build.rng.uniform(0.9, 1.7))
         hedge(build, palette, inset.at(0, 0, 0.1), length - 0.2, high, place.yaw)
     elif chance < 0.7:
-        things.wall(build, palette, inset, length, float(build.rng.uniform(0.7, 1.9)))
+        furniture.wall(build, palette, inset, length, float(build.rng.uniform(0.7, 1.9)))
     else:
-        things.wall(build, palette, inset, length, 0.35)
+        furniture.wall(build, palette, inset, length, 0.35)
         raised = Place(inset.x, inset.y, inset.yaw)
-        things.fence(build, palette, raised, length)
+        furniture.fence(build, palette, raised, length)
 
 
 def _parked(
@@ -162,15 +164,15 @@ def _planted(build: Builder, palette: Palette, place: Place, span: tuple[float, 
             foot = (spot.x, spot.y, layout.PAVED_Z_M - 0.02)
             tree(build, palette, foot, high, spread, clumps=36, bare=0.43)
         elif chance < 0.62:
-            things.tub(build, palette, spot)
+            furniture.tub(build, palette, spot)
         elif chance < 0.74:
-            things.box_with_bills(build, palette, spot)
+            furniture.cabinet_or_bins(build, palette, spot)
         elif chance < 0.84:
-            things.bollards(build, palette, spot, 3)
+            furniture.bollards(build, palette, spot, 3)
         elif chance < 0.9:
-            things.advertising_column(build, palette, spot)
+            furniture.advertising_column(build, palette, spot)
         else:
-            things.road_sign(build, palette, spot)
+            furniture.road_sign(build, palette, spot)
 
 
 def _lamps(build: Builder, palette: Palette, side: Frontage) -> None:
@@ -178,15 +180,15 @@ def _lamps(build: Builder, palette: Palette, side: Frontage) -> None:
     for k in range(count):
         x = side.length * ((k + 0.5) / count - 0.5) + float(build.rng.uniform(-2, 2))
         at = side.place.at(x, -layout.PAVEMENT_M + 0.45, 0)
-        things.lamp_post(build, palette, Place(*at[:2], side.place.yaw))
+        furniture.lamp_post(build, palette, Place(*at[:2], side.place.yaw))
     for x in (-side.length / 2 - 0.4, side.length / 2 + 0.4):
         at = side.place.at(x, _NEAR_KERB_M + 0.6, 0)
-        things.road_sign(build, palette, Place(*at[:2], side.place.yaw))
+        furniture.road_sign(build, palette, Place(*at[:2], side.place.yaw))
 
 
-def _by_the_wall(build: Builder, palette: Palette, side: Frontage) -> None:
-    """Bins and tubs beside the fronts."""
+def _beside_fronts(build: Builder, palette: Palette, side: Frontage) -> None:
+    """Cabinets and bins in front of the houses."""
     for x in np.arange(-side.length / 2 + 3.0, side.length / 2 - 3.0, 9.0):
         if build.rng.random() < 0.4:
             at = side.place.at(float(x + build.rng.uniform(-2, 2)), -0.75, 0)
-            things.box_with_bills(build, palette, Place(*at[:2], side.place.yaw + np.pi))
+            furniture.cabinet_or_bins(build, palette, Place(*at[:2], side.place.yaw + np.pi))

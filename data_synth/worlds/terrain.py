@@ -24,7 +24,7 @@ from data_synth.worlds.trees import bush, tree
 from data_synth.worlds.vehicles import Paint
 from vo.types import Bools, Floats
 
-_SEED = 40  # of this world, beside the seed of the recording
+_SEED = 40  # of this world, in addition to the seed of the recording
 _USUAL_CARS, _USUAL_PEOPLE = 4, 4
 _CAR_M_S = 8.0
 _HALF_WIDTH_M, _HEAD_ROOM_M = 10.0, 60.0
@@ -72,7 +72,7 @@ def _daylight(build: Builder) -> Lighting:
         sky=0.9,
         corner_m=2.5,
         points_per_m=1.6,
-        most_points=48,
+        max_points=48,
     )
 
 
@@ -166,9 +166,9 @@ class _Free:
 
 
 def _dense(route: Floats) -> Floats:
-    shares = np.linspace(0, 1, 40, endpoint=False)[:, None]
+    fractions = np.linspace(0, 1, 40, endpoint=False)[:, None]
     ends = np.roll(route, -1, axis=0)
-    return np.vstack([a + shares * (b - a) for a, b in zip(route, ends, strict=True)])
+    return np.vstack([a + fractions * (b - a) for a, b in zip(route, ends, strict=True)])
 
 
 def _distance(points: Floats, others: Floats) -> Floats:

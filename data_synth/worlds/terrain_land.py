@@ -53,9 +53,9 @@ def roll_hills(rng: Rng, lines: tuple[Line, ...], sites: Floats) -> Floats32:
     heights = level * cv2.GaussianBlur(heights, (0, 0), 10.0) + (1.0 - level) * heights
     axis = np.arange(count) * CELL_M - SIDE_M / 2
     for x, y in sites:
-        share = _fading(np.hypot(axis[None, :] - x, axis[:, None] - y), 11.0, 22.0)
+        weight = _fading(np.hypot(axis[None, :] - x, axis[:, None] - y), 11.0, 22.0)
         here = heights[round((y + SIDE_M / 2) / CELL_M), round((x + SIDE_M / 2) / CELL_M)]
-        heights = share * here + (1.0 - share) * heights
+        heights = weight * here + (1.0 - weight) * heights
     out = np.maximum(np.abs(axis)[None, :], np.abs(axis)[:, None])
     inside = _fading(out, 130.0, 195.0)
     return np.asarray(inside * heights + (1.0 - inside) * RIM_M, dtype=np.float32)
@@ -93,8 +93,8 @@ def paint_land(rng: Rng, lines: tuple[Line, ...]) -> Floats32:
 
 
 def _fading(distance: Floats, full_m: float, none_m: float) -> Floats:
-    share = np.clip((none_m - distance) / (none_m - full_m), 0.0, 1.0)
-    return np.asarray(share * share * (3.0 - 2.0 * share))
+    weight = np.clip((none_m - distance) / (none_m - full_m), 0.0, 1.0)
+    return np.asarray(weight * weight * (3.0 - 2.0 * weight))
 
 
 def _cells(route: Floats) -> Ints:
@@ -155,9 +155,9 @@ def _draw_lines(rng: Rng, image: Floats32, lines: tuple[Line, ...]) -> None:
         cv2.polylines(drawn, points, line.closed, 90, wide + round(1.6 * TEXELS_PER_M), cv2.LINE_AA)
         cv2.polylines(drawn, points, line.closed, 255, wide, cv2.LINE_AA)
         top, bottom = (int(k) for k in np.flatnonzero(drawn.any(axis=1))[[0, -1]])
-        part, share = image[top : bottom + 1], drawn[top : bottom + 1] / np.float32(255)
+        part, weight = image[top : bottom + 1], drawn[top : bottom + 1] / np.float32(255)
         ground_shade = (0.36 if line.paved else 0.56) + gravel[top : bottom + 1]
-        part += share * (ground_shade - part)
+        part += weight * (ground_shade - part)
         if line.paved:
             _draw_marks(image, line)
         else:

@@ -88,8 +88,8 @@ def car(
     add.round((-1.45, 0, 0.8), (1.4, wide - 0.06, 0.5), colour.roof)  # boot
     add.round((-0.25, 0, 0.86), (3.2, wide - 0.18, 1.16), palette.glass)
     add.round((-0.35, 0, 1.34), (1.9, wide - 0.42, 0.24), colour.roof)
-    for x, thick, share in ((-0.4, 0.1, 1.0), (-1.2, 0.22, 0.84)):  # pillars, as hoops
-        hoop = (thick, share * (wide - 0.15), share * 1.2)
+    for x, thick, scale in ((-0.4, 0.1, 1.0), (-1.2, 0.22, 0.84)):  # pillars, as hoops
+        hoop = (thick, scale * (wide - 0.15), scale * 1.2)
         add.round((x, 0, 0.86), hoop, colour.roof)
     add.box((0, 0, 0.27), (long - 0.5, wide - 0.16, 0.12), palette.dark)
     for x in (-1.3, 1.3):

@@ -40,9 +40,9 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     lamps = hall.lamps(build, _AISLES_Y)
     side = float(build.rng.choice((-1.0, 1.0)))
     route = _route(side)[:: int(build.rng.choice((-1, 1)))]
-    course = Course(route, HALF_WIDTH_M, 5.0, flat_ground(), outlook_deg=25.0)
+    course = Course(route, HALF_WIDTH_M, 5.0, flat_ground(), view_yaw_deg=25.0)
     movers_ = _movers(build, route, side, movers)
-    light = Lighting(lamps, ambient=0.82, points_per_m=1.5, most_points=160)
+    light = Lighting(lamps, ambient=0.82, points_per_m=1.5, max_points=160)
     return Scene(bake_lighting(build.world(), light), course, movers_)
 
 
@@ -105,8 +105,8 @@ def _staging(build: Builder, kit: racks.Kit) -> None:
                     racks.pallet(build, kit, spot, 0.0)
 
 
-def _movers(build: Builder, route: Floats, side: float, share: float) -> tuple[Body, ...]:
-    """People beside the middle of the course, forklifts in aisles off the course."""
+def _movers(build: Builder, route: Floats, side: float, scale: float) -> tuple[Body, ...]:
+    """People next to the middle of the course, forklifts in aisles off the course."""
     found: list[Body] = []
     rng = build.rng
     for name, make, speeds in (
@@ -114,7 +114,7 @@ def _movers(build: Builder, route: Floats, side: float, share: float) -> tuple[B
         ("cart", bodies.cart, (0.7, 1.2)),
         ("forklift", bodies.forklift, (1.8, 1.8)),
     ):
-        count = round(_USUAL[name] * share)
+        count = round(_USUAL[name] * scale)
         for i in range(count):
             radius = make(build, len(found))
             speed, start = float(rng.uniform(*speeds)), float((i + rng.random()) / count)

@@ -46,7 +46,7 @@ def _integrated(imu: Imu, truth: BodyTruth, first: int, last: int) -> tuple[Floa
 
 
 @pytest.mark.parametrize("motion", get_args(MotionName))
-def test_ten_seconds_without_noise_lead_back_to_the_true_pose(motion: MotionName) -> None:
+def test_integrating_noiseless_samples_for_10_s_gives_the_true_pose(motion: MotionName) -> None:
     course = COURSES["ring"]
     path = make_path(motion, course, lambda p: np.full(len(p), 9.0), seconds=14.0, seed=3)
     imu, truth = measure(path, _frames_ns(14.0), FIRST_NS, rate_hz=RATE_HZ, noise=SILENT, seed=0)
@@ -57,7 +57,7 @@ def test_ten_seconds_without_noise_lead_back_to_the_true_pose(motion: MotionName
     assert np.rad2deg(rotation_angle(rotation.T @ end[:3, :3])) < 0.05
 
 
-def test_at_rest_measures_gravity_upwards_and_no_rotation() -> None:
+def test_sensor_at_rest_measures_gravity_upwards_and_no_rotation() -> None:
     path = _still(5.0)
     imu, truth = measure(path, _frames_ns(5.0), FIRST_NS, rate_hz=RATE_HZ, noise=SILENT, seed=0)
     up = truth.world_from_body[0, :3, :3].T @ np.array([0.0, 0.0, GRAVITY_M_S2])
@@ -113,7 +113,7 @@ def test_biases_start_small_but_not_at_zero() -> None:
     assert 0.05 < accel < 0.2
 
 
-def test_same_seed_same_noise_and_another_seed_another() -> None:
+def test_noise_depends_on_the_seed_only() -> None:
     first, again, other = (
         measure(_still(2.0), _frames_ns(2.0), FIRST_NS, rate_hz=RATE_HZ, noise=MEMS, seed=s)[0]
         for s in (1, 1, 2)

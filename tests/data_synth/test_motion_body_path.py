@@ -11,7 +11,7 @@ SQUARE = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0]])
 TIMES = np.arange(0.0, 60.0, 0.02)
 
 
-def test_a_body_goes_round_at_constant_speed_looking_ahead() -> None:
+def test_body_follows_its_route_at_constant_speed_facing_ahead() -> None:
     body = Body("person 0", SQUARE, 1.4, 0.25, 0.4)
     poses, velocities = poses_at(body, TIMES, flat_ground())
     np.testing.assert_allclose(np.linalg.norm(velocities, axis=1), 1.4, atol=1e-9)
@@ -46,7 +46,7 @@ def test_body_stands_on_the_ground_and_rises_with_it() -> None:
     assert np.abs(rise).max() > 0.5
 
 
-def test_a_body_without_speed_stays() -> None:
+def test_body_without_speed_does_not_move() -> None:
     poses, velocities = poses_at(Body("car 2", SQUARE, 0.0, 0.6, 2.0), TIMES, flat_ground())
     assert np.ptp(poses, axis=0).max() == 0.0
     assert not velocities.any()

@@ -20,7 +20,7 @@ SECONDS = 30.0
 
 
 @cache
-def laid(motion: MotionName, course: str, speed: float = 1.0, seed: int = 0) -> PosePath:
+def _path(motion: MotionName, course: str, speed: float = 1.0, seed: int = 0) -> PosePath:
     where = COURSES[course]
     return make_path(
         motion,
@@ -41,7 +41,7 @@ def _times(path: PosePath) -> Floats:
 def test_speed_acceleration_and_turning_keep_within_the_bounds(
     motion: MotionName, course: str
 ) -> None:
-    path, bounds = laid(motion, course), BOUNDS[motion]
+    path, bounds = _path(motion, course), BOUNDS[motion]
     times = _times(path)
     for values, bound in (
         (path.velocity(times), bounds.speed_m_s),
@@ -53,7 +53,7 @@ def test_speed_acceleration_and_turning_keep_within_the_bounds(
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_acceleration_stays_bounded_at_thrice_the_speed(motion: MotionName) -> None:
-    path, bounds = laid(motion, "hills", speed=3.0, seed=1), BOUNDS[motion]
+    path, bounds = _path(motion, "hills", speed=3.0, seed=1), BOUNDS[motion]
     speeds = np.linalg.norm(path.velocity(_times(path)), axis=1)
     turns = np.linalg.norm(path.angular_velocity(_times(path)), axis=1)
     assert turns.max() < 3.0 * bounds.turn_rad_s
@@ -64,17 +64,17 @@ def test_acceleration_stays_bounded_at_thrice_the_speed(motion: MotionName) -> N
 @pytest.mark.parametrize("course", COURSES)
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_path_keeps_its_distance_from_walls_and_ground(motion: MotionName, course: str) -> None:
-    path, where = laid(motion, course), COURSES[course]
+    path, where = _path(motion, course), COURSES[course]
     places = path.world_from_body(_times(path))[:, :3, 3]
     assert walls(where, where.half_width_m)(places).min() >= 0.24
     assert (places[:, 2] - where.ground(places[:, :2])).min() > 0.4
 
 
 @pytest.mark.parametrize("course", COURSES)
-def test_motions_go_somewhere(course: str) -> None:
+def test_distance_travelled_suits_the_motion(course: str) -> None:
     gone = {}
     for motion in MOTIONS:
-        path = laid(motion, course)
+        path = _path(motion, course)
         gone[motion] = np.linalg.norm(path.velocity(_times(path)), axis=1).mean() * SECONDS
     assert gone["rotate"] < 1.0
     assert min(gone[m] for m in ("car", "robot", "handheld", "drone")) > 20.0
@@ -83,8 +83,8 @@ def test_motions_go_somewhere(course: str) -> None:
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_same_seed_same_path_and_another_seed_another(motion: MotionName) -> None:
-    first = laid(motion, "ring")
+def test_path_depends_on_the_seed_only(motion: MotionName) -> None:
+    first = _path(motion, "ring")
     again = make_path(
         motion,
         COURSES["ring"],
@@ -93,26 +93,26 @@ def test_same_seed_same_path_and_another_seed_another(motion: MotionName) -> Non
         seed=0,
     )
     np.testing.assert_array_equal(first.controls, again.controls)
-    assert np.abs(first.controls - laid(motion, "ring", seed=1).controls).max() > 1e-4
+    assert np.abs(first.controls - _path(motion, "ring", seed=1).controls).max() > 1e-4
 
 
 @pytest.mark.parametrize("course", COURSES)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_loop_comes_back_to_its_start_in_its_time(course: str, seed: int) -> None:
-    path = laid("loop", course, seed=seed)
+def test_loop_ends_at_its_start_after_the_duration(course: str, seed: int) -> None:
+    path = _path("loop", course, seed=seed)
     start, end = path.world_from_body(np.array([0.0, path.duration_s]))
     assert np.linalg.norm(start[:3, 3] - end[:3, 3]) < 0.02
     turned = inverse(start)[:3, :3] @ end[:3, :3]
     assert np.rad2deg(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))) < 1.0
     places = path.world_from_body(np.linspace(0.0, path.duration_s, 4000))[:, :3, 3]
-    for corner in COURSES[course].waypoints:  # it has been everywhere
+    for corner in COURSES[course].waypoints:  # it passes all corners
         nearest = np.linalg.norm(places[:, :2] - corner, axis=1).min()
         assert nearest < max(1.0, 0.8 * COURSES[course].half_width_m)
 
 
-def test_a_long_loop_goes_round_several_times_at_about_the_usual_speed() -> None:
+def test_long_loop_has_several_laps_at_about_the_usual_speed() -> None:
     path = make_path("loop", COURSES["ring"], lambda p: np.full(len(p), 9.0), seconds=100.0)
-    yaw_rates = path.angular_velocity(np.arange(0.0, 100.0, 0.01))[:, 2]  # it hardly tilts
+    yaw_rates = path.angular_velocity(np.arange(0.0, 100.0, 0.01))[:, 2]  # pitch and roll are small
     laps = yaw_rates.sum() * 0.01 / (2.0 * np.pi)
     assert laps == pytest.approx(round(laps), abs=0.1)
     assert laps > 7.5
@@ -130,8 +130,8 @@ def test_error_of_a_loop_that_does_not_fit_contains_its_duration() -> None:
 
 
 @pytest.mark.parametrize("course", COURSES)
-def test_rotate_turns_round_and_back_and_hardly_moves(course: str) -> None:
-    path = laid("rotate", course)
+def test_rotate_makes_full_turns_and_back_almost_on_the_spot(course: str) -> None:
+    path = _path("rotate", course)
     times = _times(path)
     yaw = path.controls[:, 3]
     assert np.rad2deg(yaw.max() - yaw.min()) == pytest.approx(360.0, abs=10.0)
@@ -150,7 +150,7 @@ def _runs(still: np.ndarray) -> list[int]:
 
 @pytest.mark.parametrize("seconds", [15.0, 60.0])
 @pytest.mark.parametrize("course", COURSES)
-def test_stop_and_go_stops_and_goes_back_once(course: str, seconds: float) -> None:
+def test_stop_and_go_stops_and_reverses_once(course: str, seconds: float) -> None:
     path = make_path(
         "stop_and_go", COURSES[course], lambda p: np.full(len(p), 9.0), seconds=seconds, seed=4
     )
@@ -164,9 +164,9 @@ def test_stop_and_go_stops_and_goes_back_once(course: str, seconds: float) -> No
         assert len([n for n in _runs(ahead < -0.01) if n > 50]) == 1
 
 
-def test_motions_have_their_direction_of_view() -> None:
+def test_direction_of_view_suits_the_motion() -> None:
     for motion, off_deg in (("robot", 0.0), ("handheld", 60.0), ("drone", 60.0)):
-        path = laid(motion, "ring")
+        path = _path(motion, "ring")
         times = np.arange(5.0, 30.0, 0.1)
         velocity, ahead = path.velocity(times), path.world_from_body(times)[:, :3, 0]
         cross = velocity[:, 0] * ahead[:, 1] - velocity[:, 1] * ahead[:, 0]
@@ -175,19 +175,19 @@ def test_motions_have_their_direction_of_view() -> None:
 
 
 def test_cars_lean_little_and_drones_bank_into_their_curves() -> None:
-    car = laid("car", "rectangle").controls
+    car = _path("car", "rectangle").controls
     assert np.rad2deg(np.abs(car[:, 4:])).max() < 0.5
-    drone = laid("drone", "hills", seed=2)
+    drone = _path("drone", "hills", seed=2)
     times = np.arange(0.0, 30.0, 0.02)
     rolls = np.arcsin(drone.world_from_body(times)[:, 2, 1])
     left = (drone.world_from_body(times)[:, :3, 1] * drone.acceleration(times)).sum(axis=1)
     assert np.corrcoef(rolls, left)[0, 1] < -0.8
 
 
-def test_heights_are_those_of_the_carrier() -> None:
+def test_camera_heights_suit_the_carrier() -> None:
     heights = {}
     for motion in MOTIONS:
-        path = laid(motion, "hills" if motion == "drone" else "rectangle")
+        path = _path(motion, "hills" if motion == "drone" else "rectangle")
         places = path.world_from_body(_times(path))[:, :3, 3]
         above = places[:, 2] - COURSES["hills" if motion == "drone" else "rectangle"].ground(
             places[:, :2]
@@ -222,7 +222,7 @@ def test_narrow_courses_reduce_wander_and_blocked_ones_are_refused() -> None:
         make_path("car", course, walls(course, 0.4), seconds=30.0)
 
 
-def test_finds_an_obstacle_on_a_short_stretch() -> None:
+def test_small_obstacle_on_the_path_is_found() -> None:
     post = np.array([20.0, 7.0])  # in the middle of a side
     with pytest.raises(ConfigError, match=r"at \((19|20)\.\d+, [67]\.\d+, "):
         make_path(
@@ -236,5 +236,5 @@ def test_finds_an_obstacle_on_a_short_stretch() -> None:
 def test_loops_are_driven_only_on_long_courses() -> None:
     assert polygon_length_m(COURSES["aisles"].waypoints) < LARGE_M
     assert polygon_length_m(COURSES["rectangle"].waypoints) == pytest.approx(480.0)
-    assert laid("loop", "rectangle").controls[:, 2].mean() == pytest.approx(1.6, abs=0.01)
-    assert laid("loop", "aisles").controls[:, 2].mean() == pytest.approx(1.5, abs=0.05)
+    assert _path("loop", "rectangle").controls[:, 2].mean() == pytest.approx(1.6, abs=0.01)
+    assert _path("loop", "aisles").controls[:, 2].mean() == pytest.approx(1.5, abs=0.05)

@@ -123,7 +123,7 @@ def test_disparity_is_focal_length_times_baseline_by_depth(
     assert np.median(errors) < 0.1
 
 
-def test_corners_are_many_and_everywhere(room: World, pool: ThreadPoolExecutor) -> None:
+def test_images_have_many_corners_in_all_parts(room: World, pool: ThreadPoolExecutor) -> None:
     for pose in world_from_cam0(np.arange(0.0, 8.0, 1.0)):
         image, _ = _seen(room, PINHOLE, pose, pool)
         assert len(cv2.ORB_create(3000).detect(image)) > 1000

@@ -35,7 +35,7 @@ def _world(velocity: Floats, yaw: float = np.pi / 2) -> World:
     return world._replace(movers=world.movers._replace(lights=lights))
 
 
-def test_a_body_stands_where_it_is_put(pool: ThreadPoolExecutor) -> None:
+def test_body_is_rendered_at_its_pose(pool: ThreadPoolExecutor) -> None:
     depth = render(_world(STILL), RAYS, static_shutter(looking_along_x()), pool).depth
     assert depth[39, 30] == pytest.approx(4.0, abs=1e-6)
     assert depth[39, 80] == pytest.approx(20.0, abs=1e-5)
@@ -82,6 +82,6 @@ def test_body_is_darker_in_the_shade_than_in_the_sun() -> None:
     assert np.abs(shady[:3]).max() < 0.05
 
 
-def test_a_world_without_bodies_stays_as_it_is() -> None:
+def test_world_without_bodies_is_unchanged() -> None:
     world = bright_world([WALL])
     assert with_bodies(world, np.zeros((0, 4, 4)), np.zeros((0, 3))) is world

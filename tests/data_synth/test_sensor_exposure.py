@@ -34,7 +34,7 @@ def _exposed(
 
 @pytest.mark.parametrize("gamma", [0.0, 1.0])
 @pytest.mark.parametrize("radiance", [0.1, 0.35, 0.8])
-def test_starts_settled_on_the_target(gamma: float, radiance: float) -> None:
+def test_first_images_meet_the_target(gamma: float, radiance: float) -> None:
     effects = Effects(gamma=gamma)
     _, means = _exposed(effects, np.ones(40), radiance)
     assert np.allclose(means, target_mean(effects), rtol=1e-6)
@@ -42,7 +42,7 @@ def test_starts_settled_on_the_target(gamma: float, radiance: float) -> None:
 
 
 @pytest.mark.parametrize("change", [0.4, 1.15])
-def test_lags_behind_a_step_of_light_then_settles(change: float) -> None:
+def test_exposure_lags_behind_a_step_of_light_then_settles(change: float) -> None:
     light = np.ones(100)
     light[20:] = change
     _, means = _exposed(Effects(), light)
@@ -55,7 +55,7 @@ def test_lags_behind_a_step_of_light_then_settles(change: float) -> None:
     assert np.all(np.diff(left[1:]) <= 0.0) and left.min() > -0.01  # it never overshoots
 
 
-def test_recovers_from_clipped_and_from_black_images() -> None:
+def test_exposure_recovers_from_clipped_and_black_images() -> None:
     scene = np.linspace(0.0, 0.7, 4096, dtype=np.float32)[None]
     light = np.ones(160)
     light[20:80] = 6.0
@@ -84,14 +84,14 @@ def test_the_lag_grows_with_strength() -> None:
     assert counts[2] == pytest.approx(2 + 15 * np.log(np.log(2) / -np.log(0.9)), abs=3)
 
 
-def test_is_fixed_without_the_effect() -> None:
+def test_exposure_is_fixed_without_the_effect() -> None:
     light = np.linspace(1.0, 0.2, 30)
     taken, means = _exposed(Effects(exposure=0), light)
     assert len(set(taken)) == 1
     assert np.allclose(means, TARGET * light)
 
 
-def test_opens_the_shutter_first_and_amplifies_up_to_16_times_after() -> None:
+def test_exposure_time_rises_before_gain_and_gain_is_at_most_16() -> None:
     light = np.concatenate([np.full(60, x) for x in (1.0, 4.0, 0.3, 0.001)])
     taken, _ = _exposed(Effects(), light, radiance=0.4)
     normal, bright, dim, night = (taken[i] for i in (59, 119, 179, 239))

@@ -46,7 +46,7 @@ def test_variance_is_linear_in_the_signal(gain: float, strength: float) -> None:
         for i, level in enumerate(levels)
     ]
     assert np.allclose([i.mean() for i in images], levels, atol=0.2)
-    # Whole grey levels add 1/12. Weights: the deviation of a measured variance is in its share.
+    # Quantisation adds 1/12. The error of a measured variance is proportional to the variance.
     variances = np.array([i.var() for i in images]) - 1.0 / 12.0
     slope, offset = np.polyfit(levels, variances, 1, w=1.0 / variances)
     assert slope == pytest.approx(strength**2 * 255.0 * gain / FULL_WELL, rel=0.05)
@@ -66,8 +66,8 @@ def test_a_black_frame_is_read_noise_only(gain: float) -> None:
     effects = PERFECT.model_copy(update={"noise": 1.0})
     image = develop(_ramp(), Settings(8e-3, gain, gain), effects, 0.0, None, _rng())
     # What is below zero is cut off: a half of a Gaussian, whose mean is sigma / sqrt(2 pi).
-    share = image.mean() / (read_noise(gain) / np.sqrt(2.0 * np.pi))
-    assert share == pytest.approx(1.0, abs=0.1)
+    factor = image.mean() / (read_noise(gain) / np.sqrt(2.0 * np.pi))
+    assert factor == pytest.approx(1.0, abs=0.1)
     assert image.max() < 6.0 * read_noise(gain)
     assert not develop(_ramp(), Settings(), PERFECT, 0.0, None, _rng()).any()
 
@@ -83,15 +83,15 @@ def test_brightness_follows_light_and_response() -> None:
 
 @pytest.mark.parametrize("strength", [0.5, 1.0, 3.0])
 def test_corners_are_darker_by_a_quarter_times_strength(strength: float) -> None:
-    share = vignetting(CAMERA, strength)
-    assert share.shape == (480, 752) and share.dtype == np.float32
-    corners = [share[v, u] for v in (0, -1) for u in (0, -1)]
-    assert min(corners) == share.min() == pytest.approx(1.0 - 0.25 * strength, abs=1e-5)
+    factor = vignetting(CAMERA, strength)
+    assert factor.shape == (480, 752) and factor.dtype == np.float32
+    corners = [factor[v, u] for v in (0, -1) for u in (0, -1)]
+    assert min(corners) == factor.min() == pytest.approx(1.0 - 0.25 * strength, abs=1e-5)
     assert max(corners) < 1.0 - 0.2 * strength
-    assert share[248, 367] == pytest.approx(1.0, abs=1e-5)
-    assert np.all(np.diff(share[248, 368:]) < 0.0)
-    image = develop(np.full((480, 752), 0.8, np.float32), Settings(), PERFECT, 1.0, share, _rng())
-    assert np.array_equal(image, np.round(np.float32(255.0 * 0.8) * share).astype(np.uint8))
+    assert factor[248, 367] == pytest.approx(1.0, abs=1e-5)
+    assert np.all(np.diff(factor[248, 368:]) < 0.0)
+    image = develop(np.full((480, 752), 0.8, np.float32), Settings(), PERFECT, 1.0, factor, _rng())
+    assert np.array_equal(image, np.round(np.float32(255.0 * 0.8) * factor).astype(np.uint8))
 
 
 @pytest.mark.parametrize("strength", [0.3, 1.0, 2.0])

@@ -83,7 +83,7 @@ def test_body_truth_and_camera_truth_agree(tmp_path: Path) -> None:
     )
 
 
-def test_opens_as_a_rectified_stereo_source_with_truth(sequence: Path) -> None:
+def test_recording_opens_as_a_rectified_stereo_source_with_truth(sequence: Path) -> None:
     source = open_source(sequence)
     assert source.format == "euroc"
     assert source.rig.is_stereo and not source.rig.cam0.is_distorted
@@ -120,7 +120,7 @@ def test_bodies_that_would_hit_the_camera_are_removed(tmp_path: Path) -> None:
     assert (tmp_path / "made" / "movers.csv").is_file()
 
 
-def test_reports_progress(tmp_path: Path) -> None:
+def test_progress_is_reported_after_each_frame(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     make_sequence(
         tmp_path / "out", _recipe(), on_frame=lambda done, total: seen.append((done, total))
@@ -129,7 +129,7 @@ def test_reports_progress(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("format", ["euroc", "mcap"])
-def test_interruption_leaves_nothing(tmp_path: Path, format: str) -> None:
+def test_interruption_leaves_no_files(tmp_path: Path, format: str) -> None:
     def stop(done: int, total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -160,7 +160,7 @@ def test_unwritable_path_is_an_output_error(tmp_path: Path) -> None:
         make_sequence(tmp_path / "file" / "out", _recipe())
 
 
-def test_full_disk_is_an_output_error_and_leaves_nothing(tmp_path: Path) -> None:
+def test_full_disk_is_an_output_error_and_leaves_no_files(tmp_path: Path) -> None:
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -202,7 +202,7 @@ def test_error_of_a_loop_that_does_not_fit_contains_its_duration(tmp_path: Path)
         make_sequence(tmp_path / "out", _recipe("motion=loop", "world=warehouse"))
 
 
-def test_a_senseless_camera_file_is_a_calibration_error(tmp_path: Path) -> None:
+def test_invalid_camera_file_is_a_calibration_error(tmp_path: Path) -> None:
     camera = tmp_path / "camera.yaml"
     camera.write_text("cam0: {resolution: [640, 480], intrinsics: [-5, 500, 320, 240]}")
     with pytest.raises(CalibrationError):

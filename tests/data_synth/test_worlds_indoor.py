@@ -49,9 +49,9 @@ def _along(route: Floats, step_m: float) -> tuple[Floats, Floats]:
     places, headings = [], []
     for start, stop in zip(route, np.roll(route, -1, axis=0), strict=True):
         ahead = stop - start
-        share = np.arange(0.0, 1.0, step_m / np.linalg.norm(ahead))[:, None]
-        places.append(start + share * ahead)
-        headings.append(np.full(len(share), np.arctan2(ahead[1], ahead[0])))
+        fraction = np.arange(0.0, 1.0, step_m / np.linalg.norm(ahead))[:, None]
+        places.append(start + fraction * ahead)
+        headings.append(np.full(len(fraction), np.arctan2(ahead[1], ahead[0])))
     return np.vstack(places), np.concatenate(headings)
 
 
@@ -191,7 +191,7 @@ def _reach(places: Floats, halves: Floats) -> float:
 
 
 @pytest.mark.parametrize("name", INDOORS)
-def test_bodies_walk_through_nothing(name: str) -> None:
+def test_bodies_keep_clear_of_solids(name: str) -> None:
     scene = _lit(name)
     routes: dict[bytes, Body] = {body.route.tobytes(): body for body in scene.bodies}
     for body in routes.values():

@@ -43,9 +43,9 @@ def _along(route: Floats, step_m: float) -> tuple[Floats, Floats]:
     lengths = np.linalg.norm(legs, axis=1)
     points, ahead = [], []
     for start, leg, length in zip(route, legs, lengths, strict=True):
-        shares = np.arange(0.0, length, step_m)[:, None] / length
-        points.append(start + shares * leg)
-        ahead.append(np.repeat((leg / length)[None], len(shares), axis=0))
+        fractions = np.arange(0.0, length, step_m)[:, None] / length
+        points.append(start + fractions * leg)
+        ahead.append(np.repeat((leg / length)[None], len(fractions), axis=0))
     return np.vstack(points), np.vstack(ahead)
 
 
@@ -94,7 +94,7 @@ def _blank(build: builder.Builder, painter: object, shape: tuple[int, int] = (4,
 
 
 @WORLDS
-def test_movers_scale_and_leave_the_still_world_as_it_is(
+def test_movers_setting_changes_only_the_number_of_movers(
     module: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "bake_lighting", lambda world, light: world)
@@ -171,7 +171,7 @@ def test_country_has_corners_everywhere_from_above(
         assert 45 < image.mean() < 170
 
 
-def test_country_goes_up_and_down_and_ends_level(country: Scene) -> None:
+def test_country_is_hilly_with_a_level_rim(country: Scene) -> None:
     axis = np.linspace(-120.0, 120.0, 60)
     grid = np.column_stack([g.ravel() for g in np.meshgrid(axis, axis)])
     heights = country.course.ground(grid)

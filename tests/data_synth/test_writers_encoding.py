@@ -61,9 +61,9 @@ def test_stopping_early_ends_the_threads() -> None:
 def test_errors_of_the_renderer_propagate() -> None:
     def broken() -> Iterator[Shot]:
         yield from _shots(2, [])
-        raise RuntimeError("out of light")
+        raise RuntimeError("renderer failed")
 
-    with pytest.raises(RuntimeError, match="out of light"):
+    with pytest.raises(RuntimeError, match="renderer failed"):
         list(encoded_shots(broken(), "png"))
     assert not _encoding_threads()
 

@@ -86,7 +86,7 @@ def test_a_full_disk_is_an_os_error_and_leaves_no_thread(
 # KITTI
 
 
-def test_kitti_begins_at_time_0_and_the_identity(tmp_path: Path) -> None:
+def test_kitti_starts_at_time_0_with_the_identity(tmp_path: Path) -> None:
     recording = suited("kitti")
     path = write_layout("kitti", tmp_path / "a", recording)
     first = ["1", "0", "0", "0", "0", "1", "0", "0", "0", "0", "1", "0"]

@@ -42,11 +42,11 @@ def test_raw_images_are_for_mcap_only(name: str) -> None:
     ("name", "rig"),
     [("euroc", make_recording().rig), ("kitti", PAIR), ("tum", Rig(FISHEYE)), ("folder", PAIR)],
 )
-def test_accepts_recordings_that_fit(name: str, rig: Rig) -> None:
+def test_recordings_that_fit_are_accepted(name: str, rig: Rig) -> None:
     check(Recipe(format=name, codec="jpeg"), rig)
 
 
-TURNED = make_transform(so3_exp(np.array([0.0, 1e-5, 0.0])), BESIDE[:3, 3])
+ROTATED = make_transform(so3_exp(np.array([0.0, 1e-5, 0.0])), BESIDE[:3, 3])
 RAISED = make_transform(np.eye(3), np.array([-0.11, 1e-5, 0.0]))
 LEFT = make_transform(np.eye(3), np.array([0.11, 0.0, 0.0]))
 
@@ -58,7 +58,7 @@ LEFT = make_transform(np.eye(3), np.array([0.11, 0.0, 0.0]))
         (Rig(FISHEYE), "cam0 is distorted (equidistant)"),
         (Rig(IDEAL, RADTAN, BESIDE), "cam1 is distorted (radtan)"),
         (Rig(IDEAL, replace(IDEAL, fx=40.1), BESIDE), "cam1 is not equal to cam0"),
-        (Rig(IDEAL, IDEAL, TURNED), "cam1 is rotated or not exactly to the right"),
+        (Rig(IDEAL, IDEAL, ROTATED), "cam1 is rotated or not exactly to the right"),
         (Rig(IDEAL, IDEAL, RAISED), "shifts by -0.11, 1e-05, 0 m"),
         (Rig(IDEAL, IDEAL, LEFT), "shifts by 0.11, 0, 0 m"),
     ],
@@ -67,9 +67,9 @@ def test_kitti_refuses_what_is_not_rectified(rig: Rig, reason: str, tmp_path: Pa
     recording = replace(make_recording(stereo=rig.is_stereo, drops=NO_DROPS), rig=rig)
     with pytest.raises(ConfigError) as raised:
         write_layout("kitti", tmp_path / "a", recording)
-    with pytest.raises(ConfigError) as foretold:
+    with pytest.raises(ConfigError) as checked:
         check(Recipe(format="kitti"), rig)
-    assert str(raised.value) == str(foretold.value)
+    assert str(raised.value) == str(checked.value)
     assert reason in str(raised.value)
     assert "or format euroc" in str(raised.value)
     assert not (tmp_path / "a").exists()

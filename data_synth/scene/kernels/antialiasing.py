@@ -27,7 +27,7 @@ from data_synth.scene.world import World
 from vo.types import Floats, Floats32
 
 _TILE = 8
-_MAX_GROUPS = 5  # surfaces that are told apart within a pixel
+_MAX_GROUPS = 5  # surfaces distinguished within a pixel
 
 
 @entry_point
@@ -64,6 +64,8 @@ def antialias_rows(
         around=np.empty(9, np.int64),
         entries=np.zeros(9),
     )
+    # For each row once: the poses of the rays of level 0, which most marked pixels have, and the
+    # sweep of the camera.
     rows, few = band[1] - band[0], sampling.counts[0]
     poses, sweeps = np.empty((rows, few, POSE_SIZE)), np.empty((rows, POSE_SIZE))
     for row in range(band[0], band[1]):
@@ -87,6 +89,7 @@ def antialias_rows(
                 image,
             ):
                 continue
+            # Solids of the large tile are culled once, and only if a pixel becomes UNCERTAIN.
             is_culled, culled = False, (0, np.inf)
             for upper in range(tile[0], tile[1], _TILE):
                 for first in range(tile[2], tile[3], _TILE):

@@ -75,7 +75,7 @@ def world_ray(
 def pixel_ray(rays: Floats, row: int, column: int) -> tuple[Pair, Pair, Pair]:
     """The ray (x, y, 1) of a pixel in the camera's frame and its derivatives by column and row.
 
-    Differences to the next pixel; to the one before at the border of what the lens sees.
+    Differences to the next pixel; to the previous one at the border of the image circle.
     """
     x, y = rays[row, column, 0], rays[row, column, 1]
     if column + 1 < rays.shape[1] and not np.isnan(rays[row, column + 1, 0]):

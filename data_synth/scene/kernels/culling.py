@@ -34,7 +34,7 @@ def cull_solids(
     Returns their number, and the t before which no ray meets the ground.
     """
     beam = tile_beam(shutter, rays, tile, phase)
-    if beam.ray_min[0] > beam.ray_max[0]:  # the lens sees nothing there
+    if beam.ray_min[0] > beam.ray_max[0]:  # outside the image circle
         return 0, np.inf
     tree, (solids, entries) = world.tree, result
     node, count = 0, 0

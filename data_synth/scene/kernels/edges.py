@@ -52,6 +52,7 @@ def mark_edges(
         for column in range(columns):
             right = min(column + 1, columns - 1)
             here = surface[index(row), index(column)]
+            # Most pixels see the same surface as their neighbours, at nearly the same depth.
             if (
                 here == surface[index(row), index(right)]
                 and here == surface[index(lower), index(column)]
@@ -123,8 +124,8 @@ def mark_swept(counts: Ints, marks: NDArray[np.uint8], row: int, column: int, mo
 
 @inlined
 def count_index(counts: Ints, motion: Pair) -> int:
-    """Index of the least number of rays that covers a motion: at least 4 + 1.2 for each pixel."""
-    level, least = 0, 4.0 + 1.2 * math.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
-    while level + 1 < len(counts) and counts[level] < least:
+    """Index of the smallest number of rays for a motion: at least 4, plus 1.2 for each pixel."""
+    level, min_rays = 0, 4.0 + 1.2 * math.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
+    while level + 1 < len(counts) and counts[level] < min_rays:
         level += 1
     return level

@@ -71,7 +71,7 @@ def descent_end(world: World, beam: Beam, begin: float) -> float:
 
 @inlined
 def max_over_area(world: World, values: Floats32, area: tuple[float, float, float, float]) -> float:
-    """The maximum of the ground's `peaks` or `slopes` over an area; -inf beside the ground.
+    """The maximum of the ground's `peaks` or `slopes` over an area; -inf outside the ground.
 
     Read from the level of the pyramid at which the area is four blocks wide at most.
     """

@@ -44,7 +44,7 @@ def pixel_motion(
     row: int,
     column: int,
 ) -> Pair:
-    """Motion, in pixels across and down, of what the centre ray of a pixel meets."""
+    """Motion, in pixels across and down, of the surface point hit by the centre ray of a pixel."""
     number = view.surface[row, column]
     if shutter.width == 0.0 or number == NOTHING:
         return 0.0, 0.0
@@ -81,7 +81,7 @@ def surface_motion(
         moved = add_scaled(moved, velocity, shutter.width * shutter.step_s * inverse)
     mx, my = moved[0] - x * moved[2], moved[1] - y * moved[2]
     area = across[0] * down[1] - across[1] * down[0]
-    if area == 0.0:  # a pixel without neighbours at the border of what the lens sees
+    if area == 0.0:  # a pixel without neighbours at the border of the image circle
         return 0.0, 0.0
     scale = 1.0 / area
     right = scale * (mx * down[1] - my * down[0])

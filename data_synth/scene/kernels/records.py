@@ -18,7 +18,8 @@ BOX, ELLIPSOID = int(Kind.BOX), int(Kind.ELLIPSOID)
 ROUND, SIDE = 3, 4  # parts of solids: an ellipsoid, a cylinder's side; 0, 1, 2 are flat, by axis
 SKY, NOTHING = -1, -2  # surface numbers
 GROUND = 1 << 40  # in place of the number of a solid
-EDGE, UNCERTAIN = 1, 2  # marks of pixels: an edge passes; rays may meet what no neighbour sees
+# Marks of pixels: an edge passes; rays may hit a surface that no neighbour hits.
+EDGE, UNCERTAIN = 1, 2
 
 FAR_M = 1000.0  # nothing but the sky is farther away
 FILTER_REUSE = 4  # pixels of a row that share a texture filter and their motion,

@@ -165,6 +165,7 @@ def supersample_pixel(
     rotation, start, time = load_pose(poses[0])
     ray, across, down = pixel_ray(rays, row, column)
     count, left_out = 0, 0
+    # Cast the rays in packets, and add each to the group of its surface.
     for k in range(len(offsets)):
         if k == max(4, len(offsets) // 2) and count == 1 and numbers[0] == centre:
             # One surface only: the first pass has its radiance, unless it has to be blurred.

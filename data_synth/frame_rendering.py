@@ -1,4 +1,4 @@
-"""Films a plan: renders each frame, and makes of its light what the sensor would."""
+"""Rendering of the frames of a plan, with the effects of the sensor."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _CameraSetup:
     body_from_cam: Floats
 
 
-_Taken = tuple[Bytes, Floats32 | None]  # image, and depth where it is kept
+_ImageAndDepth = tuple[Bytes, Floats32 | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class _PendingFrame:
     """A frame whose images are being rendered."""
 
     index: int
-    images: tuple[Future[_Taken] | None, ...]
+    images: tuple[Future[_ImageAndDepth] | None, ...]
 
     def mean(self) -> float | None:
         """Mean of cam0's image, 0…1."""
@@ -55,10 +55,13 @@ class _PendingFrame:
         return Shot(self.index, done, depth)
 
 
-def film(plan: Plan, pool: ThreadPoolExecutor, frames: range | None = None) -> Iterator[Shot]:
-    """Render frames in order, both images of one and those of the next at the same time.
+def render_frames(
+    plan: Plan, pool: ThreadPoolExecutor, frames: range | None = None
+) -> Iterator[Shot]:
+    """Render frames in order.
 
-    That keeps all cores busy while the last rows of an image are rendered. The exposure of a frame
+    Both images of a frame and those of the next are rendered at the same time, which keeps all
+    cores busy while the last rows of an image are rendered. Therefore the exposure of a frame
     depends on the image two frames before.
 
     Args:
@@ -74,9 +77,9 @@ def film(plan: Plan, pool: ThreadPoolExecutor, frames: range | None = None) -> I
     auto = AutoExposure(effects, fps, _preview_mean(plan, setups[0], frames[0], pool))
     previous: _PendingFrame | None = None
     # Threads of `images` wait for threads of `pool`, which wait for none: no deadlock.
-    with ThreadPoolExecutor(_FRAMES_AT_ONCE * len(setups), thread_name_prefix="film") as images:
+    with ThreadPoolExecutor(_FRAMES_AT_ONCE * len(setups), thread_name_prefix="render") as images:
         for index in frames:
-            pending = _expose(plan, setups, index, auto.next(), images, pool)
+            pending = _start_frame(plan, setups, index, auto.next(), images, pool)
             if previous is not None:
                 auto.observe(previous.mean())
                 yield previous.shot()
@@ -108,7 +111,7 @@ def _preview_mean(plan: Plan, setup: _CameraSetup, index: int, pool: ThreadPoolE
     return float((view.image * setup.vignette[::step, ::step]).mean())
 
 
-def _expose(
+def _start_frame(
     plan: Plan,
     setups: tuple[_CameraSetup, ...],
     index: int,
@@ -116,10 +119,10 @@ def _expose(
     images: ThreadPoolExecutor,
     pool: ThreadPoolExecutor,
 ) -> _PendingFrame:
-    """Start to render a frame."""
+    """Start to render the images of a frame, each in a thread of `images`."""
     world, dropped = _world(plan, index), plan.timing.dropped
 
-    def take(number: int) -> _Taken:
+    def render_camera(number: int) -> _ImageAndDepth:
         view = render(
             world, setups[number].rays, _shutter(plan, setups[number], index, settings), pool
         )
@@ -136,7 +139,7 @@ def _expose(
     return _PendingFrame(
         index,
         tuple(
-            None if dropped[number][index] else images.submit(take, number)
+            None if dropped[number][index] else images.submit(render_camera, number)
             for number in range(len(setups))
         ),
     )

@@ -1,4 +1,4 @@
-"""Objects on pavements and in front gardens."""
+"""Street furniture, and fences and walls of front gardens."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def road_sign(build: Builder, palette: Palette, place: Place) -> None:
 
 
 def advertising_column(build: Builder, palette: Palette, place: Place) -> None:
-    """A stout column with a bill around it."""
+    """A thick column with a poster around it."""
     print_ = int(build.rng.choice(palette.prints))
     size = (1.2, 1.2, 2.7)
     build.add(place.at(0, 0, 1.5), size, print_, place.yaw, 100.0, Kind.CYLINDER)
@@ -41,7 +41,7 @@ def advertising_column(build: Builder, palette: Palette, place: Place) -> None:
         build.add(place.at(0, 0, z), base, palette.concrete, place.yaw, 90.0, Kind.CYLINDER)
 
 
-def box_with_bills(build: Builder, palette: Palette, place: Place) -> None:
+def cabinet_or_bins(build: Builder, palette: Palette, place: Place) -> None:
     """A grey cabinet with a poster, or bins."""
     if build.rng.random() < 0.5:
         build.add(place.at(0, 0, 0.6), (0.9, 0.4, 1.2), palette.metal, place.yaw, 120.0)
