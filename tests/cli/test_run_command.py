@@ -264,7 +264,7 @@ def test_missing_folder(tmp_path: Path, out: Path) -> None:
 
 def test_folder_without_images(tmp_path: Path, out: Path) -> None:
     (tmp_path / "empty").mkdir()
-    assert_one_line(vo_run(tmp_path / "empty", out), "holds no images")
+    assert_one_line(vo_run(tmp_path / "empty", out), "has no images")
 
 
 def test_unreadable_image_in_the_middle_is_skipped(images: Path, out: Path) -> None:

@@ -168,7 +168,7 @@ def test_decreasing_stamps_are_reported_with_their_line(walk: Path) -> None:
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join([*lines[:5], lines[4], *lines[5:]]))
     report = report_of(walk)
-    assert "data.csv:6" in finding(report, "does not come after").what
+    assert "data.csv:6" in finding(report, "is not after").what
     assert "--calibration" not in report.command
 
 

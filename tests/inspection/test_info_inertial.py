@@ -105,7 +105,7 @@ def test_a_sensor_that_cannot_be_read_is_a_warning(walk: Path) -> None:
     (walk / "mav0" / "imu0" / "data.csv").write_text("#timestamp\n")
     report = report_of(walk)
     assert report.imu == ()
-    assert "holds no data" in "\n".join(finding.what for finding in report.findings)
+    assert "has no data" in "\n".join(finding.what for finding in report.findings)
 
 
 def samples() -> Iterator[tuple[int, bytes]]:

@@ -39,5 +39,5 @@ def test_as_a_recording(endless: Path, format: str | None) -> None:
 
 
 def test_as_an_image(endless: Path) -> None:
-    with pytest.raises(SourceError, match="is no file but a device or a pipe"):
+    with pytest.raises(SourceError, match="is a device or a pipe, not a file"):
         ImageFile(endless).read()

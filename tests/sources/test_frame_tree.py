@@ -56,4 +56,4 @@ def test_damaged_transforms_are_told_of_once(
     assert rig.cam1_from_cam0 is not None and rig.cam1_from_cam0[0, 3] == -0.5
     (record,) = caplog.records
     told = record.getMessage()
-    assert told.startswith("/tf: 39 of the 60 transforms looked at cannot be read")
+    assert told.startswith("/tf: 39 of 60 sampled transforms cannot be read")

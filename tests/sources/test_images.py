@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from vo.errors import SourceError
-from vo.sources.images import ImageFile, depth_bits_of, read_grey
+from vo.sources.images import ImageFile, estimate_bit_depth, read_grey
 from vo.types import Bytes
 
 RNG = np.random.default_rng(3)
 GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)
 
 
-def read(path: Path, depth_bits: int = 16) -> Bytes:
-    return read_grey(ImageFile(path), depth_bits)
+def read(path: Path, bit_depth: int = 16) -> Bytes:
+    return read_grey(ImageFile(path), bit_depth)
 
 
 def bits_of(paths: list[Path]) -> int:
-    return depth_bits_of([ImageFile(path) for path in paths])
+    return estimate_bit_depth([ImageFile(path) for path in paths])
 
 
 def _written(path: Path, pixels: np.ndarray) -> Path:
@@ -136,7 +136,7 @@ def test_accepts_jpegs_padded_at_the_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "reason"), [(b"", "is empty"), (b"text", "damaged or no image")]
+    ("content", "reason"), [(b"", "is empty"), (b"text", "damaged or not an image")]
 )
 def test_says_what_is_wrong(tmp_path: Path, content: bytes, reason: str) -> None:
     (tmp_path / "a.png").write_bytes(content)

@@ -197,7 +197,7 @@ def test_damage_is_told_once_with_its_count_and_only_when_read(
         assert caplog.messages == []
         samples = source.imus[0].read()
     assert caplog.messages == [
-        "/imu/data: 6 of 40 samples are damaged or not finite and are left out"
+        "/imu/data: 6 of 40 samples are damaged or not finite and are skipped"
     ]
     kept = [i for i in range(SAMPLES) if i % 8 and i != 3]
     assert np.array_equal(samples.stamps_ns, STAMPS_NS[kept]) and samples.unreadable == 6
@@ -217,8 +217,8 @@ def test_damaged_lines_of_a_table_are_told_once(
     with caplog.at_level(logging.WARNING, "vo"):
         samples = source.imus[0].read()
     assert [message.split(": ", 1)[1] for message in caplog.messages] == [
-        "2 of 40 lines cannot be read and are left out",
-        "1 of 40 lines repeat a stamp and are left out",
+        "2 of 40 lines cannot be read and are skipped",
+        "1 of 40 lines repeat a stamp and are skipped",
     ]
     check_exact(samples, [i for i in range(SAMPLES) if i not in (4, 9, 11)])
 
@@ -230,7 +230,7 @@ def test_of_several_sensors_one_is_chosen(tmp_path: Path) -> None:
     assert names == ["/imu/data", "/0/imu", "/1/imu"]
     chosen = open_source(tmp_path / "a.mcap", topics=["imu=/1/imu"])
     assert [imu.name for imu in chosen.imus] == ["/1/imu", "/imu/data", "/0/imu"]
-    with pytest.raises(SourceError, match="/truth is no topic of an inertial sensor"):
+    with pytest.raises(SourceError, match="/truth is not the topic of an inertial sensor"):
         open_source(tmp_path / "a.mcap", topics=["imu=/truth"])
 
 

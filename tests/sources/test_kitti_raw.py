@@ -121,7 +121,7 @@ def test_a_damaged_record_costs_the_truth_and_nothing_else(
 ) -> None:
     layouts.write_text(drive / "oxts/data/0000000003.txt", "49.0 8.4\n")
     assert open_source(drive).ground_truth is None
-    assert "0000000003.txt is no record" in caplog.text
+    assert "0000000003.txt is not a GPS/INS record" in caplog.text
 
 
 def test_no_oxts_no_truth(drive: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -205,10 +205,10 @@ def test_topics_can_be_chosen(tmp_path: Path) -> None:
             ["/front/image_row"],
             "there is no topic /front/image_row; did you mean /front/image_raw?",
         ),
-        (["middle=/front/image_raw"], "--topic middle=/front/image_raw is not understood"),
-        (["right=/front/image_raw"], "needs --topic left="),
-        (["/front/image_raw", "left=/rear/image_raw"], "names two topics for left"),
-        (["left="], "is not understood"),
+        (["middle=/front/image_raw"], "--topic middle=/front/image_raw is invalid"),
+        (["right=/front/image_raw"], "requires --topic left="),
+        (["/front/image_raw", "left=/rear/image_raw"], "gives two topics for left"),
+        (["left="], "is invalid"),
     ],
 )
 def test_wrong_choices(tmp_path: Path, wishes: list[str], reason: str) -> None:
@@ -225,7 +225,7 @@ def test_a_folder_has_no_topics(tmp_path: Path) -> None:
 
 def test_no_images(tmp_path: Path) -> None:
     path = log(tmp_path, calibration("/camera/camera_info", "c"))
-    with pytest.raises(SourceError, match="no topic has images of a known kind; there are\n.*info"):
+    with pytest.raises(SourceError, match="no topic has images of a known type; topics:\n.*info"):
         open_source(path)
 
 
@@ -294,8 +294,8 @@ def test_frames_that_move_do_not_count(tmp_path: Path, caplog: pytest.LogCapture
     path = log(tmp_path, *parts)
     assert not open_source(path).rig.is_stereo
     (record,) = caplog.records
-    assert "no transforms lead from frame 'a' to 'b'" in record.getMessage()
-    with pytest.raises(CalibrationError, match="nothing says where /cam1/image is beside"):
+    assert "no transforms connect frame 'a' to 'b'" in record.getMessage()
+    with pytest.raises(CalibrationError, match="unknown pose of /cam1/image relative to"):
         open_source(path, mode="stereo")
 
 
@@ -477,5 +477,5 @@ def test_cameras_that_look_apart_are_no_pair(
     )
     assert not open_source(path).rig.is_stereo
     first, second = (record.getMessage() for record in caplog.records)
-    assert "/front/image is taken as the left camera and /rear/image as the right one" in first
-    assert "look 162 degrees apart and are no stereo pair" in second
+    assert "/front/image is used as the left camera and /rear/image as the right one" in first
+    assert "differ by 162 degrees, too much for a stereo pair" in second

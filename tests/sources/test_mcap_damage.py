@@ -19,8 +19,8 @@ from mcap_logs import DIALECTS, write_log
 from vo.errors import SourceError, VoError
 from vo.formats.messages import ImageMessage
 from vo.sources.logs.log import Entry
-from vo.sources.mcap.book import IN_FILE
 from vo.sources.mcap.file import McapFile
+from vo.sources.mcap.index import NO_CHUNK
 from vo.sources.registry import open_source
 
 KINDS = {
@@ -63,13 +63,13 @@ def ends(file: McapFile, by_message: bool) -> dict[tuple[str, int], int]:
     """Up to which byte the file must be sound for each message."""
 
     def end(entry: Entry) -> int:
-        chunk, start, length = entry.place
-        if chunk == IN_FILE:
+        chunk, start, length = entry.address
+        if chunk == NO_CHUNK:
             return int(start + length)
-        holder = file._survey.chunks[chunk]
-        if by_message and not holder.is_packed:
-            return int(holder.head.start + start + length)
-        return int(holder.head.start + holder.head.size)
+        holder = file._contents.chunks[chunk]
+        if by_message and not holder.is_compressed:
+            return int(holder.header.start + start + length)
+        return int(holder.header.start + holder.header.size)
 
     return {
         (topic, entry.log_ns): end(entry)
@@ -127,8 +127,8 @@ def test_a_wrong_byte_in_a_chunk_costs_no_more_than_the_chunk(kind: str, tmp_pat
         chunk_size=8_000,
     )
     file = McapFile(path)
-    before, chunks = contents(file), file._survey.chunks
-    victim = chunks[len(chunks) // 2].head
+    before, chunks = contents(file), file._contents.chunks
+    victim = chunks[len(chunks) // 2].header
     data = bytearray(path.read_bytes())
     data[victim.start + victim.size // 2] ^= 4
     path.write_bytes(data)
@@ -195,7 +195,7 @@ def test_messages_are_in_the_order_of_their_stamps(tmp_path: Path) -> None:
 def test_no_mcap_file(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(content)
-    with pytest.raises(SourceError, match="does not begin like|no topic has messages"):
+    with pytest.raises(SourceError, match="is not an MCAP file|no topic has readable messages"):
         open_source(path)
 
 

@@ -48,7 +48,7 @@ def vo_run(tmp_path: Path, stdin: bytes | None) -> tuple[int, str, str]:
 def test_what_is_wrong_with_it_is_said_of_standard_input(tmp_path: Path) -> None:
     status, errors, _ = vo_run(tmp_path, b"no log" * 100)
     assert status == 1
-    assert errors == "error: standard input does not begin like an MCAP file\n"
+    assert errors == "error: standard input is not an MCAP file: its first bytes differ\n"
 
 
 def test_damage_is_told_of_standard_input(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from vo.errors import SourceError
-from vo.sources.logs.video import stands_alone
+from vo.sources.logs.video import is_keyframe
 from vo.sources.registry import open_source
 from vo.types import Bytes
 
@@ -103,7 +103,7 @@ def test_frames_before_the_first_key_frame_are_skipped(tmp_path: Path) -> None:
     source = open_source(path, calibration=path.with_suffix(".yaml"))
     frames = list(source.frames())
     assert [s.index for s in source.skipped] == list(range(7))
-    assert "no frame before can be decoded alone" in source.skipped[0].reason
+    assert "there is no key frame before it" in source.skipped[0].reason
     assert frames[0].index == 7
 
 
@@ -136,4 +136,4 @@ def test_other_codecs_are_named(tmp_path: Path) -> None:
     ],
 )
 def test_what_stands_alone(data: bytes, codec: str, alone: bool) -> None:
-    assert stands_alone(data, codec) == alone
+    assert is_keyframe(data, codec) == alone

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vo.errors import SourceError
+from vo.formats.warning_kinds import kind_of
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot
-from vo.sources.pairing import pair_by_stamp, stamped_like, tolerance_ns
+from vo.sources.pairing import copy_stamps, pair_by_stamp, tolerance_ns
 
 MS = 1_000_000
 
@@ -33,7 +34,8 @@ def test_pairs_stamps_that_differ_a_little() -> None:
 
 def test_leaves_out_what_has_no_partner(caplog: pytest.LogCaptureFixture) -> None:
     assert _pairs([0, 100, 300, 400], [0, 200, 300, 400]) == [0, None, 2, 3]
-    assert "1 of 4 right images have no left partner" in caplog.text
+    assert "1 of 4 right images have no left image" in caplog.text
+    assert [kind_of(record) for record in caplog.records] == ["unpaired_images"]
 
 
 def test_no_image_has_two_partners() -> None:
@@ -77,10 +79,10 @@ def test_right_images_take_the_stamps_of_their_names() -> None:
     left = [
         Shot(i * 100, ImageFile(Path(f"left/{name}.png")), "here") for i, name in enumerate("abc")
     ]
-    found = stamped_like(left, [Path("right/c.jpg"), Path("right/a.jpg"), Path("right/x.jpg")])
+    found = copy_stamps(left, [Path("right/c.jpg"), Path("right/a.jpg"), Path("right/x.jpg")])
     assert [(s.stamp_ns, s.image.name) for s in found] == [(0, "right/a.jpg"), (200, "right/c.jpg")]
 
 
 def test_neither_names_nor_counts_agree() -> None:
     with pytest.raises(SourceError, match="left has 3 images and right has 2, with no name"):
-        stamped_like(_shots([0, 1, 2]), [Path("right/x.png"), Path("right/y.png")])
+        copy_stamps(_shots([0, 1, 2]), [Path("right/x.png"), Path("right/y.png")])

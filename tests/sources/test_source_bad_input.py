@@ -41,24 +41,24 @@ def test_missing_folder(tmp_path: Path) -> None:
 def test_folder_without_images(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no images here")
     message = _message(tmp_path, SourceError)
-    assert f"folder {tmp_path} holds no images" in message
+    assert f"folder {tmp_path} has no images" in message
     assert "image_0 (kitti)" in message
 
 
 def test_layout_without_images(kitti: Path) -> None:
     shutil.rmtree(kitti / "image_0")
     (kitti / "image_0").mkdir()
-    assert f"folder {kitti}/image_0 holds no images" in _message(kitti, SourceError)
+    assert f"folder {kitti}/image_0 has no images" in _message(kitti, SourceError)
 
 
 def test_file_of_unknown_kind(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no recording")
-    assert "file of no known kind" in _message(tmp_path / "notes.txt", SourceError)
+    assert "file of unknown format" in _message(tmp_path / "notes.txt", SourceError)
 
 
 def test_unknown_format(kitti: Path) -> None:
     message = _message(kitti, SourceError, format="kity")
-    assert message.startswith("format 'kity' is not known; known are ")
+    assert message.startswith("format 'kity' is unknown; known formats: ")
 
 
 def test_format_that_does_not_fit_says_what_it_misses(folder: Path) -> None:
@@ -111,7 +111,7 @@ def test_image_of_another_size_in_the_middle_is_skipped(
     layouts.write_image(Path(shot.image.name), np.zeros((20, 30), np.uint8))
     caplog.clear()
     assert [f.index for f in source.frames()] == [0, 1, 2, 3, 5]
-    assert "is 30x20, but the camera gives 64x48" in source.skipped[0].reason
+    assert "is 30x20, but those of the camera are 64x48" in source.skipped[0].reason
     assert len(caplog.records) == 1
 
 
@@ -119,7 +119,7 @@ def test_images_of_another_size_than_the_calibration(folder: Path) -> None:
     _edit(folder / "calibration.yaml", "[64, 48]", "[640, 480]")
     message = _message(folder, CalibrationError)
     file = folder / "calibration.yaml"
-    assert f"are 64x48, but the calibration {file} (vo) is for 640x480; give one" in message
+    assert f"are 64x48, but the calibration {file} (vo) is for 640x480; give a" in message
     assert "--calibration FILE" in message
 
 
@@ -127,7 +127,7 @@ def test_right_images_of_another_size_than_the_calibration(kitti: Path) -> None:
     for path in (kitti / "image_1").iterdir():
         layouts.write_image(path, np.zeros((20, 30), np.uint8))
     message = _message(kitti, CalibrationError)
-    assert "are 30x20, but the calibration found with them is for 64x48; give one" in message
+    assert "are 30x20, but the calibration of the recording is for 64x48" in message
 
 
 # Calibration
@@ -203,7 +203,7 @@ def test_stamps_not_increasing(tmp_path: Path, layout: str, file: str, line: int
     lines[line - 2], lines[line - 1] = lines[line - 1], lines[line - 2]
     table.write_text("".join(lines))
     message = _message(tmp_path / layout, SourceError)
-    assert message.startswith(f"{table}:{line}: stamp {a} ns does not come after {b} ns")
+    assert message.startswith(f"{table}:{line}: stamp {a} ns is not after {b} ns")
 
 
 def test_stamp_given_twice(tum: Path) -> None:
@@ -238,7 +238,7 @@ def test_table_that_is_not_text(tum: Path) -> None:
 
 def test_empty_table(euroc: Path) -> None:
     (euroc / "mav0/cam0/data.csv").write_text("#timestamp [ns],filename\n")
-    assert "data.csv holds no data" in _message(euroc, SourceError)
+    assert "data.csv has no data" in _message(euroc, SourceError)
 
 
 def test_table_naming_some_missing_files(euroc: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -286,7 +286,7 @@ def test_right_camera_without_calibration(folder: Path, caplog: pytest.LogCaptur
 def test_right_camera_of_another_time(euroc: Path, caplog: pytest.LogCaptureFixture) -> None:
     table = euroc / "mav0/cam1/data.csv"
     table.write_text("".join(f"{s + 50_000_000},{s}.png\n" for s in layouts.STAMPS_NS))
-    assert "no left image has a right one" in _message(euroc, SourceError, mode="stereo")
+    assert "no left image has a right image" in _message(euroc, SourceError, mode="stereo")
     caplog.clear()
     source = open_source(euroc)
     assert not source.rig.is_stereo

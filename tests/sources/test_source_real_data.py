@@ -44,7 +44,7 @@ def test_unrectified_stereo_with_dropped_frames(
     assert [f.index for f in frames if f.image1 is None] == [22]
     assert frames[0].stamp_ns == 50737049933568
     assert source.unpaired == 1
-    assert "1 of 99 right images have no left partner" in caplog.text
+    assert "1 of 99 right images have no left image" in caplog.text
     assert source.ground_truth is not None
     assert len(source.ground_truth) == 98
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vo.errors import CalibrationError, SourceError
-from vo.sources.depth import depth_of_each
+from vo.sources.depth import associate_depth
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot
 from vo.sources.registry import open_source
@@ -83,13 +83,13 @@ def test_a_missing_or_damaged_depth_image_costs_only_itself(
     assert source.unpaired == 3
     assert source.skipped == []
     assert "frame 1 used without its depth image" in caplog.text
-    assert "is 9x9, but the camera gives 64x48" in caplog.text
+    assert "is 9x9, but those of the camera are 64x48" in caplog.text
 
 
 def test_no_depth_image_at_all_is_an_error_that_says_how_to_go_on(rgbd: Path) -> None:
     for path in (rgbd / "depth").iterdir():
         path.unlink()
-    with pytest.raises(SourceError, match="--mode mono goes without depth"):
+    with pytest.raises(SourceError, match="to ignore depth, use --mode mono"):
         open_source(rgbd)
     assert len(list(open_source(rgbd, mode="mono").frames())) == layouts.COUNT
 
@@ -121,5 +121,5 @@ def test_takes_the_closest_pairs_first(
     depth = [
         Shot(round(t * MS), ImageFile(Path(f"{i}.png")), "here") for i, t in enumerate(depth_ms)
     ]
-    found = depth_of_each(left, depth)
+    found = associate_depth(left, depth)
     assert [None if d is None else int(Path(d.name).stem) for d in found] == expected

@@ -173,7 +173,7 @@ def test_says_when_it_is_no_video(tmp_path: Path, content: bytes) -> None:
 
 def test_an_mp4_without_its_end_is_lost(clip: Path) -> None:
     clip.write_bytes(clip.read_bytes()[:-200])
-    with pytest.raises(SourceError, match="if it was cut off, an MP4 is lost"):
+    with pytest.raises(SourceError, match="a truncated MP4 file cannot be recovered"):
         open_source(clip)
 
 

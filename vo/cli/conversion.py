@@ -25,8 +25,8 @@ from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.geometry.transforms import inverse
 from vo.inspection.opening import OpenedRecording, collected_warnings, right_stamps
-from vo.sources.images import ImageKind, is_in_colour
-from vo.sources.sequence import choose_frames
+from vo.sources.images import ImageKind, is_colour
+from vo.sources.sequence import select_frames
 from vo.sources.source import Recording as SourceRecording
 from vo.types import Frame, Ints, Rig, Trajectory
 
@@ -118,7 +118,7 @@ def convert(
     _check(_recording(source, truth, plan, settings), settings)
     imu, body_from_cam0 = imu_around(source, plan.left_ns, settings.format)
     lefts = opened.cameras[0].shots
-    has_colour = not settings.gray and is_in_colour([shot.image for shot in lefts])
+    has_colour = not settings.gray and is_colour([shot.image for shot in lefts])
     while True:
         recording = replace(
             _recording(source, truth, plan, settings),
@@ -139,7 +139,7 @@ def convert(
 
 
 def _plan(opened: OpenedRecording, source: SourceRecording, settings: Conversion) -> _Plan:
-    chosen = choose_frames(len(source), settings.start, settings.end, settings.stride)
+    chosen = select_frames(len(source), settings.start, settings.end, settings.stride)
     numbers = np.array(chosen, dtype=np.int64)
     right_ns = np.full(len(numbers), -1, dtype=np.int64)
     if source.rig.is_stereo:

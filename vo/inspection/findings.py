@@ -5,7 +5,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import get_args
 
+from vo.formats.warning_kinds import WarningKind
 from vo.inspection.calibration_findings import calibration_findings, stereo_findings
 from vo.inspection.image_records import CameraReport, ImageStatistics
 from vo.inspection.images import frame_ranges
@@ -21,8 +23,8 @@ _MIN_CORNERS = 150
 _MAX_OFFSET_MS = 3.0
 _MAX_LISTED = 8
 _MAX_RANGES = 6
-_REPORTED_HERE = ("have no left partner", "images repeat a stamp", "if that is millimetres")
-"""Parts of warnings of sources that are reported by findings of this module instead."""
+_REPORTED_HERE: frozenset[WarningKind] = frozenset(get_args(WarningKind))
+"""Kinds of warnings of sources that are reported by findings of this module instead."""
 
 _SEVERITY: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
 
@@ -46,9 +48,9 @@ def with_findings(report: Report, opened: OpenedRecording, imu_warnings: Sequenc
     findings += [Finding("warning", line) for line in imu_warnings]
     reported = " ".join(finding.what for finding in findings)
     findings += [
-        Finding("warning", line)
-        for line in opened.warnings
-        if line not in reported and not any(known in line for known in _REPORTED_HERE)
+        Finding("warning", warning.text)
+        for warning in opened.warnings
+        if warning.kind not in _REPORTED_HERE and warning.text not in reported
     ]
     ordered = sorted(findings, key=lambda finding: _SEVERITY[finding.level])
     return replace(report, findings=tuple(ordered), command=_run_command(report, opened))

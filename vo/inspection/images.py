@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.inspection.image_records import ImageStatistics
-from vo.sources.images import StoredImage, depth_bits_of, is_in_colour, read_grey
+from vo.sources.images import StoredImage, estimate_bit_depth, is_colour, read_grey
 from vo.types import Bytes
 
 _DARK, _BRIGHT = 10, 250
@@ -25,7 +25,7 @@ class ImageReader:
         self._bits = 8
         self.unreadable: dict[int, str] = {}
         if images:
-            self._bits = depth_bits_of(images)
+            self._bits = estimate_bit_depth(images)
 
     @property
     def bits(self) -> int:
@@ -35,7 +35,7 @@ class ImageReader:
     @property
     def has_colour(self) -> bool:
         """Whether the first readable image is in colour."""
-        return is_in_colour(self._images)
+        return is_colour(self._images)
 
     def read(self, number: int) -> Bytes | None:
         """An image (H, W); None if it is unreadable."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from vo.errors import VoError
-from vo.inspection.opening import collected_warnings
+from vo.inspection.opening import LoggedWarning, collected_warnings
 from vo.inspection.records import Finding, ImuReport
 from vo.sources.imu import Imu
 from vo.types import Ints
@@ -40,13 +40,13 @@ def check_imus(
         A report on each sensor, and the warnings logged while they were read.
     """
     reports = []
-    with collected_warnings() as said:
+    with collected_warnings() as warnings:
         for imu in imus:
             try:
                 reports.append(_check(imu, image_stamps_ns, everything))
             except VoError as error:
-                said.append(f"{imu.name}: {error}")
-    return tuple(reports), list(dict.fromkeys(said))
+                warnings.append(LoggedWarning(f"{imu.name}: {error}"))
+    return tuple(reports), list(dict.fromkeys(warning.text for warning in warnings))
 
 
 def _check(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:

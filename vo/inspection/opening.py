@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration
-from vo.sources.assembly import Gathered, assemble
+from vo.formats.warning_kinds import WarningKind, kind_of
+from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.images import StoredImage
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
@@ -41,6 +43,13 @@ class ImageSequence:
     name: str
     shots: Sequence[Shot]
     repeated_stamps: int = 0
+
+
+class LoggedWarning(NamedTuple):
+    """The message of a warning on one line, and its kind, if any."""
+
+    text: str
+    kind: WarningKind | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +83,7 @@ class OpenedRecording:
     rig: Rig | None = None
     truth: Trajectory | None = None
     refusal: str = ""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[LoggedWarning, ...] = ()
     close: Callable[[], None] = field(default=lambda: None)
 
 
@@ -124,7 +133,7 @@ def _open_files(path: Path, name: str, calibration: Path | None, mode: Mode) -> 
     )
 
 
-def _rig_alone(listed: Gathered) -> Rig | None:
+def _rig_alone(listed: RecordingContents) -> Rig | None:
     """The calibration, if the recording is refused for another reason; None if unreadable."""
     try:
         height, width = listed.left[0].image.read().shape
@@ -133,7 +142,7 @@ def _rig_alone(listed: Gathered) -> Rig | None:
         return None
 
 
-def _truth_alone(listed: Gathered) -> Trajectory | None:
+def _truth_alone(listed: RecordingContents) -> Trajectory | None:
     """The ground truth, if it is that of cam0 and needs no calibration; else None."""
     try:
         return listed.read_truth(Calibration(Rig(Camera(1, 1, 1.0, 1.0, 0.0, 0.0))))
@@ -201,25 +210,26 @@ def right_stamps(left: Sequence[Shot], right: Sequence[Shot]) -> Ints:
 
 
 @contextmanager
-def collected_warnings() -> Iterator[list[str]]:
+def collected_warnings() -> Iterator[list[LoggedWarning]]:
     """Collect warnings of `vo` in a list instead of showing them."""
-    lines: list[str] = []
-    handler = _Collector(lines)
+    warnings: list[LoggedWarning] = []
+    handler = _Collector(warnings)
     logger = logging.getLogger("vo")
     propagate = logger.propagate
     logger.addHandler(handler)
     logger.propagate = False
     try:
-        yield lines
+        yield warnings
     finally:
         logger.removeHandler(handler)
         logger.propagate = propagate
 
 
 class _Collector(logging.Handler):
-    def __init__(self, lines: list[str]) -> None:
+    def __init__(self, warnings: list[LoggedWarning]) -> None:
         super().__init__(logging.WARNING)
-        self._lines = lines
+        self._warnings = warnings
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._lines.append(" ".join(record.getMessage().split()))
+        text = " ".join(record.getMessage().split())
+        self._warnings.append(LoggedWarning(text, kind_of(record)))

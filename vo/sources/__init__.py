@@ -1,1 +1,1 @@
-"""Recordings on disk, as frames in time order."""
+"""Readers of recordings: frames in time order, calibration, inertial samples, ground truth."""

@@ -1,7 +1,7 @@
-"""From the lists that a format gathered to a source: size, calibration, mode, pairs, truth.
+"""Assembly of a source from the contents of a recording: calibration, stereo pairs, ground truth.
 
-A format lists its images as `Shot`s, whatever they are stored in (`StoredImage` in
-`vo.sources.images`), says how to get the calibration and the truth, and hands this to `assemble`.
+A format lists its images as `Shot`s (each with a `StoredImage`, see `vo.sources.images`), adds
+functions that read the calibration and the ground truth, and passes this to `assemble`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from vo.errors import CalibrationError, SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
-from vo.sources.depth import UNITS_PER_METRE, DepthImages, depth_of_each
-from vo.sources.images import Pixels, StoredImage, depth_bits_of
+from vo.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
+from vo.sources.images import Pixels, StoredImage, estimate_bit_depth
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
@@ -27,20 +27,20 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Gathered:
-    """What a format found in a folder or file.
+class RecordingContents:
+    """Contents of a recording, as listed by its format.
 
     Attributes:
         name: short name of the recording.
         format: name of the format in the registry.
-        left: the images of cam0, stamps increasing.
-        right: those of cam1, stamps increasing; None where there are none.
+        left: images of cam0, with increasing stamps.
+        right: images of cam1, with increasing stamps; None without a right camera.
         calibrate: reads the calibration, given the size of the images.
-        read_truth: reads the poses of cam0, or gives None; it may fail.
-        close: closes what images keep open between reads.
-        find_imus: lists the inertial sensors, the one to use first, without reading them; the
-            calibration may be unknown.
-        depth: depth images at the pixels of cam0, stamps increasing; None where there are none.
+        read_truth: reads the ground-truth poses of cam0, or returns None; may raise.
+        close: closes the files that images keep open between reads.
+        find_imus: lists the inertial sensors, the preferred one first, without reading their
+            samples; its argument is the calibration, None if unknown.
+        depth: depth images registered to cam0, with increasing stamps; None without depth.
     """
 
     name: str
@@ -54,41 +54,41 @@ class Gathered:
     find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
 
 
-def assemble(gathered: Gathered, mode: Mode) -> ImageSequence:
-    """Check that images and calibration fit together and make a source of them.
+def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
+    """Create a source, after checking that images and calibration match.
 
     Raises:
-        SourceError: no image can be read, or `mode` is stereo and there is no right camera.
-        CalibrationError: the calibration is missing, wrong, or for images of another size.
+        SourceError: no image can be read, or `mode` is `stereo` and there is no right camera.
+        CalibrationError: the calibration is missing, invalid, or for images of another size.
     """
-    first = _first_image(gathered.left)
+    first = _first_image(contents.left)
     size = _size_of(first)
-    calibration = gathered.calibrate(size)
-    _check_size(calibration, calibration.rig.cam0, size, gathered.left)
-    rig = _choose_rig(gathered, calibration, mode)
-    partners = _pair(gathered, rig, mode)
-    depth = None if partners else _depth(gathered, calibration, mode)
-    images = [shot.image for shot in gathered.left]
+    calibration = contents.calibrate(size)
+    _check_size(calibration, calibration.rig.cam0, size, contents.left)
+    rig = _choose_rig(contents, calibration, mode)
+    partners = _pair(contents, rig, mode)
+    depth = None if partners else _depth(contents, calibration, mode)
+    images = [shot.image for shot in contents.left]
     return ImageSequence(
-        name=gathered.name,
-        format=gathered.format,
+        name=contents.name,
+        format=contents.format,
         rig=rig if partners else Rig(rig.cam0, has_depth=depth is not None),
-        ground_truth=_truth(gathered, calibration),
+        ground_truth=_truth(contents, calibration),
         images=ListedImages(
-            gathered.left,
+            contents.left,
             partners,
-            8 if first.dtype == np.uint8 else depth_bits_of(images),
+            8 if first.dtype == np.uint8 else estimate_bit_depth(images),
             depth,
         ),
-        close=gathered.close,
-        imus=gathered.find_imus(calibration),
+        close=contents.close,
+        imus=contents.find_imus(calibration),
     )
 
 
-def find_calibration(
+def calibration_reader(
     chosen: Path | None, candidates: Sequence[Path]
 ) -> Callable[[ImageSize], Calibration]:
-    """A reader of the file that the user chose, or of the first candidate that exists."""
+    """A function that reads the file chosen by the user, or else the first existing candidate."""
 
     def read(size: ImageSize) -> Calibration:
         existing = [path for path in candidates if path.is_file()]
@@ -96,7 +96,7 @@ def find_calibration(
             looked_for = ", ".join(str(path) for path in candidates)
             raise CalibrationError(
                 f"no calibration found; looked for {looked_for}; give one with --calibration FILE "
-                "(docs/calibration.md shows what it looks like)"
+                "(format: docs/calibration.md)"
             )
         return read_calibration(chosen or existing[0], size)
 
@@ -104,19 +104,19 @@ def find_calibration(
 
 
 def first_existing(candidates: Sequence[Path]) -> Path | None:
-    """The first of some files that exists."""
+    """The first candidate that exists, or None."""
     return next((path for path in candidates if path.is_file()), None)
 
 
 def _first_image(shots: Sequence[Shot]) -> Pixels:
-    """The first that can be read."""
+    """The first image that can be read."""
     reason = ""
     for shot in shots:
         try:
             return shot.image.read()
         except SourceError as error:
             reason = reason or str(error)
-    raise SourceError(f"none of {len(shots)} images can be read; the first: {reason}")
+    raise SourceError(f"none of {len(shots)} images can be read; first error: {reason}")
 
 
 def _size_of(image: Pixels) -> ImageSize:
@@ -129,66 +129,67 @@ def _check_size(
 ) -> None:
     if (camera.width, camera.height) == size:
         return
-    found = f" {calibration.file} ({calibration.kind})" if calibration.file else " found with them"
+    file = f" {calibration.file} ({calibration.kind})" if calibration.file else " of the recording"
     raise CalibrationError(
-        f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration{found} "
-        f"is for {camera.width}x{camera.height}; give one for images of this very size with "
-        "--calibration FILE (if they were resized, scale fx, fy, cx and cy of it as well)"
+        f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration{file} "
+        f"is for {camera.width}x{camera.height}; give a calibration for this image size with "
+        "--calibration FILE (for resized images, scale its fx, fy, cx and cy as well)"
     )
 
 
-def _choose_rig(gathered: Gathered, calibration: Calibration, mode: Mode) -> Rig:
-    """The rig with cam1 only if it is wanted, has images and is calibrated."""
+def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mode) -> Rig:
+    """The rig, with cam1 only if `mode` allows it and it has images and a calibration."""
     rig = calibration.rig
     if mode == "mono":
         return Rig(rig.cam0)
-    if not gathered.right:
+    if not contents.right:
         if mode == "stereo":
             raise SourceError(
-                f"{gathered.name} has no images of a right camera; use --mode mono or add them"
+                f"{contents.name} has no images of a right camera; use --mode mono or add them"
             )
         return Rig(rig.cam0)
     if rig.cam1 is None:
         if mode == "stereo":
             raise CalibrationError(
-                f"the calibration of {gathered.name} has no right camera; add cam1 or use "
+                f"the calibration of {contents.name} has no right camera; add cam1 or use "
                 "--mode mono"
             )
-        _log.warning("%s: right images not used, as cam1 is not calibrated", gathered.name)
+        _log.warning("%s: right images not used, because cam1 is not calibrated", contents.name)
         return Rig(rig.cam0)
-    _check_size(calibration, rig.cam1, _size_of(_first_image(gathered.right)), gathered.right)
+    _check_size(calibration, rig.cam1, _size_of(_first_image(contents.right)), contents.right)
     return rig
 
 
-def _pair(gathered: Gathered, rig: Rig, mode: Mode) -> list[StoredImage | None] | None:
-    if rig.cam1 is None or not gathered.right:
+def _pair(contents: RecordingContents, rig: Rig, mode: Mode) -> list[StoredImage | None] | None:
+    if rig.cam1 is None or not contents.right:
         return None
-    partners = pair_by_stamp(gathered.left, gathered.right)
+    partners = pair_by_stamp(contents.left, contents.right)
     if any(partners):
         return partners
-    message = f"{gathered.name}: no left image has a right one close enough in time"
+    message = f"{contents.name}: no left image has a right image close enough in time"
     if mode == "stereo":
         raise SourceError(f"{message}; check the stamps or use --mode mono")
     _log.warning("%s; only the left camera is used", message)
     return None
 
 
-def _depth(gathered: Gathered, calibration: Calibration, mode: Mode) -> DepthImages | None:
-    if mode == "mono" or not gathered.depth:
+def _depth(contents: RecordingContents, calibration: Calibration, mode: Mode) -> DepthImages | None:
+    if mode == "mono" or not contents.depth:
         return None
-    images = depth_of_each(gathered.left, gathered.depth)
+    images = associate_depth(contents.left, contents.depth)
     if not any(images):
         _log.warning(
-            "%s: depth not used, as no depth image is within 20 ms of an image", gathered.name
+            "%s: depth not used, because no depth image is within 20 ms of an image",
+            contents.name,
         )
         return None
     return DepthImages(images, calibration.depth_per_metre or UNITS_PER_METRE)
 
 
-def _truth(gathered: Gathered, calibration: Calibration) -> Trajectory | None:
-    """The ground truth; a broken one is warned of, as the run does not need it."""
+def _truth(contents: RecordingContents, calibration: Calibration) -> Trajectory | None:
+    """The ground truth; one that cannot be read only causes a warning."""
     try:
-        return gathered.read_truth(calibration)
+        return contents.read_truth(calibration)
     except (VoError, OSError, ValueError) as error:
         _log.warning("ground truth not used: %s", error)
         return None

@@ -1,4 +1,4 @@
-"""Depth images: which belongs to which image of cam0, and what their pixels mean."""
+"""Depth images: association with the images of cam0, and conversion to metres."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from vo.sources.listing import Shot
 from vo.types import Floats32
 
 UNITS_PER_METRE = 5000.0
-"""Of TUM RGB-D's 16-bit images, where the calibration says nothing else."""
+"""Scale of the 16-bit depth images of TUM RGB-D, unless the calibration contains another."""
 
 _TOLERANCE_NS = 20_000_000
 
 
 class DepthImages(NamedTuple):
-    """The depth of each image of cam0, and how many units of its pixels are a metre."""
+    """The depth image of each image of cam0, and the number of pixel units per metre."""
 
     images: Sequence[StoredImage | None]
     per_metre: float
 
 
 def read_depth(stored: StoredImage, per_metre: float) -> Floats32:
-    """(H, W) metres, 0 where unknown.
+    """Depth (H, W) in metres, 0 where unknown.
 
     Raises:
         SourceError: the image is missing or damaged.
@@ -33,10 +33,12 @@ def read_depth(stored: StoredImage, per_metre: float) -> Floats32:
     return np.asarray(stored.read() / np.float32(per_metre), dtype=np.float32)
 
 
-def depth_of_each(left: Sequence[Shot], depth: Sequence[Shot]) -> list[StoredImage | None]:
-    """The depth image of each left one, no further away than 20 ms in time, each used once.
+def associate_depth(left: Sequence[Shot], depth: Sequence[Shot]) -> list[StoredImage | None]:
+    """The depth image of each left image, at most 20 ms away in time; each is used once.
 
-    Of all pairs the closest in time is taken first, as TUM's `associate.py` does.
+    Candidate pairs are accepted in order of increasing time difference.
+
+    Source: `associate.py` of the TUM RGB-D benchmark tools.
     """
     stamps = np.array([shot.stamp_ns for shot in depth], dtype=np.int64)
     candidates = []

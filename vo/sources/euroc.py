@@ -1,4 +1,4 @@
-"""EuRoC MAV layout: cam0/data.csv and cam0/data/, with mav0/ above or without."""
+"""EuRoC MAV layout: cam0/data.csv and cam0/data/, with or without a parent folder mav0/."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from pathlib import Path
 from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.trajectory import read_euroc, read_tum
-from vo.sources.assembly import Gathered, find_calibration, first_existing
+from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.euroc_imu import euroc_imus
-from vo.sources.listing import Shot, list_images, shots_from_table, whole_ns
+from vo.sources.listing import Shot, list_images, parse_ns, shots_from_table
 from vo.sources.naming import shots_from_names
 from vo.types import Floats, Mode, Trajectory
 
 _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 
 
-def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List a recording folder or the mav0 in it.
+def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List a recording, given its folder or the folder mav0 in it.
 
     Raises:
-        SourceError: images or stamps are missing or do not fit together.
-        CalibrationError: there is no calibration, or it is wrong.
+        SourceError: images or stamps are missing or inconsistent.
+        CalibrationError: the calibration is missing or invalid.
     """
     path = path.resolve()
     root = path / "mav0" if (path / "mav0").is_dir() else path
     top = root.parent if root.name == "mav0" else root
-    return Gathered(
+    return RecordingContents(
         name=top.name,
         format="euroc",
         left=_shots(root / "cam0"),
         right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
-        calibrate=find_calibration(calibration, _calibration_files(root, top)),
+        calibrate=calibration_reader(calibration, _calibration_files(root, top)),
         read_truth=lambda known: _truth(root, top, known),
         find_imus=lambda known: euroc_imus(root, known, lambda: _body_from_cam0(root, known)),
     )
@@ -41,10 +41,10 @@ def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
 def _shots(camera: Path) -> list[Shot]:
     table, folder = camera / "data.csv", camera / "data"
     if table.is_file():
-        return shots_from_table(table, folder, ",", whole_ns)
+        return shots_from_table(table, folder, ",", parse_ns)
     shots = shots_from_names(list_images(folder))
     if shots is None:
-        raise SourceError(f"{table} is missing and the names in {folder} are no stamps")
+        raise SourceError(f"{table} is missing, and the file names in {folder} are not stamps")
     return shots
 
 
@@ -56,7 +56,7 @@ def _calibration_files(root: Path, top: Path) -> list[Path]:
 
 
 def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None:
-    """The body's poses carried to cam0, or else `groundtruth.tum`, which is of cam0."""
+    """Poses of the body transformed to cam0, or else `groundtruth.tum`, poses of cam0."""
     body = first_existing([root / folder / "data.csv" for folder in _TRUTH_FOLDERS])
     body_from_cam0 = _body_from_cam0(root, calibration)
     if body is not None and body_from_cam0 is not None:
@@ -67,13 +67,13 @@ def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None
         return read_tum(camera)
     if body is not None:
         raise SourceError(
-            f"{body} has poses of the body, but no calibration says where cam0 is on it"
+            f"{body} has poses of the body, but no calibration contains cam0's pose on the body"
         )
     return None
 
 
 def _body_from_cam0(root: Path, calibration: Calibration | None) -> Floats | None:
-    """Where cam0 is on the body; a chosen calibration need not say, then sensor.yaml may."""
+    """Pose of cam0 on the body, from the calibration or else from sensor.yaml."""
     if calibration is not None and calibration.body_from_cam0 is not None:
         return calibration.body_from_cam0
     try:

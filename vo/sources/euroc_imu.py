@@ -1,4 +1,4 @@
-"""EuRoC's inertial sensors: imu0/data.csv and imu0/sensor.yaml."""
+"""Inertial sensors of EuRoC recordings: imu0/data.csv and imu0/sensor.yaml."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from vo.formats.calibration import Calibration
 from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
-from vo.sources.imu import ImuSamples, TableImu, cam0_from_imu_in, make_samples
-from vo.sources.listing import LARGEST_NS, read_lines, whole_ns
+from vo.sources.imu import FileImu, ImuSamples, cam0_from_imu_of, make_samples
+from vo.sources.listing import MAX_STAMP_NS, parse_ns, read_lines
 from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)
@@ -28,13 +28,13 @@ _NOISE_KEYS = (
 
 def euroc_imus(
     root: Path, calibration: Calibration | None, body_from_cam0: Callable[[], Floats | None]
-) -> list[TableImu]:
-    """The inertial sensors of a recording, whose files are read when they are asked for.
+) -> list[FileImu]:
+    """The inertial sensors of a recording; their files are read on first use.
 
     Args:
         root: `mav0`, or a folder like it.
-        calibration: of the cameras; None where unknown.
-        body_from_cam0: finds out where cam0 is on the body.
+        calibration: calibration of the cameras, None if unknown.
+        body_from_cam0: finds the pose of cam0 on the body.
     """
     tables = sorted(root.glob("imu*/data.csv"))
     return [_imu(table, calibration, body_from_cam0) for table in tables]
@@ -42,37 +42,39 @@ def euroc_imus(
 
 def _imu(
     table: Path, calibration: Calibration | None, body_from_cam0: Callable[[], Floats | None]
-) -> TableImu:
+) -> FileImu:
     sensor = table.parent / "sensor.yaml"
 
-    def place() -> Floats | None:
-        said = cam0_from_imu_in(calibration)
-        if said is not None:
-            return said
-        body_from_imu, known = _body_from_imu(sensor), body_from_cam0()
-        return None if body_from_imu is None or known is None else inverse(known) @ body_from_imu
+    def find_extrinsics() -> Floats | None:
+        cam0_from_imu = cam0_from_imu_of(calibration)
+        if cam0_from_imu is not None:
+            return cam0_from_imu
+        body_from_imu, body_from_cam = _body_from_imu(sensor), body_from_cam0()
+        if body_from_imu is None or body_from_cam is None:
+            return None
+        return inverse(body_from_cam) @ body_from_imu
 
-    return TableImu(str(table), lambda: _read(table), place, lambda: _noise(sensor))
+    return FileImu(str(table), lambda: _read(table), find_extrinsics, lambda: _noise(sensor))
 
 
 def _read(table: Path) -> ImuSamples:
-    """Lines of a stamp in nanoseconds, rad/s about x, y, z and m/s² along x, y, z."""
+    """Read lines of a stamp in ns, angular rates in rad/s and accelerations in m/s²."""
     stamps, values = [], []
     lines = read_lines(table)
     for _, text in lines:
         fields = text.split(",")
         try:
-            stamp = whole_ns(fields[0].strip())
+            stamp = parse_ns(fields[0].strip())
             row = [float(field) for field in fields[1 : 1 + _COLUMNS]]
         except ValueError:
             continue
-        if len(row) == _COLUMNS and stamp <= LARGEST_NS:
+        if len(row) == _COLUMNS and stamp <= MAX_STAMP_NS:
             stamps.append(stamp)
             values.append(row)
     read = make_samples(stamps, values, len(lines) - len(stamps))
-    for count, what in ((read.unreadable, "cannot be read"), (read.repeated, "repeat a stamp")):
+    for count, reason in ((read.unreadable, "cannot be read"), (read.repeated, "repeat a stamp")):
         if count:
-            _log.warning("%s: %d of %d lines %s and are left out", table, count, len(lines), what)
+            _log.warning("%s: %d of %d lines %s and are skipped", table, count, len(lines), reason)
     return read
 
 
@@ -83,7 +85,7 @@ def _body_from_imu(sensor: Path) -> Floats | None:
         data = load_document(sensor).data
         return make_transform(f"{sensor}: T_BS", data["T_BS"]) if "T_BS" in data else None
     except VoError as error:
-        _log.warning("where the inertial sensor is, is not known: %s", error)
+        _log.warning("pose of the inertial sensor unknown: %s", error)
         return None
 
 

@@ -1,4 +1,4 @@
-"""A plain folder of images, or one with left/ and right/."""
+"""Plain folders of images, or of left/ and right/."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
-from vo.sources.assembly import Gathered, find_calibration, first_existing
+from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot, list_images, shots_from_times
 from vo.sources.naming import shots_from_names
-from vo.sources.pairing import stamped_like
+from vo.sources.pairing import copy_stamps
 from vo.types import Mode, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -21,39 +21,42 @@ _ASSUMED_INTERVAL_NS = 100_000_000
 _TIMES_FILES = ("times.txt", "timestamps.txt")
 
 
-def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List images by natural order of their names.
+def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List images in natural order of their names.
 
-    Stamps come from times.txt or timestamps.txt (seconds, a line per image), or else from the file
-    names, or else are made up at 10 frames per second, with a warning.
+    Stamps come from times.txt or timestamps.txt (seconds, one line per image), or else from the
+    file names; otherwise 10 frames per second are assumed, with a warning.
 
     Raises:
-        SourceError: images are missing or do not fit the stamps.
-        CalibrationError: there is no calibration, or it is wrong.
+        SourceError: images are missing or do not match the stamps.
+        CalibrationError: the calibration is missing or invalid.
     """
     is_pair = (path / "left").is_dir()
     left_folder = path / "left" if is_pair else path
-    times = times_in(path, left_folder)
-    left, named = with_stamps(list_images(left_folder), path, times)
-    return Gathered(
+    times = find_times_file(path, left_folder)
+    left, named = assign_stamps(list_images(left_folder), path, times)
+    return RecordingContents(
         name=path.resolve().name,
         format="folder",
         left=left,
         right=_right(path / "right", left, named) if is_pair else None,
-        calibrate=find_calibration(
+        calibrate=calibration_reader(
             calibration, [path / "calibration.yaml", path.parent / "calibration.yaml"]
         ),
         read_truth=lambda _: _truth(path),
     )
 
 
-def with_stamps(
+def assign_stamps(
     images: Sequence[Path], where: Path | str, times: Path | None
 ) -> tuple[list[Shot], bool]:
-    """Images with stamps from a file, their names or none, and whether it was the names.
+    """Assign stamps to images, from a file, their names, or an assumed frame rate.
+
+    Returns:
+        The images with stamps, and whether the stamps come from the names.
 
     Raises:
-        SourceError: the stamps do not fit the images.
+        SourceError: the stamps do not match the images.
     """
     if times is not None:
         return shots_from_times(times, images), False
@@ -71,19 +74,19 @@ def with_stamps(
     ], False
 
 
-def times_in(*places: Path) -> Path | None:
-    """The first file with times in these folders."""
-    return first_existing([place / name for place in places for name in _TIMES_FILES])
+def find_times_file(*folders: Path) -> Path | None:
+    """The first file of stamps in some folders, or None."""
+    return first_existing([folder / name for folder in folders for name in _TIMES_FILES])
 
 
 def _right(folder: Path, left: list[Shot], named: bool) -> list[Shot] | None:
-    """The right images: with stamps of their own if the left ones have theirs in their names."""
+    """The right images, with stamps from their names if the left stamps come from names too."""
     try:
         images = list_images(folder)
     except SourceError:
         return None
     own = shots_from_names(images) if named else None
-    return stamped_like(left, images) if own is None else own
+    return copy_stamps(left, images) if own is None else own
 
 
 def _truth(path: Path) -> Trajectory | None:

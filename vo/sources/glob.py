@@ -1,4 +1,4 @@
-"""Images that a pattern names: `left/*.png`, `walk_?/frame*.jpg`, `**/*.tif`."""
+"""Images that match a pattern: `left/*.png`, `walk_?/frame*.jpg`, `**/*.tif`."""
 
 from __future__ import annotations
 
@@ -6,35 +6,35 @@ import glob
 from pathlib import Path
 
 from vo.errors import SourceError
-from vo.sources.assembly import Gathered, find_calibration
-from vo.sources.folder import times_in, with_stamps
+from vo.sources.assembly import RecordingContents, calibration_reader
+from vo.sources.folder import assign_stamps, find_times_file
 from vo.sources.listing import Shot, is_image_name, natural_key
-from vo.sources.pairing import stamped_like
+from vo.sources.pairing import copy_stamps
 from vo.types import Mode
 
 
-def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List the images that match, by natural order of their names.
+def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List the matching images in natural order of their names.
 
-    Where the pattern says `left`, images that match it with `right` in that place are those of the
-    right camera. Stamps come from the names, or from a times.txt in the folder if it has a line for
-    each image, or else are made up at 10 frames per second, with a warning.
+    If the pattern contains `left`, the right images are those that match it with `right` instead.
+    Stamps come from a times.txt in the folder with one line per image, or else from the file
+    names; otherwise 10 frames per second are assumed, with a warning.
 
     Raises:
         SourceError: no image matches, or two have the same stamp.
-        CalibrationError: there is no calibration, or it is wrong.
+        CalibrationError: the calibration is missing or invalid.
     """
     images = _matching(str(pattern))
     if not images:
-        raise SourceError(f"no image matches {pattern}; put the pattern in quotes, or check it")
+        raise SourceError(f"no image matches {pattern}; check the pattern, and put it in quotes")
     folder = images[0].parent
-    left, _ = with_stamps(images, str(pattern), _times(folder, len(images)))
-    return Gathered(
+    left, _ = assign_stamps(images, str(pattern), _times(folder, len(images)))
+    return RecordingContents(
         name=folder.resolve().name,
         format="glob",
         left=left,
         right=_right(str(pattern), left),
-        calibrate=find_calibration(
+        calibrate=calibration_reader(
             calibration, [folder / "calibration.yaml", folder.parent / "calibration.yaml"]
         ),
         read_truth=lambda _: None,
@@ -48,8 +48,8 @@ def _matching(pattern: str) -> list[Path]:
 
 
 def _times(folder: Path, count: int) -> Path | None:
-    """A file with times, unless the pattern takes only some of its images."""
-    times = times_in(folder, folder.parent)
+    """The file of stamps, unless its number of lines differs from the number of images."""
+    times = find_times_file(folder, folder.parent)
     if times is None:
         return None
     lines = [text for text in times.read_text(errors="replace").splitlines() if text.strip()]
@@ -59,4 +59,4 @@ def _times(folder: Path, count: int) -> Path | None:
 def _right(pattern: str, left: list[Shot]) -> list[Shot] | None:
     before, word, after = pattern.rpartition("left")
     images = _matching(f"{before}right{after}") if word else []
-    return stamped_like(left, images) if images else None
+    return copy_stamps(left, images) if images else None

@@ -1,10 +1,9 @@
-"""Images wherever they are stored, as arrays; a damaged one is known when it is seen.
+"""Stored images and their decoding to arrays, with detection of damaged files.
 
-A `StoredImage` is an image that nobody has read yet: its name and a way to read it. Files are one
-kind (`ImageFile`); messages of a log, frames of a video or rows of a database are others, kept
-where their format is. Whoever adds a kind writes a small frozen class with a `name` and a `read`;
-`decode_image` turns the bytes of PNG, JPEG and the like into pixels. All else, reading ahead,
-checks of size, what is skipped, slices, comes with `vo.sources.sequence`.
+A `StoredImage` has a name and a method that reads the image on demand. `ImageFile` is an image in
+a file; images in log messages and video frames are implemented beside their formats. A new kind
+is a small frozen class with `name` and `read`; `decode_image` decodes PNG, JPEG and similar data.
+Prefetching, size checks, skipped frames and slices are implemented in `vo.sources.sequence`.
 """
 
 from __future__ import annotations
@@ -24,48 +23,48 @@ from vo.formats import png
 from vo.types import Bytes
 
 Pixels = NDArray[np.unsignedinteger]
-"""(H, W) grey or (H, W, 3) blue, green, red; uint8 or uint16."""
+"""(H, W) grey or (H, W, 3) BGR; uint8 or uint16."""
 
 ImageKind = Literal["grey", "colour", "recorded"]
-"""What images are read as: (H, W) uint8, as the odometry needs them; with 8 bits, in colour where
-they were recorded so; or as they were recorded, also with 16 bits."""
+"""Form of images: `grey`, (H, W) uint8, as the odometry requires; `colour`, 8 bits, in colour if
+recorded in colour; `recorded`, unchanged, possibly with 16 bits."""
 
 _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
-_DEPTHS = (8, 10, 12, 14, 16)
+_BIT_DEPTHS = (8, 10, 12, 14, 16)
 _IN_COLOUR = {False: cv2.IMREAD_ANYDEPTH, True: cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR}
 
 
 class StoredImage(Protocol):
-    """An image that can be read when it is needed, as often as that may be.
+    """An image that can be read on demand, any number of times.
 
-    `read` is called from a thread of its camera: never twice at a time by one camera, and in the
-    order of the recording once frames are asked for (a few images spread over the recording are
-    looked at before). Left and right are read at the same time; what they share needs a lock. What
-    stays open between reads is closed by `Gathered.close`, at the end of each call of `frames`.
+    Each camera has one reading thread: its calls of `read` never overlap and, once frames are
+    iterated, follow the order of the recording (a few images spread over the recording are read
+    before). Left and right are read concurrently; state shared by them requires a lock. Files kept
+    open between reads are closed by `RecordingContents.close`, at the end of each call of `frames`.
     """
 
     @property
     def name(self) -> str:
-        """What messages call it; the path of a file."""
+        """Name for messages, such as the path of a file."""
         ...
 
     def read(self, colour: bool = False) -> Pixels:
         """The image as stored, 8 or 16 bits.
 
         Args:
-            colour: leave colour as it is; else it is turned to grey.
+            colour: keep colour; otherwise it is converted to grey.
 
         Raises:
-            SourceError: it is missing, damaged, cut off or no image; the frame is then skipped.
+            SourceError: the image is missing, damaged, truncated or not an image.
         """
         ...
 
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image in a file of its own."""
+    """An image file."""
 
     path: Path
 
@@ -75,9 +74,9 @@ class ImageFile:
         return str(self.path)
 
     def read(self, colour: bool = False) -> Pixels:
-        """The image as `StoredImage.read` has it; also raises as that does."""
+        """See `StoredImage.read`."""
         if self.path.is_fifo() or self.path.is_char_device():  # reading it may never end
-            raise SourceError(f"image {self.path} is no file but a device or a pipe")
+            raise SourceError(f"image {self.path} is a device or a pipe, not a file")
         try:
             data = self.path.read_bytes()
         except FileNotFoundError as error:
@@ -89,8 +88,8 @@ class ImageFile:
         return decode_image(data, self.name, colour)
 
 
-class _Quiet:
-    """Silences OpenCV's log, which would only repeat our errors, while any thread is inside."""
+class _QuietOpenCv:
+    """Context manager that silences OpenCV's log, which would repeat our errors; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -111,43 +110,43 @@ class _Quiet:
                 cv2.utils.logging.setLogLevel(self._level)
 
 
-_quiet_opencv = _Quiet()
+_quiet_opencv = _QuietOpenCv()
 
 
-def read_grey(stored: StoredImage, depth_bits: int = 16) -> Bytes:
+def read_grey(stored: StoredImage, bit_depth: int = 16) -> Bytes:
     """Read an image as (H, W) uint8.
 
     Args:
-        stored: where it is.
-        depth_bits: for images of 16 bits per pixel, how many of them the camera uses; the upper 8
-            of these are kept.
+        stored: the image.
+        bit_depth: number of bits that the camera uses, for images with 16 bits per pixel; the
+            upper 8 of these are kept.
 
     Raises:
-        SourceError: it is missing, damaged, cut off or no image.
+        SourceError: the image is missing, damaged, truncated or not an image.
     """
-    return _in_8_bits(stored.read(), depth_bits)
+    return _to_8_bits(stored.read(), bit_depth)
 
 
-def read_image(stored: StoredImage, kind: ImageKind, depth_bits: int = 16) -> Pixels:
-    """Read an image as another kind than grey too; else as `read_grey`."""
+def read_image(stored: StoredImage, kind: ImageKind, bit_depth: int = 16) -> Pixels:
+    """Read an image of any kind; otherwise like `read_grey`."""
     image = stored.read(colour=kind != "grey")
-    return image if kind == "recorded" else _in_8_bits(image, depth_bits)
+    return image if kind == "recorded" else _to_8_bits(image, bit_depth)
 
 
-def _in_8_bits(image: Pixels, depth_bits: int) -> Bytes:
+def _to_8_bits(image: Pixels, bit_depth: int) -> Bytes:
     if image.dtype == np.uint8:
         return np.asarray(image, dtype=np.uint8)
-    return np.asarray(np.minimum(image >> (depth_bits - 8), 255), dtype=np.uint8)
+    return np.asarray(np.minimum(image >> (bit_depth - 8), 255), dtype=np.uint8)
 
 
-def depth_bits_of(images: Sequence[StoredImage]) -> int:
-    """How many bits a camera uses: 8, 10, 12, 14 or 16, whichever holds the brightest pixel.
+def estimate_bit_depth(images: Sequence[StoredImage]) -> int:
+    """Bit depth of a camera: 8, 10, 12, 14 or 16, the smallest that fits the brightest pixel.
 
-    One figure for a whole recording, so that brightness stays comparable from image to image.
+    One value for the whole recording, so that brightness stays comparable between images.
 
     Args:
-        images: those of the recording; five of them, evenly spread, are looked at unless the
-            first has 8 bits. Those that cannot be read are left out.
+        images: images of the recording; about five, evenly spread, are read, or only the first
+            if it has 8 bits. Unreadable ones are ignored.
     """
     brightest = 0
     for stored in images[:: max(1, len(images) // 5)]:
@@ -158,11 +157,11 @@ def depth_bits_of(images: Sequence[StoredImage]) -> int:
         if image.dtype == np.uint8:
             return 8
         brightest = max(brightest, int(image.max()))
-    return next(bits for bits in _DEPTHS if brightest < 2**bits)
+    return next(bits for bits in _BIT_DEPTHS if brightest < 2**bits)
 
 
-def is_in_colour(images: Sequence[StoredImage]) -> bool:
-    """Whether the first image that can be read is in colour."""
+def is_colour(images: Sequence[StoredImage]) -> bool:
+    """Whether the first readable image is in colour."""
     for stored in images:
         try:
             return stored.read(colour=True).ndim == 3
@@ -172,19 +171,19 @@ def is_in_colour(images: Sequence[StoredImage]) -> bool:
 
 
 def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
-    """The image that a file in memory holds, 8 or 16 bits, without transparency.
+    """Decode an image file in memory, with 8 or 16 bits, without transparency.
 
     Args:
-        data: PNG, JPEG or any other kind of file that OpenCV knows.
-        name: of the image, for messages.
-        colour: leave colour as it is; else it is turned to grey.
+        data: contents of a PNG, JPEG or any other file that OpenCV decodes.
+        name: name of the image, for messages.
+        colour: keep colour; otherwise it is converted to grey.
 
     Raises:
-        SourceError: it is empty, damaged, cut off or no image.
+        SourceError: the data is empty, damaged, truncated or not an image.
     """
     if not data:
         raise SourceError(f"image {name} is empty")
-    # OpenCV fills what is missing of a cut-off JPEG with grey and says nothing to the caller.
+    # OpenCV fills the missing part of a truncated JPEG with grey and reports no error.
     if not is_complete(data):
         raise SourceError(f"image {name} is cut off or damaged ({len(data)} bytes)")
     grey = png.decode_grey(data) if data.startswith(png.SIGNATURE) else None
@@ -196,14 +195,14 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     except cv2.error as error:
         raise SourceError(f"image {name} cannot be decoded: {error.err}") from error
     if image is None:
-        raise SourceError(f"image {name} cannot be decoded; it is damaged or no image")
+        raise SourceError(f"image {name} cannot be decoded; it is damaged or not an image")
     if image.dtype not in (np.uint8, np.uint16):
-        raise SourceError(f"image {name} has {image.dtype} pixels; 8 or 16 bits are understood")
+        raise SourceError(f"image {name} has {image.dtype} pixels; 8 or 16 bits are supported")
     return cast("Pixels", image)
 
 
 def is_complete(data: bytes) -> bool:
-    """Whether a PNG or JPEG file reaches its end mark undamaged; True for other formats."""
+    """Whether a PNG or JPEG file is intact up to its end marker; True for other formats."""
     if data.startswith(png.SIGNATURE):
         return png.is_complete(data)
     if data.startswith(_JPEG):
@@ -212,7 +211,7 @@ def is_complete(data: bytes) -> bool:
 
 
 def _jpeg_is_complete(data: bytes) -> bool:
-    """Walk the segments to the first scan, past any thumbnail, and look for the end from there."""
+    """Find the end marker after the start of the first scan, past any embedded thumbnail."""
     position = len(_JPEG)
     while position + 4 <= len(data) and data[position] == 0xFF:
         if data[position + 1] == _JPEG_SCAN:

@@ -1,4 +1,4 @@
-"""Inertial measurements that a recording brings along; none is read before it is asked for."""
+"""Inertial measurements of a recording, read on demand."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from vo.geometry.transforms import inverse
 from vo.types import Floats, ImuNoise, Ints
 
 _BODY_IS_IMU = ("Kalibr", "Basalt", "ORB-SLAM3")
-"""Kinds of calibration file that say where cameras are beside the inertial sensor."""
+"""Kinds of calibration file whose body frame is the inertial sensor."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImuSamples:
-    """What an inertial sensor measured, in its own frame.
+    """Samples of an inertial sensor, in its own frame.
 
     Attributes:
         stamps_ns: (N,) int64, increasing.
         gyro: (N, 3) rad/s.
-        accel: (N, 3) m/s², specific force: 9.81 upwards at rest.
-        unreadable: samples that were left out as damaged or not finite.
-        repeated: samples that were left out as their stamp was there before.
+        accel: (N, 3) m/s², specific force: +9.81 upwards at rest.
+        unreadable: number of samples skipped because they are damaged or not finite.
+        repeated: number of samples skipped because of a repeated stamp.
 
-    Those of a table that was not read as a whole belong to no time and are not counted.
+    Both counts are 0 for a part of a file, because skipped samples have no usable stamp.
     """
 
     stamps_ns: Ints
@@ -46,67 +46,70 @@ class Imu(Protocol):
 
     @property
     def name(self) -> str:
-        """Its topic, table or folder."""
+        """Topic, file or folder of the sensor."""
         ...
 
     @property
     def stamps_ns(self) -> Ints:
-        """(N,) the times of all samples, increasing.
+        """(N,) times of all samples, increasing.
 
         Raises:
-            SourceError: they cannot be read.
+            SourceError: the samples cannot be read.
         """
         ...
 
     @property
     def cam0_from_imu(self) -> Floats | None:
-        """Where it is, (4, 4); None where the recording does not say."""
+        """Pose of the sensor relative to cam0, (4, 4); None if unknown."""
         ...
 
     @property
     def noise(self) -> ImuNoise | None:
-        """Its noise; None where the recording does not say."""
+        """Noise densities of the sensor; None if unknown."""
         ...
 
     def read(self, first_ns: int | None = None, last_ns: int | None = None) -> ImuSamples:
-        """The samples from one time to another, both included; by default all.
+        """Read the samples of a time range, both ends included; by default all.
 
         Raises:
-            SourceError: they cannot be read.
+            SourceError: the samples cannot be read.
         """
         ...
 
-    def read_some(self, most: int) -> ImuSamples:
-        """Stretches spread over the recording, or all where that costs no more; raises as `read`.
+    def read_some(self, max_samples: int) -> ImuSamples:
+        """Read parts spread over the recording, or everything if that is no slower.
 
         Args:
-            most: how many samples that may be.
+            max_samples: maximum number of samples, if only parts are read.
+
+        Raises:
+            SourceError: the samples cannot be read.
         """
         ...
 
 
-class TableImu:
-    """An `Imu` in files that are read as a whole."""
+class FileImu:
+    """An `Imu` whose files are read as a whole, on first use."""
 
     def __init__(
         self,
         name: str,
         load: Callable[[], ImuSamples],
-        place: Callable[[], Floats | None],
-        noise: Callable[[], ImuNoise | None] = lambda: None,
+        find_extrinsics: Callable[[], Floats | None],
+        find_noise: Callable[[], ImuNoise | None] = lambda: None,
     ) -> None:
-        """Take what will be read.
+        """Store the functions that read the sensor.
 
         Args:
-            name: of the table or folder.
+            name: path of the file or folder.
             load: reads all samples; may raise SourceError.
-            place: finds out cam0_from_imu.
-            noise: finds out the noise.
+            find_extrinsics: finds cam0_from_imu.
+            find_noise: finds the noise densities.
         """
         self.name = name
         self._load = load
-        self._place = place
-        self._noise = noise
+        self._find_extrinsics = find_extrinsics
+        self._find_noise = find_noise
 
     @cached_property
     def _all(self) -> ImuSamples:
@@ -114,40 +117,40 @@ class TableImu:
 
     @property
     def stamps_ns(self) -> Ints:
-        """As `Imu.stamps_ns`."""
+        """See `Imu.stamps_ns`."""
         return self._all.stamps_ns
 
     @cached_property
     def cam0_from_imu(self) -> Floats | None:
-        """As `Imu.cam0_from_imu`."""
-        return self._place()
+        """See `Imu.cam0_from_imu`."""
+        return self._find_extrinsics()
 
     @cached_property
     def noise(self) -> ImuNoise | None:
-        """As `Imu.noise`."""
-        return self._noise()
+        """See `Imu.noise`."""
+        return self._find_noise()
 
     def read(self, first_ns: int | None = None, last_ns: int | None = None) -> ImuSamples:
-        """As `Imu.read`."""
-        found = self._all
-        rows = rows_between(found.stamps_ns, first_ns, last_ns)
-        return ImuSamples(found.stamps_ns[rows], found.gyro[rows], found.accel[rows])
+        """See `Imu.read`."""
+        samples = self._all
+        rows = time_slice(samples.stamps_ns, first_ns, last_ns)
+        return ImuSamples(samples.stamps_ns[rows], samples.gyro[rows], samples.accel[rows])
 
-    def read_some(self, most: int) -> ImuSamples:
-        """As `Imu.read_some`."""
+    def read_some(self, max_samples: int) -> ImuSamples:
+        """See `Imu.read_some`."""
         return self._all
 
 
-def cam0_from_imu_in(calibration: Calibration | None) -> Floats | None:
-    """Where the inertial sensor is, as far as a calibration file says it."""
+def cam0_from_imu_of(calibration: Calibration | None) -> Floats | None:
+    """Pose of the inertial sensor relative to cam0, if the calibration file contains it."""
     if calibration is None or calibration.kind not in _BODY_IS_IMU:
         return None
     body_from_cam0 = calibration.body_from_cam0
     return None if body_from_cam0 is None else inverse(body_from_cam0)
 
 
-def rows_between(stamps_ns: Ints, first_ns: int | None, last_ns: int | None) -> slice:
-    """The rows from one time to another, both included."""
+def time_slice(stamps_ns: Ints, first_ns: int | None, last_ns: int | None) -> slice:
+    """The rows of a time range, both ends included."""
     start, end = 0, len(stamps_ns)
     if first_ns is not None:
         start = int(np.searchsorted(stamps_ns, first_ns))
@@ -157,12 +160,12 @@ def rows_between(stamps_ns: Ints, first_ns: int | None, last_ns: int | None) -> 
 
 
 def make_samples(stamps_ns: list[int], values: list[list[float]], unreadable: int) -> ImuSamples:
-    """Samples in the order of their stamps, without those that are not finite or repeat a stamp.
+    """Sort samples by stamp, and drop those that are not finite or repeat a stamp.
 
     Args:
-        stamps_ns: N of them.
-        values: of each, gyro x, y, z and accel x, y, z.
-        unreadable: how many more there should be.
+        stamps_ns: N stamps.
+        values: N rows of gyro x, y, z and accel x, y, z.
+        unreadable: number of further samples that could not be read.
     """
     stamps = np.array(stamps_ns, dtype=np.int64)
     rows = np.array(values, dtype=np.float64).reshape(-1, 6)

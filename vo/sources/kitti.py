@@ -1,4 +1,4 @@
-"""KITTI odometry: image_0/ image_1/ calib.txt times.txt poses.txt, or the colour pair 2 and 3."""
+"""KITTI odometry: image_0/ image_1/ calib.txt times.txt poses.txt, or colour image_2/ image_3/."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from vo.errors import SourceError
 from vo.formats.calibration import Calibration, ImageSize, kitti, read_calibration
 from vo.formats.calibration.document import load_document
 from vo.formats.trajectory import read_kitti
-from vo.sources.assembly import Gathered, find_calibration
+from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.listing import Shot, list_images, shots_from_times
-from vo.sources.pairing import stamped_like
+from vo.sources.pairing import copy_stamps
 from vo.types import Mode, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -21,19 +21,19 @@ _log = logging.getLogger(__name__)
 _PAIRS = {("image_0", "image_1"): ("P0", "P1"), ("image_2", "image_3"): ("P2", "P3")}
 
 
-def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List a sequence folder; the right camera, calib.txt and poses.txt may be missing.
+def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List a sequence; right images, calib.txt and poses.txt are optional.
 
     Raises:
-        SourceError: images or times.txt are missing or do not fit together.
-        CalibrationError: there is no calibration, or it is wrong.
+        SourceError: images or times.txt are missing or inconsistent.
+        CalibrationError: the calibration is missing or invalid.
     """
     folders, matrices = next(
         (pair for pair in _PAIRS.items() if (path / pair[0][0]).is_dir()),
         (("image_0", "image_1"), ("P0", "P1")),
     )
     left = shots_from_times(path / "times.txt", list_images(path / folders[0]))
-    return Gathered(
+    return RecordingContents(
         name=path.resolve().name,
         format="kitti",
         left=left,
@@ -48,7 +48,7 @@ def _right(folder: Path, left: list[Shot]) -> list[Shot] | None:
         images = list_images(folder)
     except SourceError:
         return None
-    return stamped_like(left, images)
+    return copy_stamps(left, images)
 
 
 def _calibration(
@@ -60,11 +60,11 @@ def _calibration(
         if kitti.recognises(document):
             return kitti.read(document, size, matrices)
         return read_calibration(file, size)
-    return find_calibration(chosen, [file, path / "calibration.yaml"])(size)
+    return calibration_reader(chosen, [file, path / "calibration.yaml"])(size)
 
 
 def _truth(poses: Path, left: list[Shot], calibration: Calibration) -> Trajectory | None:
-    """The poses, which are of KITTI's grey left camera, as those of the left camera in use."""
+    """Poses of the left camera in use; those in the file belong to KITTI's grey left camera."""
     if not poses.is_file():
         return None
     rows = read_kitti(poses).world_from_cam

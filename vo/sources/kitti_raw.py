@@ -15,11 +15,11 @@ from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, kitti_raw
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
-from vo.sources.assembly import Gathered, find_calibration, first_existing
+from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
-from vo.sources.imu import ImuSamples, TableImu
+from vo.sources.imu import FileImu, ImuSamples
 from vo.sources.listing import Shot, check_increasing, list_images, read_lines
-from vo.sources.oxts import at_stamps, read_oxts, read_oxts_imu, read_rigid
+from vo.sources.oxts import interpolate_at, read_oxts, read_oxts_imu, read_transform
 from vo.types import Floats, Mode, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -29,18 +29,18 @@ _CALIBRATION = "calib_cam_to_cam.txt"
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
 
-def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List a drive, rectified (`sync`) or as recorded (`extract`); grey cameras before colour ones.
+def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List a drive, rectified (`sync`) or as recorded (`extract`); prefer the grey cameras.
 
     Raises:
-        SourceError: images or stamps are missing or do not fit together.
-        CalibrationError: there is no calibration, or it is wrong.
+        SourceError: images or stamps are missing or inconsistent.
+        CalibrationError: the calibration is missing or invalid.
     """
     path = path.resolve()
     left, right = next((pair for pair in _PAIRS if (path / pair[0]).is_dir()), _PAIRS[0])
     cameras = (left[-2:], right[-2:])
     shots = _shots(path / left)
-    return Gathered(
+    return RecordingContents(
         name=path.name,
         format="kitti_raw",
         left=shots,
@@ -52,10 +52,10 @@ def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Gather
 
 
 def stamp_ns_from_date(text: str) -> int:
-    """Nanoseconds since 1970 of `2011-09-26 13:02:25.964389445`, taken as UTC.
+    """Convert a UTC date such as `2011-09-26 13:02:25.964389445` to nanoseconds since 1970.
 
     Raises:
-        ValueError: the text is something else.
+        ValueError: the text is not such a date.
     """
     found = _DATE.fullmatch(text.strip())
     if found is None:
@@ -65,7 +65,7 @@ def stamp_ns_from_date(text: str) -> int:
 
 
 def _shots(camera: Path) -> list[Shot]:
-    """The images of a camera; image number i has line i, where some images are missing too."""
+    """The images of a camera; if some are missing, their numbers are the line numbers."""
     images = list_images(camera / "data")
     stamps = _stamps(camera / "timestamps.txt")
     if len(images) == len(stamps):
@@ -75,7 +75,7 @@ def _shots(camera: Path) -> list[Shot]:
         if max(rows) >= len(stamps):
             raise SourceError(
                 f"{camera} has {len(images)} images but {len(stamps)} stamps, and the image names "
-                "are not the numbers of their lines; there must be one line per image"
+                "are not line numbers; there must be one line per image"
             )
     table = str(camera / "timestamps.txt")
     shots = [
@@ -88,11 +88,11 @@ def _shots(camera: Path) -> list[Shot]:
 
 def _stamps(table: Path) -> list[int]:
     stamps = []
-    for place, text in read_lines(table):
+    for location, text in read_lines(table):
         try:
             stamps.append(stamp_ns_from_date(text))
         except ValueError as error:
-            raise SourceError(f"{place}: stamp {error}") from error
+            raise SourceError(f"{location}: stamp {error}") from error
     return stamps
 
 
@@ -105,13 +105,13 @@ def _calibration(
         document = load_document(file)
         if kitti_raw.recognises(document):
             return kitti_raw.read(document, size, cameras)
-    return find_calibration(chosen, candidates)(size)
+    return calibration_reader(chosen, candidates)(size)
 
 
 def _truth(
     path: Path, calibration: Calibration, cameras: tuple[str, str], shots: Sequence[Shot]
 ) -> Trajectory | None:
-    """Poses of cam0 at the stamps of its images, from those of the GPS/INS unit."""
+    """Poses of cam0 at the stamps of its images, interpolated from those of the GPS/INS unit."""
     folder = path / "oxts"
     if not folder.is_dir():
         return None
@@ -119,34 +119,35 @@ def _truth(
     truth = read_oxts(folder, _stamps(folder / "timestamps.txt"))
     truth = replace(truth, world_from_cam=truth.world_from_cam @ imu_from_cam0)
     stamps_ns = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
-    return at_stamps(truth, stamps_ns)
+    return interpolate_at(truth, stamps_ns)
 
 
-def _imus(path: Path, calibration: Calibration | None, cameras: tuple[str, str]) -> list[TableImu]:
-    """The rates and accelerations of the GPS/INS unit."""
+def _imus(path: Path, calibration: Calibration | None, cameras: tuple[str, str]) -> list[FileImu]:
+    """The GPS/INS unit as an inertial sensor."""
     folder = path / "oxts"
     if not folder.is_dir():
         return []
 
-    def place() -> Floats | None:
+    def find_extrinsics() -> Floats | None:
+        if calibration is None:
+            return None
         try:
-            known = calibration
-            return None if known is None else inverse(_imu_from_cam0(path, known, cameras))
+            return inverse(_imu_from_cam0(path, calibration, cameras))
         except VoError as error:
-            _log.warning("where the inertial sensor is, is not known: %s", error)
+            _log.warning("pose of the inertial sensor unknown: %s", error)
             return None
 
     def load() -> ImuSamples:
         return read_oxts_imu(folder, _stamps(folder / "timestamps.txt"))
 
-    return [TableImu(str(folder), load, place)]
+    return [FileImu(str(folder), load, find_extrinsics)]
 
 
 def _imu_from_cam0(path: Path, calibration: Calibration, cameras: tuple[str, str]) -> Floats:
-    velo_from_imu = read_rigid(_beside(path, "calib_imu_to_velo.txt"))
-    body_from_velo = read_rigid(_beside(path, "calib_velo_to_cam.txt"))
+    velo_from_imu = read_transform(_beside(path, "calib_imu_to_velo.txt"))
+    body_from_velo = read_transform(_beside(path, "calib_velo_to_cam.txt"))
     body_from_cam0 = calibration.body_from_cam0
-    if body_from_cam0 is None:  # as a chosen calibration need not say
+    if body_from_cam0 is None:  # optional in a calibration chosen by the user
         size = (calibration.rig.cam0.width, calibration.rig.cam0.height)
         document = load_document(_beside(path, _CALIBRATION))
         body_from_cam0 = kitti_raw.read(document, size, cameras).body_from_cam0
@@ -155,5 +156,5 @@ def _imu_from_cam0(path: Path, calibration: Calibration, cameras: tuple[str, str
 
 
 def _beside(path: Path, name: str) -> Path:
-    """A file of the drive's own, or of its date; the latter if there is neither."""
+    """A file of the drive, or else the file shared by all drives of its date."""
     return first_existing([path / name]) or path.parent / name

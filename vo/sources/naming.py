@@ -1,4 +1,4 @@
-"""Stamps that stand in the names of image files."""
+"""Stamps in the names of image files."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 
 from vo.formats.trajectory import stamp_ns_from_seconds
 from vo.sources.images import ImageFile
-from vo.sources.listing import LARGEST_NS, Shot, check_increasing, median_interval_ns
+from vo.sources.listing import MAX_STAMP_NS, Shot, check_increasing, median_interval_ns
 
 _NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
-_SHORTEST_INTERVAL_NS = 2_000_000
-_LONGEST_INTERVAL_NS = 20_000_000_000
-_SMALLEST_STAMP = 1_000_000_000  # whole numbers below are counters, not times
+_MIN_INTERVAL_NS = 2_000_000
+_MAX_INTERVAL_NS = 20_000_000_000
+_MIN_STAMP = 1_000_000_000  # smaller integers are counters, not times
 
 
 def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
-    """Take stamps from file names that end in a time; None if these do not look like times.
+    """Read stamps from file names that end in a time; None if they do not.
 
-    Seconds are written with a point; whole numbers from 10^9 up count as nanoseconds, micro-,
-    milliseconds or seconds, whichever first gives a plausible interval between images.
+    Numbers with a decimal point are seconds. Integers from 10^9 are nanoseconds, microseconds,
+    milliseconds or seconds: the first unit with a median interval from 2 ms to 20 s.
 
     Raises:
         SourceError: two images have the same stamp.
@@ -29,7 +29,7 @@ def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
     if len(images) < 2 or not all(numbers):
         return None
     stamps_ns = _stamps_of_numbers(numbers)
-    if stamps_ns is None or max(stamps_ns) > LARGEST_NS:
+    if stamps_ns is None or max(stamps_ns) > MAX_STAMP_NS:
         return None
     shots = [Shot(s, ImageFile(p), f"file {p}") for s, p in zip(stamps_ns, images, strict=True)]
     shots.sort(key=lambda shot: shot.stamp_ns)
@@ -45,7 +45,7 @@ def _last_number(path: Path) -> str:
 def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
     if any("." in number for number in numbers):
         units = ["s"]
-    elif min(int(number) for number in numbers) >= _SMALLEST_STAMP:
+    elif min(int(number) for number in numbers) >= _MIN_STAMP:
         units = list(_NS_PER_UNIT)
     else:
         return None
@@ -54,6 +54,6 @@ def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
             stamps = [stamp_ns_from_seconds(number) for number in numbers]
         else:
             stamps = [int(number) * _NS_PER_UNIT[unit] for number in numbers]
-        if _SHORTEST_INTERVAL_NS <= median_interval_ns(stamps) <= _LONGEST_INTERVAL_NS:
+        if _MIN_INTERVAL_NS <= median_interval_ns(stamps) <= _MAX_INTERVAL_NS:
             return stamps
     return None

@@ -1,4 +1,4 @@
-"""KITTI's GPS/INS records (oxts): where the camera truly was, rates and accelerations."""
+"""GPS/INS records of KITTI raw (oxts): ground-truth poses and inertial samples."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ _COLUMNS = 6  # latitude and longitude in degrees, altitude in metres, roll, pit
 
 
 def read_oxts(folder: Path, stamps_ns: Sequence[int]) -> Trajectory:
-    """Read `data/*.txt`, one record a file, as world_from_imu; x east, y north, z up.
+    """Read `data/*.txt`, one record per file, as world_from_imu; x east, y north, z up.
 
-    The world begins at the first record. Records whose time does not go on are left out.
+    The origin of the world is the first record. Records whose stamp does not increase are skipped.
 
     Args:
-        folder: of the records.
-        stamps_ns: time of each.
+        folder: folder of the records.
+        stamps_ns: stamp of each record.
 
     Raises:
-        SourceError: records are missing, damaged or not as many as stamps.
+        SourceError: records are missing or damaged, or their number is not that of the stamps.
 
     Source: Geiger et al., Vision meets Robotics: The KITTI Dataset, IJRR 2013 (Mercator projection
         at the latitude of the first record).
     """
     files = _files(folder, stamps_ns)
     stamps = np.array(stamps_ns, dtype=np.int64)
-    goes_on = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])
-    records = np.array([_record(path) for path in files])[goes_on]
+    is_later = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])
+    records = np.array([_record(path) for path in files])[is_later]
     positions = mercator(records[:, :3], float(records[0, 0]))
     poses = [
         rigid(rotation_from_roll_pitch_yaw(*record[3:]), position)
         for record, position in zip(records, positions - positions[0], strict=True)
     ]
-    return Trajectory(stamps[goes_on], np.stack(poses))
+    return Trajectory(stamps[is_later], np.stack(poses))
 
 
 def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:
-    """Rates and accelerations of `data/*.txt` along the axes of the unit: x ahead, y left, z up.
+    """Read angular rates and accelerations from `data/*.txt`; x forward, y left, z up.
 
-    Of the two sets that a record has, this is the one that turns with the unit (ax, ay, az and wx,
-    wy, wz); the other one (af, al, au and wf, wl, wu) stays level. Arguments as of `read_oxts`.
+    These are the values in the frame of the unit (ax, ay, az and wx, wy, wz), not those in its
+    levelled frame (af, al, au and wf, wl, wu). Arguments as for `read_oxts`.
 
     Raises:
-        SourceError: there are not as many records as stamps.
+        SourceError: the number of records is not that of the stamps.
     """
     stamps, values, files = [], [], _files(folder, stamps_ns)
     for path, stamp_ns in zip(files, stamps_ns, strict=True):
@@ -72,7 +72,7 @@ def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:
     read = make_samples(stamps, values, len(files) - len(stamps))
     if read.unreadable:
         _log.warning(
-            "%s: %d of %d records have no rates and accelerations that can be read",
+            "%s: %d of %d records have no readable rates and accelerations",
             folder,
             read.unreadable,
             len(files),
@@ -84,13 +84,19 @@ def _files(folder: Path, stamps_ns: Sequence[int]) -> list[Path]:
     files = sorted((folder / "data").glob("*.txt"))
     if len(files) != len(stamps_ns) or not files:
         raise SourceError(
-            f"{folder} has {len(files)} records but {len(stamps_ns)} stamps; there must be as many"
+            f"{folder} has {len(files)} records but {len(stamps_ns)} stamps; both numbers must be "
+            "equal"
         )
     return files
 
 
 def mercator(geodetic: Floats, reference_latitude_deg: float) -> Floats:
-    """Metres east, north and up (N, 3) of latitude, longitude (degrees) and altitude (N, 3)."""
+    """Mercator projection to metres east, north and up (N, 3).
+
+    Args:
+        geodetic: (N, 3) latitude and longitude in degrees, altitude in metres.
+        reference_latitude_deg: latitude of true scale.
+    """
     scale = np.cos(np.deg2rad(reference_latitude_deg)) * _EARTH_RADIUS_M
     latitude, longitude = np.deg2rad(geodetic[:, 0]), np.deg2rad(geodetic[:, 1])
     north = np.log(np.tan(0.25 * np.pi + 0.5 * latitude))
@@ -98,7 +104,7 @@ def mercator(geodetic: Floats, reference_latitude_deg: float) -> Floats:
 
 
 def rotation_from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Floats:
-    """Rz(yaw) Ry(pitch) Rx(roll) as (3, 3): from the body to the world."""
+    """world_from_body (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), angles in radians."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
@@ -107,8 +113,8 @@ def rotation_from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Float
     return np.asarray(about_z @ about_y @ about_x)
 
 
-def read_rigid(path: Path) -> Floats:
-    """The (4, 4) transform of a file with lines `R: …` and `T: …`, such as calib_velo_to_cam.txt.
+def read_transform(path: Path) -> Floats:
+    """Read a (4, 4) transform from lines `R: …` and `T: …`, as in calib_velo_to_cam.txt.
 
     Raises:
         CalibrationError: the file is missing or damaged.
@@ -122,23 +128,23 @@ def read_rigid(path: Path) -> Floats:
     return orthonormalised(make_transform(str(path), rows))
 
 
-def at_stamps(truth: Trajectory, stamps_ns: Ints) -> Trajectory:
-    """The poses at other times, between those that are known; times outside are left out."""
+def interpolate_at(truth: Trajectory, stamps_ns: Ints) -> Trajectory:
+    """Interpolate poses at other times; times outside the trajectory are skipped."""
     inside = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
     wanted = stamps_ns[inside]
     after = np.searchsorted(truth.stamps_ns, wanted).clip(1, max(len(truth) - 1, 1))
     poses = [
-        _between(truth, int(row), int(stamp)) for row, stamp in zip(after, wanted, strict=True)
+        _interpolate(truth, int(row), int(stamp)) for row, stamp in zip(after, wanted, strict=True)
     ]
     return Trajectory(wanted, np.array(poses).reshape(-1, 4, 4))
 
 
-def _between(truth: Trajectory, after: int, stamp_ns: int) -> Floats:
+def _interpolate(truth: Trajectory, after: int, stamp_ns: int) -> Floats:
     first, last = int(truth.stamps_ns[after - 1]), int(truth.stamps_ns[min(after, len(truth) - 1)])
     if stamp_ns == first or last == first:
         return np.asarray(truth.world_from_cam[after - 1])
-    share = (stamp_ns - first) / (last - first)
-    return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], share)
+    ratio = (stamp_ns - first) / (last - first)
+    return interpolate(truth.world_from_cam[after - 1], truth.world_from_cam[after], ratio)
 
 
 def _record(path: Path) -> list[float]:
@@ -149,7 +155,7 @@ def _record(path: Path) -> list[float]:
         raise SourceError(f"{path} cannot be read: {error}") from error
     if len(values) < _COLUMNS or not np.isfinite(values).all() or abs(values[0]) >= 90.0:
         raise SourceError(
-            f"{path} is no record; it must begin with latitude, longitude, altitude, roll, pitch "
-            "and yaw"
+            f"{path} is not a GPS/INS record; it must begin with latitude, longitude, altitude, "
+            "roll, pitch and yaw"
         )
     return values

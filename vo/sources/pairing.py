@@ -1,4 +1,4 @@
-"""Finds the right image of each left one, by stamp or by name."""
+"""Association of left and right images, by stamp or by name."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import SourceError
+from vo.formats.warning_kinds import warning_kind
 from vo.sources.images import ImageFile, StoredImage
 from vo.sources.listing import Shot, median_interval_ns
 from vo.types import Ints
 
 _log = logging.getLogger(__name__)
 
-LARGEST_TOLERANCE_NS = 5_000_000
-"""A car at 30 m/s moves 15 cm in 5 ms; images further apart in time are no stereo pair."""
+MAX_TOLERANCE_NS = 5_000_000
+"""Maximum time difference of a stereo pair; a car at 30 m/s moves 15 cm in 5 ms."""
 
 
 def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredImage | None]:
-    """The right partner of each left image, or None where there is none.
+    """The right image of each left image, None where there is none.
 
-    Two images are partners if each is the other's nearest in time and they are no further apart
-    than half the median interval between left images, and 5 ms. Right images without a partner are
-    warned of and dropped.
+    Two images form a pair if they are mutual nearest neighbours in time and differ by at most half
+    the median interval of the left images, and at most 5 ms. Unpaired right images are dropped,
+    with a warning.
 
     Args:
         left: N images, stamps increasing.
         right: M images, stamps increasing.
 
     Returns:
-        N images or None.
+        N right images or None.
     """
     stamps_left = np.array([shot.stamp_ns for shot in left], dtype=np.int64)
     stamps_right = np.array([shot.stamp_ns for shot in right], dtype=np.int64)
@@ -42,28 +43,28 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredIma
     partners = [
         right[j].image if ok else None for j, ok in zip(of_left, mutual & close, strict=True)
     ]
-    _warn_of_dropped(len(right) - sum(p is not None for p in partners), len(right))
+    _warn_of_unpaired(len(right) - sum(p is not None for p in partners), len(right))
     return partners
 
 
 def tolerance_ns(stamps_left: Ints) -> int:
-    """How far apart in time two images may be and still be a pair, in nanoseconds."""
+    """Maximum time difference of a pair, in nanoseconds."""
     interval = median_interval_ns(stamps_left.tolist())
-    return min(interval // 2, LARGEST_TOLERANCE_NS) if interval else LARGEST_TOLERANCE_NS
+    return min(interval // 2, MAX_TOLERANCE_NS) if interval else MAX_TOLERANCE_NS
 
 
-def stamped_like(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:
-    """Give right images, that have no stamps of their own, those of the left images.
+def copy_stamps(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:
+    """Assign the stamps of the left images to right images without stamps.
 
-    Images of the same name (without suffix) belong together; if no name occurs on both sides, the
-    order tells, if there are as many.
+    Images are paired by name (without suffix), or by order if no name occurs on both sides and
+    both have the same number of images.
 
     Raises:
-        SourceError: neither names nor counts agree.
+        SourceError: no name occurs on both sides, and the numbers differ.
     """
     by_name = {Path(shot.image.name).stem: shot for shot in left}
     shots = [
-        Shot(by_name[path.stem].stamp_ns, ImageFile(path), by_name[path.stem].place)
+        Shot(by_name[path.stem].stamp_ns, ImageFile(path), by_name[path.stem].location)
         for path in right
         if path.stem in by_name
     ]
@@ -72,17 +73,18 @@ def stamped_like(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:
             folder = Path(left[0].image.name).parent
             raise SourceError(
                 f"{folder} has {len(left)} images and {right[0].parent} has "
-                f"{len(right)}, with no name in common; name the images of a pair alike"
+                f"{len(right)}, with no name in common; give the images of a pair the same name"
             )
         return [
-            Shot(a.stamp_ns, ImageFile(path), a.place) for a, path in zip(left, right, strict=True)
+            Shot(shot.stamp_ns, ImageFile(path), shot.location)
+            for shot, path in zip(left, right, strict=True)
         ]
-    _warn_of_dropped(len(right) - len(shots), len(right))
+    _warn_of_unpaired(len(right) - len(shots), len(right))
     return sorted(shots, key=lambda shot: shot.stamp_ns)
 
 
 def _nearest(stamps: Ints, others: Ints) -> Ints:
-    """For each stamp (N,) the index of the nearest other (M,), the earlier of two as near."""
+    """Index of the nearest of `others` (M,) for each stamp (N,); the earlier one of a tie."""
     after = np.clip(np.searchsorted(others, stamps), 1, max(len(others) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(others) - 1)
@@ -90,6 +92,11 @@ def _nearest(stamps: Ints, others: Ints) -> Ints:
     return np.asarray(np.where(is_after, after, before), dtype=np.int64)
 
 
-def _warn_of_dropped(dropped: int, total: int) -> None:
-    if dropped:
-        _log.warning("%d of %d right images have no left partner and are not used", dropped, total)
+def _warn_of_unpaired(unpaired: int, total: int) -> None:
+    if unpaired:
+        _log.warning(
+            "%d of %d right images have no left image and are not used",
+            unpaired,
+            total,
+            extra=warning_kind("unpaired_images"),
+        )

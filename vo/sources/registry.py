@@ -1,4 +1,4 @@
-"""The known formats, and the way from a path to a source."""
+"""Known formats of recordings, their detection, and `open_source`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from vo.errors import SourceError
-from vo.sources.assembly import Gathered, assemble
+from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
 from vo.sources.source import Recording
 from vo.types import Mode
@@ -19,32 +19,32 @@ if TYPE_CHECKING:
     from vo.sources.logs.log import Log
 
 Opener = Callable[..., Recording]
-"""Opens a log: takes path, calibration (Path or None), mode and the chosen topics."""
+"""Opens a log, given path, calibration (Path or None), mode and topics."""
 
-Gather = Callable[[Path, Path | None, Mode], Gathered]
-"""Lists any other recording: takes path, calibration and mode."""
+Gather = Callable[[Path, Path | None, Mode], RecordingContents]
+"""Lists any other recording, given path, calibration and mode."""
 
 
 class Format(NamedTuple):
-    """How to open a format and how to know it.
+    """Detection and opening of a format.
 
     Attributes:
-        opener: `module:function` of a `Gather`, of logs of an `Opener`, imported when it is needed.
-        inside: names or patterns of which a folder of this format holds at least one.
-        suffixes: of single files of this format.
-        log: `module:class` of the `Log` that it is, of which topics can be chosen; else empty.
-        can_grow: whether it can be followed while it is being written.
+        opener: `module:function` of a `Gather`, or of an `Opener` for logs; imported on demand.
+        folder_patterns: names or patterns; a folder of this format contains at least one of them.
+        suffixes: suffixes of single files of this format.
+        log: `module:class` of the `Log`, for formats with topics; otherwise empty.
+        can_grow: whether it can be read while it is being written.
     """
 
     opener: str
-    inside: tuple[str, ...] = ()
+    folder_patterns: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
     log: str = ""
     can_grow: bool = False
 
     @property
     def has_topics(self) -> bool:
-        """Whether it is a log, of which topics can be chosen."""
+        """Whether it is a log with topics."""
         return bool(self.log)
 
 
@@ -78,7 +78,7 @@ FORMATS: dict[str, Format] = {
         "vo.sources.folder:gather_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))
     ),
 }
-"""Asked in this order; the first that knows the path has it."""
+"""Formats in the order of detection: the first that matches a path is used."""
 
 
 def open_source(
@@ -94,16 +94,16 @@ def open_source(
 
     Args:
         path: folder or file of the recording.
-        format: a key of `FORMATS`; by default found out from the path.
+        format: a key of `FORMATS`; by default detected from the path.
         calibration: file that overrides the recording's own calibration.
-        mode: `mono` ignores the right camera, `stereo` insists on it, `auto` uses it if there is
+        mode: `mono` ignores the right camera, `stereo` requires it, `auto` uses it if there is
             one with a calibration.
-        topics: of a log, `left=/a` and `right=/b`, or one name alone; by default found out.
-        follow: whether it is still being written; frames are then handed out as they come.
+        topics: topics of a log, `left=/a` and `right=/b`, or one name; by default detected.
+        follow: whether it is still being written; frames are then read as they arrive.
 
     Raises:
-        SourceError: the recording is missing, empty, damaged or of no known format.
-        CalibrationError: its calibration is missing or cannot be true.
+        SourceError: the recording is missing, empty, damaged or of unknown format.
+        CalibrationError: its calibration is missing or invalid.
     """
     path = Path(path)
     name = choose_format(path, format)
@@ -112,7 +112,7 @@ def open_source(
     if follow:
         if not FORMATS[name].can_grow:
             growing = ", ".join(n for n, known in FORMATS.items() if known.can_grow)
-            raise SourceError(f"{path} ({name}) cannot be followed; what can is {growing}")
+            raise SourceError(f"{path} ({name}) cannot be followed; these formats can: {growing}")
         return cast(Opener, open_it)(path, chosen, mode, topics, follow=True)
     if FORMATS[name].has_topics:
         return cast(Opener, open_it)(path, chosen, mode, topics)
@@ -121,63 +121,63 @@ def open_source(
     return assemble(cast(Gather, open_it)(path, chosen, mode), mode)
 
 
-def gather(path: Path, name: str, calibration: Path | None, mode: Mode) -> Gathered:
-    """List a recording that is no log, of a format of that name, without reading an image.
+def gather(path: Path, name: str, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List a recording of a format without topics; no image is read.
 
     Raises:
-        SourceError: images or stamps are missing or do not fit together.
+        SourceError: images or stamps are missing or inconsistent.
     """
     return cast(Gather, _load(FORMATS[name].opener))(path, calibration, mode)
 
 
 def open_container(path: Path, name: str) -> Log:
-    """A log of a format of that name, whatever it holds.
+    """Open a log of a format with topics, whatever its topics are.
 
     Raises:
-        SourceError: it is none, or it cannot be read.
+        SourceError: it is not a log of this format, or it cannot be read.
     """
     return cast("Log", _load(FORMATS[name].log)(path))
 
 
 def choose_format(path: Path, format: str | None) -> str:
-    """The format that the user named, or that which knows the path.
+    """The format chosen by the user, or else the one detected from the path.
 
     Raises:
         SourceError: the path does not exist, or there is no such format.
     """
     if not path.exists() and not _is_pattern(path):
-        raise SourceError(f"{path} does not exist; give the folder of a recording")
+        raise SourceError(f"{path} does not exist; give the folder or file of a recording")
     if path.exists() and not path.is_file() and not path.is_dir():  # opening it may never end
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
     name = detect_format(path) if format is None else format
     if name not in FORMATS:
-        raise SourceError(f"format '{name}' is not known; known are {', '.join(FORMATS)}")
+        raise SourceError(f"format '{name}' is unknown; known formats: {', '.join(FORMATS)}")
     return name
 
 
 def detect_format(path: Path) -> str:
-    """The name of the first format that knows the path.
+    """The name of the first format that matches a path.
 
     Raises:
-        SourceError: none does.
+        SourceError: no format matches.
     """
     if not path.exists() and _is_pattern(path):
         return "glob"
     names = [entry.name.lower() for entry in path.iterdir()] if path.is_dir() else []
     for name, known in FORMATS.items():
-        if any(fnmatch.filter(names, pattern) for pattern in known.inside):
+        if any(fnmatch.filter(names, pattern) for pattern in known.folder_patterns):
             return name
         if path.is_file() and path.suffix.lower() in known.suffixes:
             return name
     if path.is_file():
-        raise SourceError(f"{path} is a file of no known kind; give the folder of a recording")
+        raise SourceError(f"{path} is a file of unknown format; give the folder of a recording")
     if not path.is_dir():
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
     looked_for = ", ".join(
-        f"{known.inside[0]} ({n})" for n, known in FORMATS.items() if known.inside
+        f"{known.folder_patterns[0]} ({n})" for n, known in FORMATS.items() if known.folder_patterns
     )
     raise SourceError(
-        f"folder {path} holds no images and no recording of a known format; looked for "
+        f"folder {path} has no images and is not a recording of a known format; looked for "
         f"{looked_for} and images ({' '.join(IMAGE_SUFFIXES)})"
     )
 
@@ -187,5 +187,5 @@ def _is_pattern(path: Path) -> bool:
 
 
 def _load(name: str) -> Callable[..., Any]:
-    module, _, inside = name.partition(":")
-    return cast("Callable[..., Any]", getattr(importlib.import_module(module), inside))
+    module, _, attribute = name.partition(":")
+    return cast("Callable[..., Any]", getattr(importlib.import_module(module), attribute))

@@ -1,7 +1,7 @@
-"""A source of images listed beforehand and read one by one, when they are asked for.
+"""Recordings whose images are listed beforehand and decoded a few frames ahead.
 
-It serves every container: what it is given are `StoredImage`s (`vo.sources.images`), which it reads
-a few frames ahead, one thread for each camera.
+Works for every container, because images are `StoredImage`s (`vo.sources.images`); each camera has
+one decoding thread.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _Result = TypeVar("_Result")
 _FRAMES_AHEAD = 2
 
 FrameImages = tuple[Shot, StoredImage | None]
-"""The left image of a frame and the right one, if there is one."""
+"""The left image of a frame, and the right one or None."""
 
 
 class ListedImages(NamedTuple):
@@ -39,28 +39,28 @@ class ListedImages(NamedTuple):
 
     Attributes:
         left: images of cam0 in time order.
-        right: the partner of each, None where it is missing; None in mono.
-        depth_bits: number of bits that the camera uses, of images with 16 bits per pixel.
-        depth: the depth of each image of cam0, None without a depth camera.
+        right: right image of each, None where it is missing; None in mono.
+        bit_depth: number of bits that the camera uses, for images with 16 bits per pixel.
+        depth: depth of each image of cam0; None without a depth camera.
     """
 
     left: Sequence[Shot]
     right: Sequence[StoredImage | None] | None = None
-    depth_bits: int = 16
+    bit_depth: int = 16
     depth: DepthImages | None = None
 
 
 class ImageSequence:
-    """The `Source` of every format whose images can be listed beforehand.
+    """A `Recording` whose images are listed beforehand.
 
     Attributes:
         name: short name for titles and file names.
         format: name of the format in the registry.
         rig: the cameras, cam1 only if the frames have an image1.
-        ground_truth: true poses of cam0, or None where the recording has none.
-        skipped: frames that the newest call of `frames` could not hand out so far, and why.
-        unpaired: frames that it handed out without their image1 so far, in stereo.
-        imus: inertial sensors, the one to use first.
+        ground_truth: true poses of cam0, or None.
+        skipped: unreadable frames of the latest call of `frames` so far, with reasons.
+        unpaired: number of its frames so far without image1 or depth, if the rig has either.
+        imus: inertial sensors, the preferred one first.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class ImageSequence:
         close: Callable[[], None] | None = None,
         imus: Sequence[Imu] = (),
     ) -> None:
-        """Take the images that a format has listed.
+        """Store the listed images.
 
         Args:
             name: short name for titles and file names.
@@ -82,7 +82,7 @@ class ImageSequence:
             rig: the cameras.
             images: the images of all cameras.
             ground_truth: true poses of cam0.
-            close: closes files that images keep open between reads; they may be read again.
+            close: closes the files that images keep open between reads; they can be read again.
             imus: inertial sensors, the preferred one first.
         """
         self.name = name
@@ -94,18 +94,18 @@ class ImageSequence:
         self.imus = tuple(imus)
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
-        self._depth_bits = images.depth_bits
+        self._depth_bits = images.bit_depth
         self._depth = images.depth
         self._close = close
-        self._more: Callable[[], list[FrameImages] | None] | None = None
+        self._next_frames: Callable[[], list[FrameImages] | None] | None = None
 
     def __len__(self) -> int:
-        """Number of frames before slicing, those that cannot be read included."""
+        """Number of frames before slicing, including unreadable ones."""
         return len(self._left)
 
     @property
     def stamps_ns(self) -> Ints:
-        """(N,) the time of every frame before slicing."""
+        """(N,) stamps of all frames before slicing."""
         return np.array([shot.stamp_ns for shot in self._left], dtype=np.int64)
 
     def frames(
@@ -117,44 +117,51 @@ class ImageSequence:
     ) -> Iterator[Frame]:
         """Read frames start, start + stride, … below end.
 
-        Those that cannot be read are warned of, noted in `skipped` and left out.
+        Unreadable frames are left out, with a warning and an entry in `skipped`.
 
         Args:
-            start: first frame.
-            end: frame to stop before; None for the last.
-            stride: take every so many frames.
-            images: what to read them as.
+            start: number of the first frame.
+            end: number to stop before; None for all.
+            stride: step between frames.
+            images: kind of images.
 
         Raises:
-            SourceError: the numbers choose no frame.
+            SourceError: the numbers select no frame.
         """
-        if self._more is not None:
-            choose_frames(start + 1, start, end, stride)
-            return self._read(self._arriving(self._more, start, end, stride), images)
-        numbers = choose_frames(len(self), start, end, stride)
+        if self._next_frames is not None:
+            select_frames(start + 1, start, end, stride)
+            return self._read(self._arriving(self._next_frames, start, end, stride), images)
+        numbers = select_frames(len(self), start, end, stride)
         return self._read(numbers, images)
 
-    def begin_anew(self, more: Callable[[], list[FrameImages] | None]) -> None:
-        """Drop all frames and take those that come while they are read.
+    def follow(self, next_frames: Callable[[], list[FrameImages] | None]) -> None:
+        """Drop all listed frames, and read frames as they arrive instead.
+
+        Depth, inertial sensors and ground truth are dropped as well: they cannot be followed.
 
         Args:
-            more: waits for the next frames; None when there will be no more.
+            next_frames: waits for the next frames and returns them; None at the end.
         """
         if self.rig.has_depth:
-            self.rig = Rig(self.rig.cam0)  # depth does not come along
+            self.rig = Rig(self.rig.cam0)
         self.imus = ()
-        self.ground_truth = None  # no more than its beginning could be known
+        self.ground_truth = None
         self._left, self._depth = [], None
         self._right = [] if self.rig.is_stereo else None
-        self._more = more
+        self._next_frames = next_frames
 
     def _arriving(
-        self, more: Callable[[], list[FrameImages] | None], start: int, end: int | None, stride: int
+        self,
+        next_frames: Callable[[], list[FrameImages] | None],
+        start: int,
+        end: int | None,
+        stride: int,
     ) -> Iterator[int]:
+        """The numbers of frames, as soon as each has arrived."""
         index = start
         while end is None or index < end:
             while index >= len(self._left):
-                new = more()
+                new = next_frames()
                 if new is None:
                     return
                 self._left.extend(shot for shot, _ in new)
@@ -170,7 +177,7 @@ class ImageSequence:
             if self._close is not None:
                 stack.callback(self._close)
             cam0, cam1 = (stack.enter_context(_reader(name)) for name in ("cam0", "cam1"))
-            for index, image0, image1, image2 in self._ahead(cam0, cam1, numbers, kind):
+            for index, image0, image1, image2 in self._prefetch(cam0, cam1, numbers, kind):
                 shot = self._left[index]
                 try:
                     left = image0.result()
@@ -182,17 +189,18 @@ class ImageSequence:
                 if right is None and depth is None and self.rig.is_metric:
                     self.unpaired += 1
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
-                pair = cast("tuple[Bytes, Bytes | None]", (left, right))  # 16 bits if asked for
+                # Images of kind `recorded` may be uint16.
+                pair = cast("tuple[Bytes, Bytes | None]", (left, right))
                 yield Frame(index, shot.stamp_ns, pair, depth, path)
 
-    def _ahead(
+    def _prefetch(
         self,
         cam0: ThreadPoolExecutor,
         cam1: ThreadPoolExecutor,
         numbers: Iterable[int],
         kind: ImageKind,
     ) -> Iterator[tuple[int, _Image, _Image | None, _Depth | None]]:
-        """Decode the next frames while this one is worked on: OpenCV leaves Python's lock free."""
+        """Decode the next frames while this one is processed; OpenCV releases the GIL."""
         waiting: deque[tuple[int, _Image, _Image | None, _Depth | None]] = deque()
         for index in numbers:
             left = cam0.submit(self._image, self._left[index].image, self.rig.cam0, kind)
@@ -220,7 +228,7 @@ class ImageSequence:
 
 
 def _reader(camera: str) -> ThreadPoolExecutor:
-    """A thread of its own for a camera, so that containers that run one way are read in order."""
+    """A decoding thread for one camera, so that its images are read in the recorded order."""
     return ThreadPoolExecutor(1, thread_name_prefix=f"read-{camera}", initializer=give_way)
 
 
@@ -228,7 +236,7 @@ def _check_size(stored: StoredImage, shape: tuple[int, ...], camera: Camera) -> 
     height, width = shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise SourceError(
-            f"image {stored.name} is {width}x{height}, but the camera gives "
+            f"image {stored.name} is {width}x{height}, but those of the camera are "
             f"{camera.width}x{camera.height}"
         )
 
@@ -241,11 +249,11 @@ def _partner(index: int, image: Future[_Result] | None, kind: str) -> _Result | 
         return None
 
 
-def choose_frames(length: int, start: int, end: int | None, stride: int) -> range:
+def select_frames(length: int, start: int, end: int | None, stride: int) -> range:
     """The frame numbers start, start + stride, … below end and `length`.
 
     Raises:
-        SourceError: a number is negative, the stride not positive, or none is left.
+        SourceError: a number is negative, the stride is not positive, or no frame is selected.
     """
     if stride < 1:
         raise SourceError(f"stride is {stride}; it must be 1 or more")
@@ -254,5 +262,5 @@ def choose_frames(length: int, start: int, end: int | None, stride: int) -> rang
     if start >= length:
         raise SourceError(f"start is {start}, but the recording has only {length} frames")
     if end is not None and end <= start:
-        raise SourceError(f"end is {end}, not after start {start}: no frame is left")
+        raise SourceError(f"end is {end}, not after start {start}: no frame is selected")
     return range(start, length if end is None else min(end, length), stride)

@@ -6,27 +6,27 @@ from pathlib import Path
 
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum, stamp_ns_from_seconds
-from vo.sources.assembly import Gathered, find_calibration
+from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.listing import Shot, shots_from_table
 from vo.types import Mode, Trajectory
 
 
-def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List a recording folder; depth.txt and groundtruth.txt may be missing.
+def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List a recording; depth.txt and groundtruth.txt are optional.
 
-    The calibration says how many units of a depth image are a metre (`depth_per_metre`); TUM's own
-    recordings have 5000.
+    The calibration contains the number of depth units per metre (`depth_per_metre`); the default
+    is 5000, as in the recordings of TUM.
 
     Raises:
-        SourceError: images or stamps are missing or do not fit together.
-        CalibrationError: there is no calibration, or it is wrong.
+        SourceError: images or stamps are missing or inconsistent.
+        CalibrationError: the calibration is missing or invalid.
     """
-    return Gathered(
+    return RecordingContents(
         name=path.resolve().name,
         format="tum",
         left=shots_from_table(path / "rgb.txt", path, None, stamp_ns_from_seconds),
         right=None,
-        calibrate=find_calibration(calibration, [path / "calibration.yaml"]),
+        calibrate=calibration_reader(calibration, [path / "calibration.yaml"]),
         read_truth=lambda _: _truth(path / "groundtruth.txt"),
         depth=_depth(path) if mode != "mono" else None,
     )
@@ -39,7 +39,7 @@ def _depth(path: Path) -> list[Shot] | None:
     try:
         return shots_from_table(table, path, None, stamp_ns_from_seconds)
     except SourceError as error:
-        raise SourceError(f"{error}; --mode mono goes without depth") from error
+        raise SourceError(f"{error}; to ignore depth, use --mode mono") from error
 
 
 def _truth(file: Path) -> Trajectory | None:

@@ -1,4 +1,4 @@
-"""Any recording as images alone, whatever it says of its cameras: to calibrate them."""
+"""Recordings without their calibration, as input of camera calibration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.formats.calibration import Calibration, ImageSize
-from vo.sources.assembly import Gathered, assemble
+from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import choose_topics
 from vo.sources.logs.images import list_images
@@ -26,33 +26,33 @@ def open_uncalibrated(
     mode: Mode = "auto",
     topics: Sequence[str] = (),
 ) -> ImageSequence:
-    """Open a recording whose cameras nobody knows yet.
+    """Open a recording with unknown calibration.
 
-    The cameras of its rig have the size of the images and else mean nothing; truth and depth are
-    left out.
+    The cameras of its rig are placeholders: only their image size is meaningful. Ground truth and
+    depth are left out.
 
     Args:
         path: folder or file of the recording.
-        format: a key of `FORMATS`; by default found out from the path.
+        format: a key of `FORMATS`; by default detected from the path.
         mode: as in `open_source`.
         topics: as in `open_source`.
 
     Raises:
-        SourceError: the recording is missing, empty, damaged or of no known format, or its cameras
-            give images of different sizes.
+        SourceError: the recording is missing, empty, damaged or of unknown format, or the image
+            sizes of its cameras differ.
     """
     path = Path(path)
     name = choose_format(path, format)
     if FORMATS[name].has_topics:
-        gathered = _gather_log(path, name, mode, topics)
+        contents = _gather_log(path, name, mode, topics)
     elif topics:
         raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
     else:
-        gathered = gather(path, name, None, mode)
-    right = None if mode == "mono" else gathered.right
+        contents = gather(path, name, None, mode)
+    right = None if mode == "mono" else contents.right
     return assemble(
         replace(
-            gathered,
+            contents,
             right=right,
             calibrate=lambda size: Calibration(_placeholder(size, right)),
             read_truth=lambda _: None,
@@ -62,13 +62,13 @@ def open_uncalibrated(
     )
 
 
-def _gather_log(path: Path, name: str, mode: Mode, topics: Sequence[str]) -> Gathered:
+def _gather_log(path: Path, name: str, mode: Mode, topics: Sequence[str]) -> RecordingContents:
     log = open_container(path, name)
     choice = choose_topics(log.topics, topics, mode)
     chosen = [choice.left] if choice.right is None else [choice.left, choice.right]
     entries = log.entries([topic.name for topic in chosen])
     left, *others = (list_images(log, topic, entries[topic.name]) for topic in chosen)
-    return Gathered(
+    return RecordingContents(
         name=path.resolve().stem,
         format=name,
         left=left,
@@ -87,7 +87,7 @@ def _placeholder(size: ImageSize, right: Sequence[Shot] | None) -> Rig:
     if other != size:
         raise SourceError(
             f"left images are {width}x{height}, right ones such as {right[0].image.name} "
-            f"{other[0]}x{other[1]}; both cameras must give the same size (one alone: --mode mono)"
+            f"{other[0]}x{other[1]}; both must have the same size (for one camera: --mode mono)"
         )
     return Rig(camera, camera, np.eye(4))
 

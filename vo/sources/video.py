@@ -1,4 +1,4 @@
-"""Video files: frames with the times that the container gives them, of one camera."""
+"""Video files of one camera, with the time stamps of the container."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from vo.errors import SourceError
-from vo.sources.assembly import Gathered, find_calibration
+from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.listing import Shot
 from vo.types import Bytes, Mode
 
@@ -26,19 +26,19 @@ _THREADS = 2
 
 
 class _Index(NamedTuple):
-    """Times of all frames and of those that decoding can begin at, in nanoseconds and in ticks."""
+    """Times of all frames, in nanoseconds and in ticks, and of the key frames, in ticks."""
 
     stamps_ns: list[int]
     ticks: list[int]
     keys: list[int]
 
 
-def gather_video(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
-    """List a video; of several pictures in it, the first is taken.
+def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List the frames of the first video stream.
 
     Raises:
-        SourceError: it cannot be opened or holds no frame.
-        CalibrationError: there is no calibration, or it is wrong.
+        SourceError: the file cannot be opened or has no frames.
+        CalibrationError: the calibration is missing or invalid.
     """
     index = _list_frames(path)
     decoder = _Decoder(path, index)
@@ -46,12 +46,12 @@ def gather_video(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
         Shot(stamp, _StoredFrame(decoder, i), f"frame {i} of {path}")
         for i, stamp in enumerate(index.stamps_ns)
     ]
-    return Gathered(
+    return RecordingContents(
         name=path.stem,
         format="video",
         left=shots,
         right=None,
-        calibrate=find_calibration(
+        calibrate=calibration_reader(
             calibration, [path.with_suffix(".yaml"), path.parent / "calibration.yaml"]
         ),
         read_truth=lambda _: None,
@@ -61,7 +61,7 @@ def gather_video(path: Path, calibration: Path | None, mode: Mode) -> Gathered:
 
 @dataclass(frozen=True)
 class _StoredFrame:
-    """A `StoredImage` in a video."""
+    """A `StoredImage` in a video file."""
 
     decoder: _Decoder
     index: int
@@ -75,53 +75,53 @@ class _StoredFrame:
 
 
 class _Decoder:
-    """Decodes on from frame to frame, and jumps only where that saves decoding."""
+    """Decodes frames sequentially, and seeks only if that saves decoding."""
 
     def __init__(self, path: Path, index: _Index) -> None:
         self.path = path
         self._index = index
         self._container: InputContainer | None = None
         self._frames: Iterator[VideoFrame] = iter(())
-        self._reached: int | None = None  # ticks of the newest frame that was decoded
-        self._newest: VideoFrame | None = None
+        self._position: int | None = None  # ticks of the last decoded frame
+        self._last_frame: VideoFrame | None = None
 
     def read(self, index: int, colour: bool = False) -> Bytes:
-        """A frame as (H, W) grey, or (H, W, 3) where `colour` is wanted and there.
+        """Read a frame as (H, W) grey, or as (H, W, 3) with `colour` if it has colour.
 
         Raises:
             SourceError: it cannot be decoded.
         """
-        wanted = self._index.ticks[index]
+        target = self._index.ticks[index]
         try:
-            self._go_near(wanted)
-            frame = self._newest
-            while frame is None or frame.pts is None or frame.pts < wanted:
-                frame = self._newest = next(self._frames)
-                self._reached = frame.pts if frame.pts is not None else self._reached
+            self._seek(target)
+            frame = self._last_frame
+            while frame is None or frame.pts is None or frame.pts < target:
+                frame = self._last_frame = next(self._frames)
+                self._position = frame.pts if frame.pts is not None else self._position
         except StopIteration:
             raise SourceError(f"frame {index} of {self.path} is missing: the video ends") from None
         except (av.FFmpegError, OSError) as error:
             self.close()
             raise SourceError(f"frame {index} of {self.path} is damaged: {error}") from error
-        if frame.pts != wanted:
+        if frame.pts != target:
             raise SourceError(f"frame {index} of {self.path} is damaged")
-        # Phones record upright pictures lying down, and note by how much to turn them.
+        # Phones store upright images rotated, with the angle in the metadata.
         upright = np.rot90(frame_pixels(frame, colour), round(frame.rotation / 90))
         return np.ascontiguousarray(upright, dtype=np.uint8)
 
     def close(self) -> None:
         """Close the file; the next read opens it again."""
-        self._frames, self._newest, self._reached = iter(()), None, None
+        self._frames, self._last_frame, self._position = iter(()), None, None
         if self._container is not None:
             self._container.close()
         self._container = None
 
-    def _go_near(self, wanted: int) -> None:
-        """Jump to the key frame before a time, unless decoding is already between the two."""
-        at = bisect.bisect_right(self._index.keys, wanted)
+    def _seek(self, target: int) -> None:
+        """Seek the key frame before a time, unless the decoder is already between the two."""
+        at = bisect.bisect_right(self._index.keys, target)
         key = self._index.keys[at - 1] if at else self._index.ticks[0]
-        reached = key - 1 if self._reached is None else self._reached
-        if self._container is not None and key <= reached <= wanted:
+        position = key - 1 if self._position is None else self._position
+        if self._container is not None and key <= position <= target:
             return
         if self._container is None:
             self._container = av.open(str(self.path))
@@ -129,18 +129,18 @@ class _Decoder:
             _video_stream(self.path, self._container).thread_type = "AUTO"
         stream = _video_stream(self.path, self._container)
         self._container.seek(key, stream=stream)
-        self._newest, self._reached = None, None
+        self._last_frame, self._position = None, None
         self._frames = _decoded(self._container, stream)
 
 
 def frame_pixels(frame: VideoFrame, colour: bool) -> Bytes:
-    """A decoded frame as (H, W) grey, or (H, W, 3) blue, green, red, if wanted and there."""
+    """A decoded frame as (H, W) grey, or as (H, W, 3) BGR with `colour` if it has colour."""
     is_grey = not colour or frame.format.name.startswith("gray")
     return np.ascontiguousarray(frame.to_ndarray(format="gray" if is_grey else "bgr24"))
 
 
 def _decoded(container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
-    """The frames from here on, without those that damage has reached."""
+    """Decode the frames from the current position, without corrupt ones."""
     for packet in container.demux(stream):
         try:
             frames = packet.decode()
@@ -150,7 +150,7 @@ def _decoded(container: InputContainer, stream: VideoStream) -> Iterator[VideoFr
 
 
 def _list_frames(path: Path) -> _Index:
-    """Times of all frames, from the container alone: nothing is decoded."""
+    """List the times of all frames, without decoding."""
     ticks: set[int] = set()
     keys: set[int] = set()
     try:
@@ -169,22 +169,22 @@ def _list_frames(path: Path) -> _Index:
                 _log.warning("%s is damaged after %d frames: %s", path, len(ticks), error)
     except (av.FFmpegError, OSError) as error:
         raise SourceError(
-            f"{path} cannot be opened as a video: {error.strerror or error}; if it was cut off, "
-            "an MP4 is lost, as it is written at the very end how to read it"
+            f"{path} cannot be opened as a video: {error.strerror or error}; a truncated MP4 file "
+            "cannot be recovered, because its index is written at the end"
         ) from error
     if not ticks or unit is None:
-        raise SourceError(f"{path} holds no video frame")
+        raise SourceError(f"{path} has no video frames")
     ordered = sorted(ticks)
     to_ns = partial(_nanoseconds, numerator=unit.numerator, denominator=unit.denominator)
     return _Index([to_ns(time) for time in ordered], ordered, sorted(keys))
 
 
 def _nanoseconds(ticks: int, numerator: int, denominator: int) -> int:
-    """Rounded to the nearest, without floating point."""
+    """Convert ticks to nanoseconds, rounded to nearest, in integer arithmetic."""
     return (2 * ticks * numerator * 1_000_000_000 + denominator) // (2 * denominator)
 
 
 def _video_stream(path: Path, container: InputContainer) -> VideoStream:
     if not container.streams.video:
-        raise SourceError(f"{path} holds no video")
+        raise SourceError(f"{path} has no video stream")
     return container.streams.video[0]

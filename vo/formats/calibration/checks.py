@@ -25,6 +25,7 @@ from vo.formats.calibration.numbers import (
     make_resolution,
     make_transform,
 )
+from vo.formats.warning_kinds import warning_kind
 from vo.geometry.distortion import centre_scale
 from vo.types import Camera, Floats
 
@@ -107,6 +108,7 @@ def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
             "too large",
             where,
             baseline,
+            extra=warning_kind("large_baseline"),
         )
 
 

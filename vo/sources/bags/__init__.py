@@ -1,1 +1,1 @@
-"""ROS bags as logs, of ROS 1 and ROS 2, without ROS."""
+"""Bags of ROS 1 and ROS 2 as logs, without an installation of ROS."""

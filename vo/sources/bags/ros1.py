@@ -1,4 +1,4 @@
-"""ROS 1 bags (version 2.0): chunks of records with an index, which a cut-off bag lacks.
+"""ROS 1 bags (version 2.0): chunks of records and an index, which is missing in truncated bags.
 
 Source: https://wiki.ros.org/Bags/Format/2.0
 """
@@ -22,12 +22,12 @@ from vo.sources.bags.ros1_records import (
     Chunk,
     ChunkCache,
     Connection,
-    Cut,
+    Damaged,
     Record,
+    chunk_records,
     connection_of,
+    file_records,
     log_ns_of,
-    records_of,
-    top_level,
 )
 from vo.sources.logs.log import Entry, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
@@ -40,61 +40,62 @@ _log = logging.getLogger(__name__)
 def open_rosbag1(
     path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
 ) -> Recording:
-    """Open a bag; of one that was cut off, what is there.
+    """Open a bag; of a truncated bag, the readable part.
 
     Raises:
-        SourceError: it is no bag, holds no images, or it cannot be told which.
-        CalibrationError: the calibration is missing or cannot be true.
+        SourceError: it is not a bag, has no images, or the choice of topics is ambiguous.
+        CalibrationError: the calibration is missing or invalid.
     """
     return open_log(Bag(path), "rosbag1", calibration, mode, topics)
 
 
-class _Place(NamedTuple):
-    """Where the data of a message is in its unpacked chunk."""
+class _Address(NamedTuple):
+    """Address of the data of a message in its decompressed chunk."""
 
     chunk: int
     start: int
     length: int
 
 
-class _Tally(NamedTuple):
+class _Statistics(NamedTuple):
     messages: int
     first_ns: int
     last_ns: int
 
 
 class Bag:
-    """A `Log` in a ROS 1 bag; it is open only while something is read from it."""
+    """A `Log` in a ROS 1 bag; the file is open only during reads."""
 
     def __init__(self, path: Path) -> None:
-        """Find out which topics there are.
+        """Read the index of the bag; a bag without an index is scanned.
 
         Raises:
-            SourceError: it is no bag, or it cannot be read.
+            SourceError: it is not a bag, or it cannot be read.
         """
         self.path = path
         self._chunks: list[Chunk] = []
         self._connections: dict[int, Connection] = {}
-        self._tallies: dict[int, _Tally] = {}
+        self._statistics: dict[int, _Statistics] = {}
         try:
-            damage = self._survey()
+            damage = self._read_index()
         except OSError as error:
             raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
         self._cache = ChunkCache(path, self._chunks)
         if damage is not None:
-            self._salvage(damage)
+            self._scan_chunks(damage)
         self._codecs = {
             number: codec
-            for number, known in self._connections.items()
-            if number in self._tallies
-            and (codec := find_codec("ros1", known.kind, "ros1msg", known.definition)) is not None
+            for number, connection in self._connections.items()
+            if number in self._statistics
+            and (codec := find_codec("ros1", connection.kind, "ros1msg", connection.definition))
+            is not None
         }
         names = sorted({self._connections[number].topic for number in self._codecs})
         self.topics = [self._topic(name) for name in names]
         self.unread = self._others(frozenset(names))
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
-        """The messages of some topics, in the order of the bag."""
+        """See `Log.entries`."""
         found: dict[str, list[Entry]] = {name: [] for name in names}
         wanted = {n for n in self._codecs if self._connections[n].topic in found}
         for number, chunk in enumerate(self._chunks):
@@ -105,25 +106,25 @@ class Bag:
                     if record.connection in wanted:
                         entry = _entry(record, number, self._codecs[record.connection])
                         found[self._connections[record.connection].topic].append(entry)
-            except (SourceError, Cut) as error:
-                _log.warning("%s; messages of that chunk are left out", error)
+            except (SourceError, Damaged) as error:
+                _log.warning("%s; messages of that chunk are skipped", error)
         return found
 
     def read(self, entry: Entry) -> bytes:
-        """The bytes of a message.
+        """Read the bytes of a message.
 
         Raises:
-            SourceError: they are damaged, or the file cannot be read.
+            SourceError: the message is damaged, or the file cannot be read.
         """
-        place: _Place = entry.place
-        data = self._cache.get(place.chunk)
-        return data[place.start : place.start + place.length]
+        address: _Address = entry.address
+        data = self._cache.get(address.chunk)
+        return data[address.start : address.start + address.length]
 
-    def _survey(self) -> Cut | None:
-        """List chunks and connections; what is wrong with the bag, if something is."""
+    def _read_index(self) -> Damaged | None:
+        """List chunks and connections; return the damage of the bag, or None."""
         indexed: set[int] = set()
         try:
-            for record in top_level(self.path):
+            for record in file_records(self.path):
                 if record.op == CHUNK:
                     self._chunks.append(Chunk.of(record))
                 elif record.op == INDEX and self._chunks:
@@ -133,10 +134,10 @@ class Bag:
                 elif record.op == CHUNK_INFO:
                     indexed.add(record.number("chunk_pos", 8))
                     self._count(record)
-        except Cut as cut:
-            return cut
+        except Damaged as damage:
+            return damage
         if len(indexed) < len(self._chunks):
-            return Cut(self.path.stat().st_size, "its index is missing")
+            return Damaged(self.path.stat().st_size, "its index is missing")
         return None
 
     def _count(self, info: Record) -> None:
@@ -144,68 +145,68 @@ class Bag:
         for at in range(0, len(info.data) - 7, 8):
             connection = int.from_bytes(info.data[at : at + 4], "little")
             count = int.from_bytes(info.data[at + 4 : at + 8], "little")
-            self._note(connection, count, first, last)
+            self._add_count(connection, count, first, last)
 
-    def _note(self, connection: int, count: int, first_ns: int, last_ns: int) -> None:
-        before = self._tallies.get(connection, _Tally(0, first_ns, last_ns))
-        self._tallies[connection] = _Tally(
+    def _add_count(self, connection: int, count: int, first_ns: int, last_ns: int) -> None:
+        before = self._statistics.get(connection, _Statistics(0, first_ns, last_ns))
+        self._statistics[connection] = _Statistics(
             before.messages + count, min(before.first_ns, first_ns), max(before.last_ns, last_ns)
         )
 
-    def _salvage(self, damage: Cut) -> None:
-        """Without an index, all chunks are gone through once."""
-        self._tallies.clear()
+    def _scan_chunks(self, damage: Damaged) -> None:
+        """Scan all chunks of a bag without an index."""
+        self._statistics.clear()
         for number, chunk in enumerate(self._chunks):
             chunk.connections.clear()
             try:
-                for record in records_of(self._cache.get(number)):
+                for record in chunk_records(self._cache.get(number)):
                     if record.op == CONNECTION:
                         self._connections.setdefault(record.connection, connection_of(record))
                     elif record.op == MESSAGE:
                         time = log_ns_of(record)
-                        self._note(record.connection, 1, time, time)
+                        self._add_count(record.connection, 1, time, time)
                         chunk.connections.add(record.connection)
-            except (SourceError, Cut) as error:
+            except (SourceError, Damaged) as error:
                 _log.warning("%s: a chunk at byte %d: %s", self.path, chunk.start, error)
-        if not self._tallies:
-            raise SourceError(f"{self.path} holds no message that can be read: {damage}")
-        first = min(tally.first_ns for tally in self._tallies.values())
-        last = max(tally.last_ns for tally in self._tallies.values())
+        if not self._statistics:
+            raise SourceError(f"{self.path} has no readable message: {damage}")
+        first = min(each.first_ns for each in self._statistics.values())
+        last = max(each.last_ns for each in self._statistics.values())
         _log.warning(
-            "%s: %s; %d messages in %.1f s can be read",
+            "%s: %s; readable: %d messages in %.1f s",
             self.path,
             damage,
-            sum(tally.messages for tally in self._tallies.values()),
+            sum(each.messages for each in self._statistics.values()),
             (last - first) * 1e-9,
         )
 
     def _messages(self, number: int) -> list[Record]:
-        """The messages of a chunk, as far as it is sound."""
+        """The messages of a chunk, up to the first damage."""
         messages = []
         try:
-            for record in records_of(self._cache.get(number)):
+            for record in chunk_records(self._cache.get(number)):
                 if record.op == MESSAGE:
                     messages.append(record)
-        except Cut:
-            pass  # told of when the bag was opened
+        except Damaged:
+            pass  # reported when the bag was opened
         return messages
 
     def _topic(self, name: str) -> Topic:
-        """A topic, to which several nodes may have published."""
+        """A topic, possibly with several publishers."""
         numbers = [n for n in self._codecs if self._connections[n].topic == name]
-        tallies = [self._tallies[number] for number in numbers]
-        span_ns = max(t.last_ns for t in tallies) - min(t.first_ns for t in tallies)
+        statistics = [self._statistics[number] for number in numbers]
+        span_ns = max(t.last_ns for t in statistics) - min(t.first_ns for t in statistics)
         kind, codec = self._connections[numbers[0]].kind, self._codecs[numbers[0]]
-        return Topic(name, kind, codec, sum(t.messages for t in tallies), span_ns)
+        return Topic(name, kind, codec, sum(t.messages for t in statistics), span_ns)
 
-    def _others(self, known: frozenset[str]) -> list[UnreadTopic]:
+    def _others(self, readable: frozenset[str]) -> list[UnreadTopic]:
         found: dict[str, UnreadTopic] = {}
         for number, connection in sorted(self._connections.items()):
-            if connection.topic not in known:
+            if connection.topic not in readable:
                 topic = found.get(connection.topic)
                 topic = topic or UnreadTopic(connection.topic, connection.kind, 0)
-                tally = self._tallies.get(number)
-                count = topic.messages + (0 if tally is None else tally.messages)
+                statistics = self._statistics.get(number)
+                count = topic.messages + (0 if statistics is None else statistics.messages)
                 found[connection.topic] = topic._replace(messages=count)
         return [found[name] for name in sorted(found)]
 
@@ -215,4 +216,4 @@ def _entry(record: Record, chunk: int, codec: Codec) -> Entry:
         stamp_ns = codec.peek_stamp_ns(bytes(record.data[:HEAD_BYTES]))
     except SourceError:
         stamp_ns = None
-    return Entry(log_ns_of(record), stamp_ns, _Place(chunk, record.start, len(record.data)))
+    return Entry(log_ns_of(record), stamp_ns, _Address(chunk, record.start, len(record.data)))

@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder with metadata.yaml and SQLite or MCAP files, or one of these files."""
+"""ROS 2 bags: a folder of metadata.yaml and SQLite or MCAP files, or one of these files."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ _log = logging.getLogger(__name__)
 def open_rosbag2(
     path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
 ) -> Recording:
-    """Open a bag; without its metadata.yaml, as after a crash, its files tell all that is needed.
+    """Open a bag; metadata.yaml is optional, because it is missing after a crash.
 
     Raises:
-        SourceError: it is no bag, holds no images, or it cannot be told which.
-        CalibrationError: the calibration is missing or cannot be true.
+        SourceError: it is not a bag, has no images, or the choice of topics is ambiguous.
+        CalibrationError: the calibration is missing or invalid.
     """
     return open_log(Bag(path), "rosbag2", calibration, mode, topics)
 
 
 class _Metadata(NamedTuple):
     files: list[Path]
-    compression: str  # of files, of messages, or none
+    compression: str  # unit of compression: `file`, `message` or `none`
 
 
 class Bag:
     """A `Log` in one or more files."""
 
     def __init__(self, path: Path) -> None:
-        """Open all files that exist.
+        """Open all existing files.
 
         Raises:
-            SourceError: there is none, or one is no part of a bag.
+            SourceError: there are none, or one is not part of a bag.
         """
         self.path = path
-        self._unpacked: Path | None = None
+        self._decompressed: Path | None = None
         found = _metadata(path)
         self._parts: list[Log] = [self._open(file, found.compression) for file in found.files]
         names = sorted({topic.name for part in self._parts for topic in part.topics})
@@ -60,47 +60,47 @@ class Bag:
         self.unread = _unread(self._parts, frozenset(names))
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
-        """The messages of some topics, in the order of the files."""
+        """See `Log.entries`; the files are in the order of metadata.yaml or of their numbers."""
         joined: dict[str, list[Entry]] = {name: [] for name in names}
         for number, part in enumerate(self._parts):
             own = [topic.name for topic in part.topics if topic.name in joined]
             for name, entries in part.entries(own).items():
-                joined[name] += [entry._replace(place=(number, entry)) for entry in entries]
+                joined[name] += [entry._replace(address=(number, entry)) for entry in entries]
         return joined
 
     def read(self, entry: Entry) -> bytes:
-        """The bytes of a message.
+        """Read the bytes of a message.
 
         Raises:
-            SourceError: they are damaged.
+            SourceError: the message is damaged.
         """
-        place: tuple[int, Entry] = entry.place
-        return self._parts[place[0]].read(place[1])
+        address: tuple[int, Entry] = entry.address
+        return self._parts[address[0]].read(address[1])
 
     def _open(self, file: Path, compression: str) -> Log:
         if file.suffix == ".zstd":
-            file = self._unpack(file)
+            file = self._decompress(file)
         if file.suffix == ".mcap":
             if compression == "message":
                 raise SourceError(
-                    f"{file} holds messages that are compressed one by one, which is not read in "
-                    "MCAP; MCAP's own compression of chunks is"
+                    f"{file} has individually compressed messages, which are not supported in "
+                    "MCAP; compression of MCAP chunks is"
                 )
             return McapFile(file)
-        return SqliteFile(file, packed=compression == "message")
+        return SqliteFile(file, compressed=compression == "message")
 
-    def _unpack(self, file: Path) -> Path:
-        """Unpack a file that was compressed as a whole to a temporary folder."""
-        if self._unpacked is None:
-            self._unpacked = Path(tempfile.mkdtemp(prefix="vo-bag-"))
-            weakref.finalize(self, shutil.rmtree, self._unpacked, ignore_errors=True)
-        unpacked = self._unpacked / file.stem
+    def _decompress(self, file: Path) -> Path:
+        """Decompress a file into a temporary folder."""
+        if self._decompressed is None:
+            self._decompressed = Path(tempfile.mkdtemp(prefix="vo-bag-"))
+            weakref.finalize(self, shutil.rmtree, self._decompressed, ignore_errors=True)
+        decompressed = self._decompressed / file.stem
         try:
-            with file.open("rb") as packed, unpacked.open("wb") as stream:
-                zstandard.ZstdDecompressor().copy_stream(packed, stream)
+            with file.open("rb") as compressed, decompressed.open("wb") as stream:
+                zstandard.ZstdDecompressor().copy_stream(compressed, stream)
         except (OSError, zstandard.ZstdError) as error:
-            raise SourceError(f"{file} cannot be unpacked: {error}") from error
-        return unpacked
+            raise SourceError(f"{file} cannot be decompressed: {error}") from error
+        return decompressed
 
 
 def _metadata(path: Path) -> _Metadata:
@@ -115,31 +115,31 @@ def _metadata(path: Path) -> _Metadata:
         kinds = ("*.db3", "*.mcap", "*.db3.zstd", "*.mcap.zstd")
         files = sorted((f for kind in kinds for f in path.glob(kind)), key=natural_key)
         if files and not listed:
-            _log.warning("%s has no metadata.yaml, as after a crash: all its files are read", path)
+            _log.warning("%s has no metadata.yaml, as after a crash; all its files are read", path)
     if not files:
-        raise SourceError(f"{path} holds no .db3 and no .mcap file; a ROS 2 bag has one or more")
+        raise SourceError(f"{path} has no .db3 or .mcap file; a ROS 2 bag has one or more")
     return _Metadata(files, compression)
 
 
 def _read_metadata(table: Path) -> tuple[list[Path], str]:
-    """The files, and what is compressed: `file`, `message` or `none`."""
+    """The files of a bag, and the unit of compression: `file`, `message` or `none`."""
     try:
         data: Any = yaml.safe_load(table.read_text(encoding="utf-8"))
         about = data["rosbag2_bagfile_information"]
         files = [table.parent / Path(str(name)).name for name in about["relative_file_paths"]]
-        packer = str(about.get("compression_format") or "zstd").lower()
+        algorithm = str(about.get("compression_format") or "zstd").lower()
         compression = str(about.get("compression_mode") or "none").lower()
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        _log.warning("%s cannot be read; all files beside it are", table)
+        _log.warning("%s cannot be read; all files in its folder are read", table)
         return [], "none"
-    if compression != "none" and packer != "zstd":
-        raise SourceError(f"{table}: compressed with '{packer}'; zstd is known")
+    if compression != "none" and algorithm != "zstd":
+        raise SourceError(f"{table}: compressed with '{algorithm}'; zstd is supported")
     return files, compression
 
 
-def _unread(parts: Sequence[Log], known: frozenset[str]) -> list[UnreadTopic]:
+def _unread(parts: Sequence[Log], readable: frozenset[str]) -> list[UnreadTopic]:
     found: dict[str, UnreadTopic] = {}
-    for topic in (each for part in parts for each in part.unread if each.name not in known):
+    for topic in (each for part in parts for each in part.unread if each.name not in readable):
         count = found[topic.name].messages if topic.name in found else 0
         found[topic.name] = topic._replace(messages=count + topic.messages)
     return [found[name] for name in sorted(found)]

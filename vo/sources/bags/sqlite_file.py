@@ -1,4 +1,4 @@
-"""Messages in an SQLite file, as rosbag2 writes them by default."""
+"""Messages in an SQLite file, the default storage of rosbag2."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _log = logging.getLogger(__name__)
 
 
 class SqliteFile:
-    """A `Log` in an SQLite file; it is open only while something is read from it."""
+    """A `Log` in an SQLite file; the file is open only during reads."""
 
-    def __init__(self, path: Path, *, packed: bool = False) -> None:
-        """Find out which topics there are.
+    def __init__(self, path: Path, *, compressed: bool = False) -> None:
+        """List the topics.
 
         Args:
             path: the file.
-            packed: whether each message is compressed (zstd).
+            compressed: whether each message is compressed (zstd).
 
         Raises:
-            SourceError: it is no such file, or it is damaged from the start.
+            SourceError: it is not such a file, or its tables cannot be read.
         """
         self.path = path
-        self._packed = packed
+        self._compressed = compressed
         self._number: dict[str, int] = {}
         self.topics: list[Topic] = []
         self.unread: list[UnreadTopic] = []
@@ -51,40 +51,40 @@ class SqliteFile:
                     self.topics.append(Topic(name, kind, codec, count, span_ns))
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
-        """The messages of some topics, in the order of the file."""
+        """See `Log.entries`."""
         with self._opened() as database:
             return {name: self._entries(database, name) for name in names if name in self._number}
 
     def read(self, entry: Entry) -> bytes:
-        """The bytes of a message.
+        """Read the bytes of a message.
 
         Raises:
-            SourceError: they are damaged, or the file cannot be read.
+            SourceError: the message is damaged, or the file cannot be read.
         """
         with self._opened() as database:
-            row = database.execute("SELECT data FROM messages WHERE id = ?", (entry.place,))
+            row = database.execute("SELECT data FROM messages WHERE id = ?", (entry.address,))
             found = row.fetchone()
         if found is None or not isinstance(found[0], bytes):
-            raise SourceError(f"{self.path} has no message {entry.place} that can be read")
-        return self._unpacked(found[0])
+            raise SourceError(f"{self.path} has no readable message {entry.address}")
+        return self._decompress(found[0])
 
     def _entries(self, database: sqlite3.Connection, name: str) -> list[Entry]:
         codec = next(topic.codec for topic in self.topics if topic.name == name)
-        head = "data" if self._packed else f"substr(data, 1, {HEAD_BYTES})"
+        head = "data" if self._compressed else f"substr(data, 1, {HEAD_BYTES})"
         rows = database.execute(
             f"SELECT id, timestamp, {head} FROM messages WHERE topic_id = ? ORDER BY id",
             (self._number[name],),
         )
         entries = []
         try:
-            for place, log_ns, data in rows:
+            for address, log_ns, data in rows:
                 if not isinstance(log_ns, int) or not isinstance(data, bytes):
                     continue
                 try:
-                    stamp_ns = codec.peek_stamp_ns(self._unpacked(data))
+                    stamp_ns = codec.peek_stamp_ns(self._decompress(data))
                 except SourceError:
                     stamp_ns = None
-                entries.append(Entry(log_ns, stamp_ns, place))
+                entries.append(Entry(log_ns, stamp_ns, address))
         except sqlite3.DatabaseError as error:
             _log.warning(
                 "%s is damaged (%s): %s ends after %d messages",
@@ -95,13 +95,13 @@ class SqliteFile:
             )
         return entries
 
-    def _unpacked(self, data: bytes) -> bytes:
-        if not self._packed:
+    def _decompress(self, data: bytes) -> bytes:
+        if not self._compressed:
             return data
         try:
             return zstandard.ZstdDecompressor().decompressobj().decompress(data)
         except zstandard.ZstdError as error:
-            raise SourceError(f"{self.path}: a message cannot be unpacked: {error}") from error
+            raise SourceError(f"{self.path}: a message cannot be decompressed: {error}") from error
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
@@ -111,13 +111,13 @@ class SqliteFile:
                 yield database
         except sqlite3.Error as error:
             raise SourceError(
-                f"{self.path} cannot be read as a ROS 2 bag: {error}; what is left of a damaged "
-                "one can be had with `sqlite3 FILE .recover`"
+                f"{self.path} cannot be read as a ROS 2 bag: {error}; try to recover a damaged "
+                "one with `sqlite3 FILE .recover`"
             ) from error
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
-    """Language and text of the definition of each kind of message; newer bags have them."""
+    """Language and text of the definition of each message type; only newer bags contain them."""
     query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
     try:
         rows = database.execute(query).fetchall()
@@ -127,11 +127,11 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
 
 
 def _spans(path: Path, database: sqlite3.Connection) -> dict[int, tuple[int, int]]:
-    """Count and time from the first to the last message of each topic that has any."""
+    """Number of messages, and time from the first to the last, of each topic with messages."""
     times: dict[int, tuple[int, int, int]] = {}
     try:
         for number, log_ns in database.execute("SELECT topic_id, timestamp FROM messages"):
-            if not isinstance(log_ns, int):  # damage makes NULL of numbers
+            if not isinstance(log_ns, int):  # numbers in damaged pages are read as NULL
                 continue
             count, first, last = times.get(number, (0, log_ns, log_ns))
             times[number] = (count + 1, min(first, log_ns), max(last, log_ns))

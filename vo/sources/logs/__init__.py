@@ -1,5 +1,6 @@
-"""Logs of messages on topics, whatever the container.
+"""Logs of messages on topics, independent of the container.
 
-A container offers a `Log` (`log.py`); `opening.open_log` makes a source of it: it finds the cameras
-(`choice.py`), what they are (`rig.py`), their depth (`depth.py`) and the truth (`truth.py`).
+A container implements `Log` (`log.py`); `opening.open_log` creates a source from it: it chooses the
+camera topics (`choice.py`) and reads calibration (`rig.py`), depth (`depth.py`) and ground truth
+(`truth.py`).
 """

@@ -1,4 +1,4 @@
-"""Depth images in a log, at the pixels of the left camera."""
+"""Depth images in a log, registered to the left camera."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from vo.sources.logs.log import Entry, Log, Topic
 _log = logging.getLogger(__name__)
 
 UNITS_PER_METRE = 1000.0
-"""Depth is in millimetres, as in ROS's 16 bits (REP 118); floats are metres and are multiplied."""
+"""Depth is in millimetres, as in 16-bit images of ROS (REP 118); floats in metres are converted."""
 
 _PNG = b"\x89PNG"
 _HEADER_BYTES = 12
-"""What `compressed_depth_image_transport` writes before the PNG."""
+"""Size of the header of `compressed_depth_image_transport`, in front of the PNG."""
 
 _NAMED_DEPTH = re.compile(r"depth", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMessage:
-    """A `StoredImage` of depth in a message; in millimetres, 0 where unknown."""
+    """A `StoredImage` of depth in a message, in millimetres, 0 where unknown."""
 
     log: Log
     topic: Topic
@@ -40,14 +40,14 @@ class DepthMessage:
 
     @property
     def name(self) -> str:
-        """Topic and time of logging, as other tools show it."""
+        """Topic and log time, as shown by other tools."""
         return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
 
     def read(self, colour: bool = False) -> Pixels:
-        """The depth in millimetres, of 16 bits or floating; it has no colour.
+        """Depth in millimetres, as uint16 or float32; `colour` has no effect.
 
         Raises:
-            SourceError: it is damaged or encoded in an unknown way.
+            SourceError: the message is damaged, or its encoding is unknown.
         """
         try:
             message = self.topic.codec.decode(self.log.read(self.entry))
@@ -62,7 +62,7 @@ class DepthMessage:
 
 
 def depth_topics(topics: Sequence[Topic]) -> list[Topic]:
-    """Topics that may be depth, by name."""
+    """Candidates for depth topics, by name."""
     kinds = (ImageMessage, CompressedImageMessage)
     return [
         topic
@@ -77,24 +77,24 @@ def find_depth(
     frame: str,
     entries: Mapping[str, Sequence[Entry]],
 ) -> list[Shot] | None:
-    """The depth images that have the pixels of a camera: those of its frame; None if none have.
+    """The depth images registered to a camera, which have its frame; None if there are none.
 
     Args:
-        log: where all is.
-        topics: those that may be depth.
-        frame: of the camera.
+        log: the log.
+        topics: candidates for depth topics.
+        frame: frame of the camera.
         entries: messages by topic.
     """
     for topic in topics:
         listed = entries[topic.name]
         first = next(filter(None, (_frame(log, topic, entry) for entry in listed[:10])), None)
         if first is not None and first == frame:
-            return _list(log, topic, listed)
-        _log.debug("%s not used: its frame is %s, the camera's is %s", topic.name, first, frame)
+            return _list_depth(log, topic, listed)
+        _log.debug("%s not used: frame %s, but camera frame %s", topic.name, first, frame)
     return None
 
 
-def _list(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
+def _list_depth(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
     return list_shots(log, topic, entries, lambda n: DepthMessage(log, topic, entries[n]))
 
 

@@ -1,4 +1,4 @@
-"""Where frames of a log are towards each other, as far as they never move."""
+"""Fixed transforms between the coordinate frames of a log."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from vo.types import Floats
 
 _log = logging.getLogger(__name__)
 
-_MOST_LOOKED_AT = 200
-_STILL = 1e-6
-"""Metres and radians; what is written as a constant is repeated to the last bit or nearly so."""
+_MAX_MESSAGES = 200
+_MAX_CHANGE = 1e-6
+"""Maximum change of a fixed transform, in metres and radians; constants are repeated exactly."""
 
 
 class FrameTree:
@@ -29,15 +29,15 @@ class FrameTree:
         self._moving: set[tuple[str, str]] = set()
 
     def add(self, message: TransformsMessage) -> None:
-        """Take in transforms; one that is seen to change is no longer used."""
+        """Add transforms; one that changes is not used."""
         for each in message.transforms:
             pair = (each.parent, each.child)
             known = self._parent_from_child.setdefault(pair, each.parent_from_child)
-            if np.abs(known - each.parent_from_child).max() > _STILL:
+            if np.abs(known - each.parent_from_child).max() > _MAX_CHANGE:
                 self._moving.add(pair)
 
     def between(self, a: str, b: str) -> Floats | None:
-        """The (4, 4) transform `a_from_b`, or None where no chain of fixed frames leads there."""
+        """The (4, 4) transform `a_from_b`, None without a chain of fixed transforms."""
         a_from_frame = {a: np.eye(4)}
         waiting = deque([a])
         while waiting:
@@ -51,7 +51,7 @@ class FrameTree:
         return None
 
     def root(self, frame: str) -> str:
-        """The frame furthest up that a frame is fixed to; itself if to none."""
+        """The topmost ancestor that is fixed to a frame, or the frame itself."""
         seen = {frame}
         while True:
             parents = [p for p, c in self._fixed() if c == frame and p not in seen]
@@ -74,30 +74,30 @@ class FrameTree:
         return found
 
 
-def read_frames(log: Log, listed: Sequence[tuple[Topic, Sequence[Entry]]]) -> FrameTree:
-    """The fixed frames of a log; of a topic with very many messages some, spread evenly."""
+def read_frame_tree(log: Log, listed: Sequence[tuple[Topic, Sequence[Entry]]]) -> FrameTree:
+    """Read the fixed transforms of a log; about 200 messages of a topic with moving frames."""
     tree = FrameTree()
     for topic, entries in listed:
-        step = 1 if topic.name.endswith("_static") else max(1, len(entries) // _MOST_LOOKED_AT)
+        step = 1 if topic.name.endswith("_static") else max(1, len(entries) // _MAX_MESSAGES)
         _add_transforms(tree, log, topic, entries[::step])
     return tree
 
 
 def _add_transforms(tree: FrameTree, log: Log, topic: Topic, entries: Sequence[Entry]) -> None:
-    lost = []
+    errors = []
     for entry in entries:
         try:
             message = topic.codec.decode(log.read(entry))
         except VoError as error:
-            lost.append(error)
+            errors.append(error)
             continue
         if isinstance(message, TransformsMessage):
             tree.add(message)
-    if lost:
+    if errors:
         _log.warning(
-            "%s: %d of the %d transforms looked at cannot be read and are left out; the first: %s",
+            "%s: %d of %d sampled transforms cannot be read and are skipped; first error: %s",
             topic.name,
-            len(lost),
+            len(errors),
             len(entries),
-            lost[0],
+            errors[0],
         )

@@ -1,4 +1,4 @@
-"""Images in the messages of a log, listed with their stamps."""
+"""Images in the messages of a log, with their stamps."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from vo.errors import SourceError, VoError
 from vo.formats.messages import CompressedImageMessage, CompressedVideoMessage, ImageMessage
 from vo.formats.pixels import colour_pixels, grey_pixels
+from vo.formats.warning_kinds import warning_kind
 from vo.sources.images import Pixels, StoredImage, decode_image
-from vo.sources.listing import LARGEST_NS, Shot
+from vo.sources.listing import MAX_STAMP_NS, Shot
 from vo.sources.logs.log import Entry, Log, Topic
 
 _log = logging.getLogger(__name__)
@@ -26,11 +27,11 @@ class MessageImage:
 
     @property
     def name(self) -> str:
-        """Topic and time of logging, as other tools show it."""
+        """Topic and log time, as shown by other tools."""
         return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
 
     def read(self, colour: bool = False) -> Pixels:
-        """The image as `StoredImage.read` has it; also raises as that does."""
+        """See `StoredImage.read`."""
         try:
             message = self.topic.codec.decode(self.log.read(self.entry))
             if isinstance(message, ImageMessage):
@@ -42,41 +43,46 @@ class MessageImage:
 
 
 def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
-    """The images of a topic in the order of their stamps.
+    """The images of a topic, sorted by stamp.
 
-    Stamps are those of the messages' headers; of messages without one the time of logging, with a
-    warning. Of several messages with one stamp the first is taken.
+    The stamp is that of the message header, or else the log time, with a warning. Of messages with
+    the same stamp, the first is used.
 
     Raises:
-        SourceError: there is no image.
+        SourceError: there are no images.
     """
-    return list_shots(log, topic, entries, image_maker(log, topic, entries))
+    return list_shots(log, topic, entries, image_factory(log, topic, entries))
 
 
 def list_shots(
     log: Log, topic: Topic, entries: Sequence[Entry], image: Callable[[int], StoredImage]
 ) -> list[Shot]:
-    """As `list_images`, of images that `image` makes of the number of a message."""
-    ordered = in_order(log, topic, entries)
+    """Like `list_images`, for images created by `image(number of the message)`."""
+    ordered = sorted_by_stamp(log, topic, entries)
     shots: list[Shot] = []
     for stamp_ns, number in ordered:
-        if stamp_ns <= LARGEST_NS and (not shots or stamp_ns > shots[-1].stamp_ns):
+        if stamp_ns <= MAX_STAMP_NS and (not shots or stamp_ns > shots[-1].stamp_ns):
             shots.append(Shot(stamp_ns, image(number), f"{log.path}: {topic.name}"))
     if not shots:
         raise SourceError(f"{log.path}: no message of {topic.name} can be read")
     if len(shots) < len(ordered):
         repeated = len(ordered) - len(shots)
-        _log.warning("%s: %d images repeat a stamp and are not used", topic.name, repeated)
+        _log.warning(
+            "%s: %d images repeat a stamp and are not used",
+            topic.name,
+            repeated,
+            extra=warning_kind("repeated_stamps"),
+        )
     return shots
 
 
-def in_order(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[tuple[int, int]]:
-    """Stamps and numbers of messages, by stamp; that of logging where a message has none."""
+def sorted_by_stamp(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[tuple[int, int]]:
+    """Pairs of stamp and message number, sorted; the log time replaces a missing stamp."""
     stamped = [(stamp_of(log, topic, entry), entry) for entry in entries]
     unstamped = sum(not stamp_ns for stamp_ns, _ in stamped)
     if unstamped:
         _log.warning(
-            "%s: %d of %d messages have no stamp; the time when they were logged is taken",
+            "%s: %d of %d messages have no stamp; their log time is used",
             topic.name,
             unstamped,
             len(entries),
@@ -86,28 +92,29 @@ def in_order(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[tuple[int
     )
 
 
-def image_maker(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[[int], StoredImage]:
-    """Makes the image of a message by its number; frames of a video hang on those before them.
+def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[[int], StoredImage]:
+    """A function that creates the image of a message, given its number.
 
     Args:
-        log: where the messages are.
-        topic: theirs.
-        entries: all of them, in the order of the log; may grow.
+        log: the log.
+        topic: topic of the images.
+        entries: all messages of the topic in the order of the log, as video frames depend on
+            earlier ones; may grow.
     """
     if not issubclass(topic.codec.kind, CompressedVideoMessage):
         return lambda number: MessageImage(log, topic, entries[number])
-    from vo.sources.logs.video import LogVideo, VideoImage  # av takes a while to import
+    from vo.sources.logs.video import LogVideo, VideoImage  # av is slow to import
 
     video = LogVideo(log, topic, entries)
     return lambda number: VideoImage(video, number, entries[number])
 
 
 def stamp_of(log: Log, topic: Topic, entry: Entry) -> int:
-    """The stamp in a message's header; 0 where there is none."""
+    """The stamp in the header of a message; 0 if there is none."""
     stamp_ns = entry.stamp_ns
     if stamp_ns is None:
         try:
             stamp_ns = topic.codec.decode(log.read(entry)).stamp_ns
         except VoError:
             return 0
-    return stamp_ns if 0 < stamp_ns <= LARGEST_NS else 0
+    return stamp_ns if 0 < stamp_ns <= MAX_STAMP_NS else 0

@@ -1,4 +1,4 @@
-"""Gyroscope and accelerometer with a topic each, as RealSense cameras have them, as one sensor."""
+"""Gyroscope and accelerometer on separate topics, as of RealSense cameras, joined to one sensor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vo.sources.imu import Imu, ImuSamples, rows_between
+from vo.sources.imu import Imu, ImuSamples, time_slice
 from vo.sources.logs.imu import LogImu
 from vo.sources.logs.log import Log, Topic
 from vo.types import Floats, ImuNoise, Ints
@@ -16,10 +16,10 @@ _GYRO = re.compile(r"(?<![a-z])gyro(?![a-z])")
 
 
 class PairedImu:
-    """An `Imu` of two topics: accelerations are interpolated at the times of the rates."""
+    """An `Imu` of two topics; accelerations are interpolated at the stamps of the gyroscope."""
 
     def __init__(self, gyro: LogImu, accel: LogImu) -> None:
-        """Join two sensors that do not move towards each other."""
+        """Join two sensors that are rigidly connected."""
         self.name = f"{gyro.name} with {accel.name}"
         self.noise: ImuNoise | None = None
         self._gyro = gyro
@@ -27,56 +27,58 @@ class PairedImu:
 
     @property
     def stamps_ns(self) -> Ints:
-        """As `Imu.stamps_ns`: those of the gyroscope that lie between two accelerations."""
-        all_ns, known_ns = self._gyro.stamps_ns, self._accel.stamps_ns
-        if not len(known_ns):
-            return all_ns[:0]
-        return all_ns[rows_between(all_ns, int(known_ns[0]), int(known_ns[-1]))]
+        """See `Imu.stamps_ns`: stamps of the gyroscope between two accelerations."""
+        gyro_ns, accel_ns = self._gyro.stamps_ns, self._accel.stamps_ns
+        if not len(accel_ns):
+            return gyro_ns[:0]
+        return gyro_ns[time_slice(gyro_ns, int(accel_ns[0]), int(accel_ns[-1]))]
 
     @property
     def cam0_from_imu(self) -> Floats | None:
-        """As `Imu.cam0_from_imu`: where the gyroscope is."""
+        """See `Imu.cam0_from_imu`: pose of the gyroscope."""
         return self._gyro.cam0_from_imu
 
     def read(self, first_ns: int | None = None, last_ns: int | None = None) -> ImuSamples:
-        """As `Imu.read`; samples that are damaged are warned of."""
-        wanted = self.stamps_ns[rows_between(self.stamps_ns, first_ns, last_ns)]
-        if not len(wanted):
-            return ImuSamples(wanted, np.empty((0, 3)), np.empty((0, 3)))
-        known_ns = self._accel.stamps_ns
-        before = int(np.searchsorted(known_ns, wanted[0], side="right")) - 1
-        after = int(np.searchsorted(known_ns, wanted[-1]))
-        accel = self._accel.read(int(known_ns[before]), int(known_ns[after]))
-        return _joined(self._gyro.read(int(wanted[0]), int(wanted[-1])), accel)
+        """See `Imu.read`; damaged samples cause a warning."""
+        stamps_ns = self.stamps_ns[time_slice(self.stamps_ns, first_ns, last_ns)]
+        if not len(stamps_ns):
+            return ImuSamples(stamps_ns, np.empty((0, 3)), np.empty((0, 3)))
+        accel_ns = self._accel.stamps_ns
+        before = int(np.searchsorted(accel_ns, stamps_ns[0], side="right")) - 1
+        after = int(np.searchsorted(accel_ns, stamps_ns[-1]))
+        accel = self._accel.read(int(accel_ns[before]), int(accel_ns[after]))
+        return _joined(self._gyro.read(int(stamps_ns[0]), int(stamps_ns[-1])), accel)
 
-    def read_some(self, most: int) -> ImuSamples:
-        """As `Imu.read_some`: a stretch from the middle."""
+    def read_some(self, max_samples: int) -> ImuSamples:
+        """See `Imu.read_some`: one part from the middle."""
         stamps = self.stamps_ns
-        if len(stamps) <= most:
+        if len(stamps) <= max_samples:
             return self.read()
-        start = (len(stamps) - most) // 2
-        return self.read(int(stamps[start]), int(stamps[start + most - 1]))
+        start = (len(stamps) - max_samples) // 2
+        return self.read(int(stamps[start]), int(stamps[start + max_samples - 1]))
 
 
 def _joined(gyro: ImuSamples, accel: ImuSamples) -> ImuSamples:
     stamps, unreadable = gyro.stamps_ns, gyro.unreadable + accel.unreadable
     if len(accel) == 0:
         return ImuSamples(stamps[:0], gyro.gyro[:0], gyro.accel[:0], unreadable)
-    # Counted from the first, as a double has no room for nanoseconds since 1970.
+    # Relative to the first stamp, because a float64 cannot represent nanoseconds since 1970.
     times, known = stamps - stamps[:1], accel.stamps_ns - stamps[:1]
     columns = [np.interp(times, known, axis) for axis in accel.accel.T]
     return ImuSamples(stamps, gyro.gyro, np.stack(columns, axis=1), unreadable)
 
 
-def log_imus(log: Log, topics: Sequence[Topic], place: Callable[[str], Floats | None]) -> list[Imu]:
-    """The inertial sensors of a log, in the order of their topics; what belongs together is joined.
+def log_imus(
+    log: Log, topics: Sequence[Topic], find_extrinsics: Callable[[str], Floats | None]
+) -> list[Imu]:
+    """The inertial sensors of a log in the order of topics; gyro and accel topics are joined.
 
     Args:
-        log: the messages.
-        topics: of inertial sensors.
-        place: given a sensor's frame, cam0_from_imu or None.
+        log: the log.
+        topics: topics of inertial sensors.
+        find_extrinsics: finds cam0_from_imu, given the frame of a sensor; or None.
     """
-    single = {topic.name: LogImu(log, topic, place) for topic in topics}
+    single = {topic.name: LogImu(log, topic, find_extrinsics) for topic in topics}
     partners = {name: _GYRO.sub("accel", name) for name in single if _GYRO.search(name)}
     partners = {gyro: accel for gyro, accel in partners.items() if accel in single}
     return [

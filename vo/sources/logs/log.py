@@ -1,4 +1,4 @@
-"""What a log is: topics, messages that are listed but not held, and a way to read each."""
+"""Contract of log containers: topics, lists of messages, and reading of single messages."""
 
 from __future__ import annotations
 
@@ -13,30 +13,29 @@ NS_PER_S = 1_000_000_000
 
 
 class Entry(NamedTuple):
-    """Where a message is; a recording of hours has some hundred thousand of them.
+    """Location of a message; small, as hours of recording have several 100,000 messages.
 
     Attributes:
-        log_ns: when it was written down.
-        stamp_ns: when it was measured, as the message itself says; None where that cannot be told
-            without decoding it.
-        place: where the container finds it again.
+        log_ns: log time.
+        stamp_ns: stamp in the header of the message; None if reading it requires decoding.
+        address: address of the message, in a form specific to the container.
     """
 
     log_ns: int
     stamp_ns: int | None
-    place: Any
+    address: Any
 
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """A topic whose messages can be read.
+    """A topic whose messages can be decoded.
 
     Attributes:
-        name: such as `/cam0/image_raw`.
-        schema: name of its kind of message, as stored.
-        codec: who reads the messages.
-        count: of its messages.
-        span_ns: between the first and the last, as far as the container says.
+        name: name, such as `/cam0/image_raw`.
+        schema: name of the message type, as stored.
+        codec: decoder of the messages.
+        count: number of messages.
+        span_ns: time between the first and the last message, 0 if unknown.
     """
 
     name: str
@@ -47,12 +46,12 @@ class Topic:
 
     @property
     def rate_hz(self) -> float:
-        """Messages in a second; 0 where that cannot be told."""
+        """Messages per second; 0 if unknown."""
         return (self.count - 1) * NS_PER_S / self.span_ns if self.span_ns > 0 else 0.0
 
 
 class UnreadTopic(NamedTuple):
-    """A topic that nobody here reads, or that has no message."""
+    """A topic of an unsupported message type, or without messages."""
 
     name: str
     schema: str
@@ -64,31 +63,31 @@ class Log(Protocol):
 
     @property
     def path(self) -> Path:
-        """Its file or folder."""
+        """File or folder of the log."""
         ...
 
     @property
     def topics(self) -> Sequence[Topic]:
-        """Those of which it knows who reads them and that hold a message, by name."""
+        """Topics with messages of a supported type, sorted by name."""
         ...
 
     @property
     def unread(self) -> Sequence[UnreadTopic]:
-        """All other topics, by name."""
+        """All other topics, sorted by name."""
         ...
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
-        """The messages of some topics, in the order of the log.
+        """List the messages of some topics, in the order of the log.
 
-        One pass for all of them, as that may mean reading the container from end to end. What is
-        damaged is warned of and left out.
+        All topics are listed in one pass, because it may read the whole container. Damaged messages
+        are skipped with a warning.
         """
         ...
 
     def read(self, entry: Entry) -> bytes:
-        """The bytes of a message; called from several threads at a time.
+        """Read the bytes of a message; thread-safe.
 
         Raises:
-            SourceError: they are damaged.
+            SourceError: the message is damaged.
         """
         ...

@@ -1,4 +1,4 @@
-"""From a log to a source."""
+"""Opening of a log as a source."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 from vo.errors import CalibrationError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.formats.messages import CalibrationMessage, TransformsMessage
-from vo.sources.assembly import Gathered, assemble
-from vo.sources.imu import Imu, cam0_from_imu_in
+from vo.sources.assembly import RecordingContents, assemble
+from vo.sources.imu import Imu, cam0_from_imu_of
 from vo.sources.listing import Shot
-from vo.sources.logs.choice import Choice, choose_topics
+from vo.sources.logs.choice import ChosenTopics, choose_topics
 from vo.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
-from vo.sources.logs.frames import FrameTree, read_frames
+from vo.sources.logs.frames import FrameTree, read_frame_tree
 from vo.sources.logs.images import list_images
 from vo.sources.logs.imu import imu_topics
 from vo.sources.logs.imu_pairs import log_imus
@@ -33,23 +33,23 @@ def open_log(
     format: str,
     calibration: Path | None,
     mode: Mode,
-    wishes: Sequence[str] = (),
+    topics: Sequence[str] = (),
 ) -> ImageSequence:
-    """Make a source of a log.
+    """Create a source from a log.
 
     Args:
-        log: the messages.
+        log: the log.
         format: name of the container in the registry.
-        calibration: file that overrides what the log says.
+        calibration: file that overrides the calibration in the log.
         mode: as in `open_source`.
-        wishes: as given with `--topic`.
+        topics: values of `--topic`.
 
     Raises:
-        SourceError: there are no images, or it cannot be told which.
-        CalibrationError: the calibration is missing or cannot be true.
+        SourceError: there are no images, or the choice of topics is ambiguous.
+        CalibrationError: the calibration is missing or invalid.
     """
-    choice = choose_topics(log.topics, wishes, mode)
-    opened = _Opened(log, choice)
+    choice = choose_topics(log.topics, topics, mode)
+    opened = _ChosenLog(log, choice)
     left = list_images(log, choice.left, opened.entries[choice.left.name])
     known = opened.calibration_of_log(mode) if calibration is None else None
     right = None
@@ -63,7 +63,7 @@ def open_log(
         found = read_calibration(calibration, size)
         return replace(found, depth_per_metre=found.depth_per_metre or UNITS_PER_METRE)
 
-    gathered = Gathered(
+    contents = RecordingContents(
         name=log.path.resolve().stem,
         format=format,
         left=left,
@@ -73,17 +73,17 @@ def open_log(
         depth=opened.depth(),
         find_imus=opened.imus,
     )
-    return assemble(gathered, mode)
+    return assemble(contents, mode)
 
 
-class _Opened:
-    """The messages of a log that are needed to open it."""
+class _ChosenLog:
+    """The chosen topics of a log and the messages that describe its cameras."""
 
-    def __init__(self, log: Log, choice: Choice) -> None:
+    def __init__(self, log: Log, choice: ChosenTopics) -> None:
         self._log = log
         self._choice = choice
-        self._calibrations = _of_kind(log.topics, CalibrationMessage)
-        transforms = _of_kind(log.topics, TransformsMessage)
+        self._calibrations = _topics_of_type(log.topics, CalibrationMessage)
+        transforms = _topics_of_type(log.topics, TransformsMessage)
         self._imus = imu_topics(log.topics, choice.imu)
         self._truth = find_truth_topic(log.topics, choice.truth)
         self._depth = depth_topics(log.topics) if choice.right is None else []
@@ -98,10 +98,10 @@ class _Opened:
         names = dict.fromkeys(topic.name for topic in topics if topic is not None)
         self.entries: dict[str, list[Entry]] = log.entries(list(names))
         listed = [(topic, self.entries[topic.name]) for topic in transforms]
-        self._frames: FrameTree = read_frames(log, listed)
+        self._frames: FrameTree = read_frame_tree(log, listed)
 
     def calibration_of_log(self, mode: Mode) -> Calibration:
-        """One camera or two; without the second, if that is not known and need not be."""
+        """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
         left = self._camera(self._choice.left)
         if self._choice.right is None or mode == "mono":
             return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
@@ -116,12 +116,12 @@ class _Opened:
         return Calibration(Rig(left.camera, right.camera, transform))
 
     def depth(self) -> list[Shot] | None:
-        """Depth at the pixels of the left camera, if there is any and no right camera."""
+        """Depth registered to the left camera; None without such depth or with a right camera."""
         frame = self._frame(self._choice.left)
         return find_depth(self._log, self._depth, frame, self.entries) if frame else None
 
     def truth(self, calibration: Calibration) -> Trajectory | None:
-        """The poses of cam0, if there are any."""
+        """Ground-truth poses of cam0, or None."""
         if self._truth is None:
             return None
         entries = self.entries[self._truth.name]
@@ -129,21 +129,21 @@ class _Opened:
         return read_truth(self._log, self._truth, entries, frame, self._frames, calibration)
 
     def imus(self, calibration: Calibration | None) -> list[Imu]:
-        """The inertial sensors, and a way to find out where they are."""
-        said = cam0_from_imu_in(calibration)
+        """The inertial sensors."""
+        cam0_from_imu = cam0_from_imu_of(calibration)
 
-        def place(frame: str) -> Floats | None:
-            if said is not None or not frame:
-                return said
+        def find_extrinsics(frame: str) -> Floats | None:
+            if cam0_from_imu is not None or not frame:
+                return cam0_from_imu
             return self._frames.between(self._frame(self._choice.left), frame)
 
-        return log_imus(self._log, self._imus, place)
+        return log_imus(self._log, self._imus, find_extrinsics)
 
     def _camera(self, image: Topic) -> LogCamera:
         return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
 
     def _frame(self, image: Topic) -> str:
-        """The frame of the first image that can be read."""
+        """The frame of the first readable image."""
         for entry in self.entries[image.name]:
             try:
                 message = image.codec.decode(self._log.read(entry))
@@ -153,5 +153,5 @@ class _Opened:
         return ""
 
 
-def _of_kind(topics: Sequence[Topic], kind: type) -> list[Topic]:
+def _topics_of_type(topics: Sequence[Topic], kind: type) -> list[Topic]:
     return [topic for topic in topics if issubclass(topic.codec.kind, kind)]

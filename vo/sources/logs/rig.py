@@ -1,4 +1,4 @@
-"""The cameras of a log, from its calibration messages and its frames."""
+"""Cameras of a log, from its calibration messages and its frames."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from vo.sources.logs.frames import FrameTree
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.types import Camera, Floats
 
-_MOST_TRIED = 100
-_LEAST_COSINE = 0.5  # of the angle between optical axes
+_MAX_MESSAGES = 100
+_MIN_COSINE = 0.5  # of the angle between optical axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class LogCamera:
     """A camera of a log.
 
     Attributes:
-        topic: of its images.
-        frame: its name in the tree of frames; of its first image.
-        calibration: the first message that says what it is.
-        is_rectified: whether its images are, so that they have no distortion.
+        topic: topic of its images.
+        frame: its coordinate frame, that of its first image.
+        calibration: its first calibration message.
+        is_rectified: whether its images are rectified, and thus without distortion.
     """
 
     topic: str
@@ -38,7 +38,7 @@ class LogCamera:
 
     @property
     def camera(self) -> Camera:
-        """The lens that its images were taken with."""
+        """Intrinsics of the images."""
         camera, p = self.calibration.camera, self.calibration.projection
         if not self.is_rectified:
             return camera
@@ -60,72 +60,73 @@ def find_camera(
     calibrations: Sequence[Topic],
     entries: Mapping[str, Sequence[Entry]],
 ) -> LogCamera:
-    """The calibration of the camera of some images: by name, or else by frame.
+    """Find the calibration of an image topic, by topic name or else by frame.
 
     Args:
-        log: where all is.
+        log: the log.
         image: topic of the images.
-        frame: of the images.
+        frame: frame of the images.
         calibrations: topics of calibrations.
-        entries: their messages.
+        entries: messages by topic.
 
     Raises:
-        CalibrationError: there is none, or it cannot be true.
+        CalibrationError: the calibration is missing or invalid.
     """
     space, _, last = base_name(image.name).rpartition("/")
-    near = [t for t in calibrations if t.name.rpartition("/")[0] in (space, f"{space}/{last}")]
-    beside = near if len(near) == 1 else []
+    same = [t for t in calibrations if t.name.rpartition("/")[0] in (space, f"{space}/{last}")]
+    by_name = same if len(same) == 1 else []
     reason = ""
-    for topic in [*beside, *(t for t in calibrations if t not in beside)]:
+    for topic in [*by_name, *(t for t in calibrations if t not in by_name)]:
         try:
-            found = _first(log, topic, entries[topic.name])
+            found = _first_message(log, topic, entries[topic.name])
         except VoError as error:
-            if topic in beside:
+            if topic in by_name:
                 raise CalibrationError(f"{topic.name}: {error}") from error
             reason = reason or f"; {topic.name}: {error}"
             continue
-        if topic in beside or (frame and found.frame == frame):
+        if topic in by_name or (frame and found.frame == frame):
             return LogCamera(image.name, frame or found.frame, found, "rect" in last)
     others = ", ".join(topic.name for topic in calibrations) or "none"
     raise CalibrationError(
         f"no calibration for {image.name} in the log (topics with calibrations: {others}{reason}); "
-        "give a file with --calibration FILE (docs/calibration.md shows what it looks like)"
+        "give a file with --calibration FILE (format: docs/calibration.md)"
     )
 
 
 def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floats:
-    """Where the right camera is: from the tree of frames, or from the rectification.
+    """Extrinsics of the right camera, from the frame tree or from the rectification.
 
     Raises:
-        CalibrationError: neither says it, or the cameras look apart.
+        CalibrationError: both are unknown, or the optical axes differ by more than 60 degrees.
     """
     by_projection = _from_projections(left, right)
     by_frames = None
     if left.frame and right.frame and left.frame != right.frame:
         by_frames = frames.between(right.frame, left.frame)
-    # Frames are those of the cameras as they are; rectified ones are turned.
+    # Frames are those of the physical cameras; rectified cameras are rotated.
     first, second = by_frames, by_projection
     if left.is_rectified and right.is_rectified:
         first, second = second, first
     found = first if first is not None else second
     if found is None:
         raise CalibrationError(
-            f"nothing says where {right.topic} is beside {left.topic}: no transforms lead from "
-            f"frame '{left.frame}' to '{right.frame}', and the last column of the right "
-            "camera's P is 0; give a file with --calibration FILE, or use --mode mono"
+            f"unknown pose of {right.topic} relative to {left.topic}: no transforms connect frame "
+            f"'{left.frame}' to '{right.frame}', and the last column of the right camera's P is 0; "
+            "give a file with --calibration FILE, or use --mode mono"
         )
     cosine = max(float(found[2, 2]), -1.0)
-    if cosine < _LEAST_COSINE:
+    if cosine < _MIN_COSINE:
         raise CalibrationError(
-            f"{left.topic} and {right.topic} look {np.degrees(np.arccos(cosine)):.0f} degrees "
-            "apart and are no stereo pair; choose other topics, or one with --topic"
+            f"the optical axes of {left.topic} and {right.topic} differ by "
+            f"{np.degrees(np.arccos(cosine)):.0f} degrees, too much for a stereo pair; choose "
+            "other topics, or one with --topic"
         )
     check_baseline(f"{left.topic} and {right.topic}", found)
     return found
 
 
 def _from_projections(left: LogCamera, right: LogCamera) -> Floats | None:
-    """From the last columns of the rectified projections P = K [I | t]."""
+    """cam1_from_cam0 from the last columns of the rectified projections P = K [I | t]."""
     shift = _offset(right) - _offset(left)
     if not np.any(shift):
         return None
@@ -145,15 +146,15 @@ def _offset(camera: LogCamera) -> Floats:
     return np.asarray(np.linalg.solve(p[:, :3], p[:, 3]))
 
 
-def _first(log: Log, topic: Topic, entries: Sequence[Entry]) -> CalibrationMessage:
-    """The first message that can be read.
+def _first_message(log: Log, topic: Topic, entries: Sequence[Entry]) -> CalibrationMessage:
+    """The first readable message.
 
     Raises:
-        CalibrationError: what it says cannot be true.
-        SourceError: there is none.
+        CalibrationError: its calibration is invalid.
+        SourceError: no message can be read.
     """
     reason = ""
-    for entry in entries[:_MOST_TRIED]:
+    for entry in entries[:_MAX_MESSAGES]:
         try:
             message = topic.codec.decode(log.read(entry))
         except SourceError as error:

@@ -1,4 +1,4 @@
-"""Video in the messages of a log: H.264 and H.265, a message for every frame."""
+"""Video in the messages of a log: H.264 and H.265, one message per frame."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from vo.types import Bytes
 
 _CODECS = {"h264": "h264", "avc": "h264", "h265": "hevc", "hevc": "hevc"}
 _START = re.compile(rb"\x00\x00\x01")
-_LONGEST_GROUP = 600
-"""Messages looked back through for a frame that can be decoded by itself; 20 s at 30 Hz."""
+_MAX_KEYFRAME_DISTANCE = 600
+"""Messages searched backwards for a key frame; 20 s at 30 Hz."""
 
-_MOST_WAITING = 16
-"""Messages a decoder may be given before it has to hand out a frame."""
+_MAX_DELAY = 16
+"""Messages sent to the decoder without an output before a frame counts as missing."""
 
 
 class LogVideo:
-    """The frames of a topic, decoded on from one to the next.
+    """The frames of a topic, decoded sequentially.
 
-    A frame that is asked for out of turn is decoded from the last one before it that stands alone.
+    A frame out of sequence is decoded from the last key frame before it.
     """
 
     def __init__(self, log: Log, topic: Topic, entries: Sequence[Entry]) -> None:
@@ -39,15 +39,15 @@ class LogVideo:
         self._entries = entries
         self._lock = threading.Lock()
         self._decoder: VideoCodecContext | None = None
-        self._next = 0  # number of the message that the decoder is to be given
-        self._due = 0  # number of the frame that it has not handed out yet
+        self._next_input = 0  # number of the next message for the decoder
+        self._next_output = 0  # number of the frame after the last one that was read
         self._decoded: dict[int, VideoFrame] = {}
 
     def read(self, number: int, colour: bool = False) -> Bytes:
-        """The frame of a message as (H, W) grey, or (H, W, 3) where `colour` is wanted and there.
+        """Read a frame as (H, W) grey, or as (H, W, 3) with `colour` if it has colour.
 
         Raises:
-            SourceError: it is damaged, or no frame before it can be decoded by itself.
+            SourceError: it is damaged, or there is no key frame before it.
         """
         with self._lock:
             try:
@@ -57,49 +57,50 @@ class LogVideo:
                 raise SourceError(f"the video frame cannot be decoded: {error}") from error
 
     def _read(self, number: int) -> VideoFrame:
-        self._go_near(number)
+        self._seek(number)
         while number not in self._decoded:
-            if self._next > number + _MOST_WAITING:
-                raise SourceError("the decoder gave no frame for it")
-            self._feed()
+            if self._next_input > number + _MAX_DELAY:
+                raise SourceError("the decoder returned no frame")
+            self._send_message()
         frame = self._decoded[number]
-        self._due = number + 1
+        self._next_output = number + 1
         self._decoded = {n: kept for n, kept in self._decoded.items() if n > number}
         return frame
 
-    def _go_near(self, number: int) -> None:
-        """Begin anew, unless going on from where the decoder is leads to the frame sooner."""
-        is_ahead = self._decoder is not None and number >= self._due
-        if is_ahead and number <= self._next:
+    def _seek(self, number: int) -> None:
+        """Restart the decoder at a key frame, unless decoding on reaches the frame earlier."""
+        is_ahead = self._decoder is not None and number >= self._next_output
+        if is_ahead and number <= self._next_input:
             return
-        start = self._standing_alone(number)
-        if not is_ahead or start > self._next:
-            self._begin_at(start)
+        start = self._keyframe_before(number)
+        if not is_ahead or start > self._next_input:
+            self._restart(start)
 
-    def _feed(self) -> None:
-        """Give the decoder the next message, or tell it that there is none."""
+    def _send_message(self) -> None:
+        """Send the next message to the decoder, or flush the decoder at the end."""
         assert self._decoder is not None
         packet = None
-        if self._next < len(self._entries):
-            packet = av.Packet(self._message(self._next).data)
-            packet.pts = packet.dts = self._next
+        if self._next_input < len(self._entries):
+            packet = av.Packet(self._message(self._next_input).data)
+            packet.pts = packet.dts = self._next_input
         for frame in self._decoder.decode(packet):
             if frame.pts is not None and not frame.is_corrupt:
                 self._decoded[frame.pts] = frame
-        self._next += 1 if packet is not None else _MOST_WAITING + 1
+        self._next_input += 1 if packet is not None else _MAX_DELAY + 1
 
-    def _begin_at(self, number: int) -> None:
+    def _restart(self, number: int) -> None:
         decoder = CodecContext.create(_name(self._message(number).codec), "r")
         assert isinstance(decoder, VideoCodecContext)
-        decoder.thread_count = 1  # several would hold frames back
-        self._decoder, self._next, self._due, self._decoded = decoder, number, number, {}
+        decoder.thread_count = 1  # several threads would delay frames
+        self._decoder, self._decoded = decoder, {}
+        self._next_input = self._next_output = number
 
-    def _standing_alone(self, number: int) -> int:
-        for at in range(number, max(-1, number - _LONGEST_GROUP), -1):
+    def _keyframe_before(self, number: int) -> int:
+        for at in range(number, max(-1, number - _MAX_KEYFRAME_DISTANCE), -1):
             message = self._message(at)
-            if stands_alone(message.data, message.codec):
+            if is_keyframe(message.data, message.codec):
                 return at
-        raise SourceError("the video begins in the middle: no frame before can be decoded alone")
+        raise SourceError("there is no key frame before it")
 
     def _message(self, number: int) -> CompressedVideoMessage:
         message = self.topic.codec.decode(self.log.read(self._entries[number]))
@@ -109,7 +110,7 @@ class LogVideo:
 
 @dataclass(frozen=True, eq=False)
 class VideoImage:
-    """A `StoredImage` in a video in a log."""
+    """A `StoredImage` in a video of a log."""
 
     video: LogVideo
     number: int
@@ -117,25 +118,25 @@ class VideoImage:
 
     @property
     def name(self) -> str:
-        """Topic and time of logging, as other tools show it."""
+        """Topic and log time, as shown by other tools."""
         video = self.video
         return f"{video.log.path}: {video.topic.name} logged at {self.entry.log_ns} ns"
 
     def read(self, colour: bool = False) -> Bytes:
-        """The frame as `StoredImage.read` has it; also raises as that does."""
+        """See `StoredImage.read`."""
         try:
             return self.video.read(self.number, colour)
         except SourceError as error:
             raise SourceError(f"image {self.name}: {error}") from error
 
 
-def stands_alone(data: bytes, codec: str) -> bool:
-    """Whether a frame begins with what a decoder needs to start: parameters or a key picture.
+def is_keyframe(data: bytes, codec: str) -> bool:
+    """Whether decoding can start at a frame: it begins with parameter sets or a key picture.
 
     Raises:
-        SourceError: the codec is not known.
+        SourceError: the codec is unknown.
 
-    Source: ITU-T H.264, table 7-1; H.265, table 7-1.
+    Source: ITU-T H.264, table 7-1; H.265, table 7-1 (types of NAL units).
     """
     is_h264 = _name(codec) == "h264"
     for start in _START.finditer(data):
@@ -146,13 +147,13 @@ def stands_alone(data: bytes, codec: str) -> bool:
         if kind in (5, 7) if is_h264 else 16 <= kind <= 21 or kind in (32, 33):
             return True
         if kind in (1, 2) if is_h264 else kind < 16:
-            return False  # the picture has begun
+            return False  # slice of a picture that is not a key picture
     return False
 
 
 def _name(codec: str) -> str:
-    """What the decoder is called."""
+    """Name of the decoder."""
     name = codec.strip().lower()
     if name not in _CODECS:
-        raise SourceError(f"video is encoded as '{codec}'; h264 and h265 are known")
+        raise SourceError(f"unknown video codec '{codec}'; h264 and h265 are supported")
     return _CODECS[name]

@@ -1,4 +1,4 @@
-"""Chunks of an MCAP file: where they are, and their data unpacked, checked and kept for a while."""
+"""Chunks of an MCAP file: decompression, checksums and a cache."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typing import BinaryIO
 import lz4.frame
 import zstandard
 
-from vo.sources.mcap.records import ChunkHead, Damaged
+from vo.sources.mcap.records import ChunkHeader, Damaged
 
-_KEPT_BYTES = 64 * 2**20
-_STEP, _LARGEST_STEP = 4096, 2**20
-_FEWEST_KEPT = 2  # left and right may be in chunks of their own
+_MAX_CACHED_BYTES = 64 * 2**20
+_STEP, _MAX_STEP = 4096, 2**20
+_MIN_CACHED = 2  # left and right images may be in different chunks
 
 
 @dataclass(frozen=True)
@@ -25,111 +25,112 @@ class Chunk:
     """A chunk of the file.
 
     Attributes:
-        head: what it says of itself.
-        stored: bytes of its data that the file still has.
-        channels: numbers of those that have messages in it; None where nobody says.
+        header: its header.
+        stored: number of bytes of its data in the file; fewer than `header.size` if truncated.
+        channels: numbers of the channels with messages in it; None if unknown.
     """
 
-    head: ChunkHead
+    header: ChunkHeader
     stored: int
     channels: frozenset[int] | None = None
 
     @property
-    def is_cut(self) -> bool:
-        """Whether the file ends inside."""
-        return self.stored < self.head.size
+    def is_truncated(self) -> bool:
+        """Whether the file ends inside the chunk."""
+        return self.stored < self.header.size
 
     @property
-    def is_packed(self) -> bool:
+    def is_compressed(self) -> bool:
         """Whether its data is compressed."""
-        return self.head.compression != ""
+        return self.header.compression != ""
 
 
-def unpack(chunk: Chunk, data: bytes) -> bytes:
-    """The records in a chunk; of one that is cut off, as far as they go.
+def decompress(chunk: Chunk, data: bytes) -> bytes:
+    """Decompress the records of a chunk; of a truncated chunk, as many as possible.
 
     Raises:
-        Damaged: the data does not unpack or its checksum is wrong.
+        Damaged: the data cannot be decompressed, or its checksum is wrong.
     """
     try:
-        unpacked = _unpack(chunk, data)
+        decompressed = _decompress(chunk, data)
     except (RuntimeError, zstandard.ZstdError, MemoryError, ValueError) as error:
-        raise Damaged(chunk.head.start, f"a chunk cannot be unpacked: {error}") from error
-    if chunk.is_cut:
-        return unpacked
-    if len(unpacked) != chunk.head.unpacked_size:
+        raise Damaged(chunk.header.start, f"a chunk cannot be decompressed: {error}") from error
+    if chunk.is_truncated:
+        return decompressed
+    if len(decompressed) != chunk.header.decompressed_size:
         raise Damaged(
-            chunk.head.start,
-            f"a chunk unpacks to {len(unpacked)} bytes instead of {chunk.head.unpacked_size}",
+            chunk.header.start,
+            f"a chunk decompresses to {len(decompressed)} bytes instead of "
+            f"{chunk.header.decompressed_size}",
         )
-    if chunk.head.crc and zlib.crc32(unpacked) != chunk.head.crc:
-        raise Damaged(chunk.head.start, "the checksum of a chunk is wrong")
-    return unpacked
+    if chunk.header.crc and zlib.crc32(decompressed) != chunk.header.crc:
+        raise Damaged(chunk.header.start, "the checksum of a chunk is wrong")
+    return decompressed
 
 
-def _unpack(chunk: Chunk, data: bytes) -> bytes:
-    match chunk.head.compression:
+def _decompress(chunk: Chunk, data: bytes) -> bytes:
+    match chunk.header.compression:
         case "":
             return data
         case "zstd":
-            if chunk.is_cut:
+            if chunk.is_truncated:
                 return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-            return zstandard.decompress(data, chunk.head.unpacked_size)
+            return zstandard.decompress(data, chunk.header.decompressed_size)
         case "lz4":
-            unpacked = lz4.frame.LZ4FrameDecompressor().decompress(data)
-            return bytes(unpacked)
+            decompressed = lz4.frame.LZ4FrameDecompressor().decompress(data)
+            return bytes(decompressed)
         case _:
-            raise _unknown(chunk)
+            raise _unknown_compression(chunk)
 
 
-class UnpackedStream:
-    """The records in a sound chunk, unpacked as far as someone has read.
+class DecompressedStream:
+    """The records of an intact chunk, decompressed on demand.
 
-    A chunk is listed by the first bytes of its messages; of one that holds a single large image
-    next to nothing is unpacked. Checksums are not looked at; `ChunkCache.get` does that.
+    Indexing needs only the first bytes of each message, so that a chunk with one large image is
+    hardly decompressed. The checksum is not verified here but in `ChunkCache.get`.
     """
 
     def __init__(self, stream: BinaryIO, chunk: Chunk) -> None:
-        stored = _Part(stream, chunk.head.start, chunk.stored)
+        stored = _FileRange(stream, chunk.header.start, chunk.stored)
         self._chunk = chunk
-        self._source: _Part | BinaryIO = stored
-        if chunk.head.compression == "zstd":
+        self._source: _FileRange | BinaryIO = stored
+        if chunk.header.compression == "zstd":
             self._source = zstandard.ZstdDecompressor().stream_reader(stored, read_size=_STEP)  # type: ignore[arg-type]
-        elif chunk.head.compression == "lz4":
+        elif chunk.header.compression == "lz4":
             self._source = lz4.frame.LZ4FrameFile(stored)
-        elif chunk.is_packed:
-            raise _unknown(chunk)
-        self._unpacked = bytearray()
+        elif chunk.is_compressed:
+            raise _unknown_compression(chunk)
+        self._decompressed = bytearray()
         self._position = 0
 
     def seek(self, offset: int) -> int:
-        """Go somewhere; nothing is unpacked yet."""
+        """Set the position; nothing is decompressed yet."""
         self._position = offset
         return offset
 
     def read(self, size: int) -> bytes:
-        """Some bytes, fewer at the end.
+        """Read bytes; fewer at the end.
 
         Raises:
-            Damaged: they do not unpack.
+            Damaged: the data cannot be decompressed.
         """
         end = self._position + size
         try:
-            while len(self._unpacked) < end:
-                more = self._source.read(min(max(end - len(self._unpacked), _STEP), _LARGEST_STEP))
+            while len(self._decompressed) < end:
+                more = self._source.read(min(max(end - len(self._decompressed), _STEP), _MAX_STEP))
                 if not more:
                     break
-                self._unpacked += more
+                self._decompressed += more
         except (RuntimeError, EOFError, zstandard.ZstdError, MemoryError, ValueError) as error:
-            reason = f"a chunk cannot be unpacked: {error}"
-            raise Damaged(self._chunk.head.start, reason) from error
-        data = bytes(self._unpacked[self._position : end])
+            reason = f"a chunk cannot be decompressed: {error}"
+            raise Damaged(self._chunk.header.start, reason) from error
+        data = bytes(self._decompressed[self._position : end])
         self._position += len(data)
         return data
 
 
-class _Part:
-    """A stretch of a file, as a file of its own."""
+class _FileRange:
+    """A byte range of a file as a readable stream."""
 
     def __init__(self, stream: BinaryIO, start: int, size: int) -> None:
         self._stream = stream
@@ -147,40 +148,40 @@ class _Part:
         return True
 
 
-def _unknown(chunk: Chunk) -> Damaged:
-    name = chunk.head.compression
-    reason = f"a chunk is compressed with '{name}'; lz4 and zstd are known"
-    return Damaged(chunk.head.start, reason)
+def _unknown_compression(chunk: Chunk) -> Damaged:
+    name = chunk.header.compression
+    reason = f"a chunk is compressed with '{name}'; lz4 and zstd are supported"
+    return Damaged(chunk.header.start, reason)
 
 
 def load_chunk(path: Path, chunk: Chunk) -> bytes:
-    """The records in a chunk, from the file; else as `unpack`."""
+    """Read and decompress the records of a chunk; raises as `decompress`."""
     with path.open("rb") as stream:
-        stream.seek(chunk.head.start)
-        return unpack(chunk, stream.read(chunk.stored))
+        stream.seek(chunk.header.start)
+        return decompress(chunk, stream.read(chunk.stored))
 
 
 class ChunkCache:
-    """The chunks that were used last, for several threads."""
+    """Thread-safe cache of the most recently used chunks."""
 
     def __init__(self, path: Path, chunks: list[Chunk]) -> None:
         self._path = path
         self._chunks = chunks
         self._lock = threading.Lock()
-        self._kept: OrderedDict[int, Future[bytes]] = OrderedDict()
+        self._cached: OrderedDict[int, Future[bytes]] = OrderedDict()
 
     def get(self, number: int) -> bytes:
-        """The records in a chunk; who asks for one that is being unpacked waits for it.
+        """The records of a chunk; waits for one that another thread is decompressing.
 
         Raises:
-            Damaged: as `unpack` does.
+            Damaged: as in `decompress`.
             OSError: the file cannot be read.
         """
         with self._lock:
-            waiting = self._kept.get(number)
+            waiting = self._cached.get(number)
             future: Future[bytes] = waiting or Future()
-            self._kept[number] = future
-            self._kept.move_to_end(number)
+            self._cached[number] = future
+            self._cached.move_to_end(number)
             self._drop_oldest()
         if waiting is None:
             try:
@@ -190,7 +191,7 @@ class ChunkCache:
         return future.result()
 
     def _drop_oldest(self) -> None:
-        size = sum(self._chunks[number].head.unpacked_size for number in self._kept)
-        while size > _KEPT_BYTES and len(self._kept) > _FEWEST_KEPT:
-            number, _ = self._kept.popitem(last=False)
-            size -= self._chunks[number].head.unpacked_size
+        size = sum(self._chunks[number].header.decompressed_size for number in self._cached)
+        while size > _MAX_CACHED_BYTES and len(self._cached) > _MIN_CACHED:
+            number, _ = self._cached.popitem(last=False)
+            size -= self._chunks[number].header.decompressed_size

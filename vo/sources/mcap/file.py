@@ -1,4 +1,4 @@
-"""An MCAP file as a log; it is open only while something is read from it."""
+"""MCAP files as logs; the file is open only during reads."""
 
 from __future__ import annotations
 
@@ -9,142 +9,144 @@ from typing import BinaryIO
 
 from vo.errors import SourceError
 from vo.sources.logs.log import NS_PER_S, Entry, Topic, UnreadTopic
-from vo.sources.mcap.book import IN_FILE, Book, Place
-from vo.sources.mcap.chunks import Chunk, ChunkCache, UnpackedStream
+from vo.sources.mcap.chunks import Chunk, ChunkCache, DecompressedStream
+from vo.sources.mcap.contents import FileContents, read_contents
+from vo.sources.mcap.index import NO_CHUNK, MessageAddress, MessageIndex
 from vo.sources.mcap.records import Damaged
-from vo.sources.mcap.survey import Survey, survey
 
 _log = logging.getLogger(__name__)
 
 
 class McapFile:
-    """A `Log` in an MCAP file, chunked or not, with an index or without, whole or damaged."""
+    """A `Log` in an MCAP file, with or without chunks and an index, intact or damaged."""
 
-    def __init__(self, path: Path, found: Survey | None = None) -> None:
-        """Find out what is where; a file without a sound index is gone through once.
+    def __init__(self, path: Path, contents: FileContents | None = None) -> None:
+        """Read the contents of the file; one without a valid summary is scanned once.
 
         Args:
             path: the file.
-            found: what is where, of a file that is still growing.
+            contents: the contents, for a file that is still growing.
 
         Raises:
-            SourceError: it is no MCAP file, or it cannot be read.
+            SourceError: it is not an MCAP file, or it cannot be read.
         """
         self.path = path
         try:
-            self._survey = found or survey(path)
+            self._contents = contents or read_contents(path)
         except OSError as error:
-            raise unreadable(path, error) from error
-        self._cache = ChunkCache(path, self._survey.chunks)
-        self._channels_of = _channels_by_topic(self._survey.book)
+            raise read_error(path, error) from error
+        self._cache = ChunkCache(path, self._contents.chunks)
+        self._channels_of = _channels_by_topic(self._contents.index)
         self.topics = [
             topic
             for name in sorted(self._channels_of)
-            if (topic := _topic(name, self._channels_of[name], self._survey.book)) is not None
+            if (topic := _topic(name, self._channels_of[name], self._contents.index)) is not None
         ]
-        self.unread = _unread(self._survey.book, frozenset(self._channels_of))
-        if found is None:
-            warn_of_damage(path, self._survey)
+        self.unread = _unread(self._contents.index, frozenset(self._channels_of))
+        if contents is None:
+            warn_of_damage(path, self._contents)
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
-        """The messages of some topics, in the order of the file."""
-        book = self._survey.book if self._survey.is_listed else self._list(names)
+        """See `Log.entries`."""
+        index = self._contents.index if self._contents.is_listed else self._list_messages(names)
         return {
-            name: _merged([book.entries.get(number, []) for number in self._channels_of[name]])
+            name: _merged([index.entries.get(number, []) for number in self._channels_of[name]])
             for name in names
         }
 
     def read(self, entry: Entry) -> bytes:
-        """The bytes of a message.
+        """Read the bytes of a message.
 
         Raises:
-            SourceError: they are damaged, or the file cannot be read.
+            SourceError: the message is damaged, or the file cannot be read.
         """
-        place: Place = entry.place
+        address: MessageAddress = entry.address
         try:
-            if place.chunk == IN_FILE:
+            if address.chunk == NO_CHUNK:
                 with self.path.open("rb") as stream:
-                    stream.seek(place.start)
-                    data = stream.read(place.length)
+                    stream.seek(address.start)
+                    data = stream.read(address.length)
             else:
-                whole = self._cache.get(place.chunk)
-                data = whole[place.start : place.start + place.length]
+                whole = self._cache.get(address.chunk)
+                data = whole[address.start : address.start + address.length]
         except OSError as error:
-            raise unreadable(self.path, error) from error
+            raise read_error(self.path, error) from error
         except Damaged as damage:
             raise SourceError(f"{self.path}: {damage} (at byte {damage.offset})") from damage
-        if len(data) < place.length:
+        if len(data) < address.length:
             raise SourceError(f"{self.path} ends inside a message")
         return data
 
-    def _list(self, names: Collection[str]) -> Book:
-        """Go through the chunks that hold messages of some topics."""
-        wanted = frozenset(number for name in names for number in self._channels_of[name])
-        known = self._survey.book
-        book = Book(known.channels, known.schemas, codecs=known.codecs, wanted=wanted)
+    def _list_messages(self, names: Collection[str]) -> MessageIndex:
+        """Scan the chunks that contain messages of some topics."""
+        listed = frozenset(number for name in names for number in self._channels_of[name])
+        known = self._contents.index
+        index = MessageIndex(known.channels, known.schemas, codecs=known.codecs, listed=listed)
         try:
             with self.path.open("rb") as stream:
-                for number, chunk in enumerate(self._survey.chunks):
-                    if chunk.channels is None or chunk.channels & wanted:
-                        self._list_chunk(book, stream, number, chunk)
+                for number, chunk in enumerate(self._contents.chunks):
+                    if chunk.channels is None or chunk.channels & listed:
+                        self._list_chunk(index, stream, number, chunk)
         except OSError as error:
-            raise unreadable(self.path, error) from error
-        return book
+            raise read_error(self.path, error) from error
+        return index
 
-    def _list_chunk(self, book: Book, stream: BinaryIO, number: int, chunk: Chunk) -> None:
-        head = chunk.head
+    def _list_chunk(self, index: MessageIndex, stream: BinaryIO, number: int, chunk: Chunk) -> None:
+        header = chunk.header
         try:
-            # Its checksum is looked at when a message is read.
-            if chunk.is_packed:
-                book.go_through(UnpackedStream(stream, chunk), 0, head.unpacked_size, number)
+            # The checksum is verified when a message is read.
+            if chunk.is_compressed:
+                index.add_records(
+                    DecompressedStream(stream, chunk), 0, header.decompressed_size, number
+                )
             else:
-                end = head.start + head.size
-                book.go_through(stream, head.start, end, number, offset=head.start)
+                end = header.start + header.size
+                index.add_records(stream, header.start, end, number, offset=header.start)
         except Damaged as damage:
             _log.warning(
-                "%s: %s at byte %d: messages between %s and %s are left out",
+                "%s: %s at byte %d: messages between %s and %s are skipped",
                 self.path,
                 damage,
-                head.start,
-                _seconds(head.first_ns),
-                _seconds(head.last_ns),
+                header.start,
+                _seconds(header.first_ns),
+                _seconds(header.last_ns),
             )
 
 
-def _channels_by_topic(book: Book) -> dict[str, list[int]]:
+def _channels_by_topic(index: MessageIndex) -> dict[str, list[int]]:
     channels: dict[str, list[int]] = {}
-    for number, channel in sorted(book.channels.items()):
-        is_there = number in book.tallies and book.tallies[number].count > 0
-        if is_there and book.codec(number) is not None:
+    for number, channel in sorted(index.channels.items()):
+        has_messages = number in index.statistics and index.statistics[number].count > 0
+        if has_messages and index.codec(number) is not None:
             channels.setdefault(channel.topic, []).append(number)
     return channels
 
 
-def _unread(book: Book, known: frozenset[str]) -> list[UnreadTopic]:
-    """The topics besides those that are known; the first channel says what kind they are."""
+def _unread(index: MessageIndex, readable: frozenset[str]) -> list[UnreadTopic]:
+    """All other topics; the first channel of a topic determines its schema."""
     found: dict[str, UnreadTopic] = {}
-    for number, channel in sorted(book.channels.items()):
-        if channel.topic not in known:
-            schema = book.schemas.get(channel.schema_id)
+    for number, channel in sorted(index.channels.items()):
+        if channel.topic not in readable:
+            schema = index.schemas.get(channel.schema_id)
             kind = channel.message_encoding if schema is None else schema.name
             topic = found.get(channel.topic, UnreadTopic(channel.topic, kind, 0))
-            count = book.tallies[number].count if number in book.tallies else 0
+            count = index.statistics[number].count if number in index.statistics else 0
             found[channel.topic] = topic._replace(messages=topic.messages + count)
     return [found[name] for name in sorted(found)]
 
 
-def _topic(name: str, numbers: list[int], book: Book) -> Topic | None:
-    """A topic of one or more channels; the first says what kind it is."""
-    codec = book.codec(numbers[0])
-    tallies = [book.tallies[number] for number in numbers]
+def _topic(name: str, numbers: list[int], index: MessageIndex) -> Topic | None:
+    """A topic of one or more channels; the first determines its schema."""
+    codec = index.codec(numbers[0])
+    statistics = [index.statistics[number] for number in numbers]
     if codec is None:
         return None
     return Topic(
         name=name,
-        schema=book.schemas[book.channels[numbers[0]].schema_id].name,
+        schema=index.schemas[index.channels[numbers[0]].schema_id].name,
         codec=codec,
-        count=sum(tally.count for tally in tallies),
-        span_ns=max(t.last_ns for t in tallies) - min(t.first_ns for t in tallies),
+        count=sum(each.count for each in statistics),
+        span_ns=max(t.last_ns for t in statistics) - min(t.first_ns for t in statistics),
     )
 
 
@@ -154,32 +156,32 @@ def _merged(lists: list[list[Entry]]) -> list[Entry]:
     return sorted((entry for entries in lists for entry in entries), key=lambda e: e.log_ns)
 
 
-def warn_of_damage(path: Path, found: Survey) -> None:
-    """Say how much of a file is used, if not all of it."""
-    if found.damage is not None:
+def warn_of_damage(path: Path, contents: FileContents) -> None:
+    """Warn of the unused part of a damaged file."""
+    if contents.damage is not None:
         size = path.stat().st_size
-        tallies = found.book.tallies.values()
-        count = sum(tally.count for tally in tallies)
-        span_ns = max((t.last_ns for t in tallies), default=0) - min(
-            (t.first_ns for t in tallies), default=0
+        statistics = contents.index.statistics.values()
+        count = sum(each.count for each in statistics)
+        span_ns = max((t.last_ns for t in statistics), default=0) - min(
+            (t.first_ns for t in statistics), default=0
         )
         _log.warning(
-            "%s is cut off or damaged at byte %d of %d (%s); what can be read: %d "
-            "messages in %.1f s, %.1f %% of the bytes",
+            "%s is cut off or damaged at byte %d of %d (%s); readable: %d messages in %.1f s, "
+            "%.1f %% of the bytes",
             path,
-            found.damage.offset,
+            contents.damage.offset,
             size,
-            found.damage,
+            contents.damage,
             count,
             span_ns / NS_PER_S if count else 0.0,
-            100.0 * found.end / size,
+            100.0 * contents.end / size,
         )
-    if found.lost:
+    if contents.damaged_chunks:
         _log.warning(
-            "%s: %d of %d chunks are damaged and left out",
+            "%s: %d of %d chunks are damaged and skipped",
             path,
-            found.lost,
-            max(len(found.chunks), found.lost),
+            contents.damaged_chunks,
+            max(len(contents.chunks), contents.damaged_chunks),
         )
 
 
@@ -187,6 +189,6 @@ def _seconds(stamp_ns: int) -> str:
     return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d} s"
 
 
-def unreadable(path: Path, error: OSError) -> SourceError:
-    """What is said of a file that the system does not hand out."""
+def read_error(path: Path, error: OSError) -> SourceError:
+    """The error for a file that the operating system cannot read."""
     return SourceError(f"{path} cannot be read: {error.strerror or error}")

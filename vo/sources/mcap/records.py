@@ -1,4 +1,4 @@
-"""The records that an MCAP file is made of: where they are, and what those we need say.
+"""Records of an MCAP file: iteration and parsing.
 
 Source: MCAP format specification, version 0.
 """
@@ -16,18 +16,18 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
 MAGIC = b"\x89MCAP0\r\n"
-HEAD = struct.Struct("<BQ")
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_LARGEST_KNOWN, _FIRST_PRIVATE = 0x0F, 0x80
-_LONGEST_NAME = 16
-_MOST_BYTES = 4 * 2**30
+RECORD_HEADER = struct.Struct("<BQ")
+MESSAGE_HEADER = struct.Struct("<HIQQ")
+_CHUNK_HEADER = struct.Struct("<QQQII")
+_MAX_OPCODE, _MIN_PRIVATE_OPCODE = 0x0F, 0x80
+_MAX_NAME_BYTES = 16
+_MAX_BYTES = 4 * 2**30
 
 Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Schema, Statistics)
 
 
 class Readable(Protocol):
-    """A file, or what unpacks like one."""
+    """A file, or a decompressed stream."""
 
     def seek(self, offset: int, /) -> int: ...  # noqa: D102
 
@@ -35,10 +35,10 @@ class Readable(Protocol):
 
 
 class Damaged(Exception):
-    """What is stored cannot be true.
+    """Invalid data in a file.
 
     Attributes:
-        offset: in the file, from where on it makes no sense.
+        offset: position in the file at which the data becomes invalid.
     """
 
     def __init__(self, offset: int, reason: str) -> None:
@@ -47,19 +47,19 @@ class Damaged(Exception):
 
 
 class Record(NamedTuple):
-    """Where a record is: its opcode, and start and length of its content."""
+    """Opcode of a record, and position and length of its content."""
 
     opcode: int
     start: int
     length: int
 
 
-class ChunkHead(NamedTuple):
-    """What a chunk says of itself; its data lies at `start`, `size` bytes of it as stored."""
+class ChunkHeader(NamedTuple):
+    """Header of a chunk; its stored data has `size` bytes and begins at `start`."""
 
     first_ns: int
     last_ns: int
-    unpacked_size: int
+    decompressed_size: int
     crc: int
     compression: str
     start: int
@@ -67,62 +67,62 @@ class ChunkHead(NamedTuple):
 
 
 def records_between(stream: Readable, start: int, end: int) -> Iterator[Record]:
-    """The records from a position on; contents are not read.
+    """Iterate over the records of a byte range; their contents are not read.
 
     Raises:
-        Damaged: at a record that cannot be one or that goes beyond the end.
+        Damaged: a record is invalid or exceeds the range.
     """
     position = start
     while position < end:
         stream.seek(position)
-        head = stream.read(HEAD.size)
-        if len(head) < HEAD.size:
+        header = stream.read(RECORD_HEADER.size)
+        if len(header) < RECORD_HEADER.size:
             raise Damaged(position, "the file ends inside a record")
-        opcode, length = HEAD.unpack(head)
-        if opcode == 0 or _LARGEST_KNOWN < opcode < _FIRST_PRIVATE:
-            raise Damaged(position, f"0x{opcode:02x} is no kind of record")
-        if position + HEAD.size + length > end:
-            raise Damaged(position, "a record goes beyond the end of the file")
-        yield Record(opcode, position + HEAD.size, length)
-        position += HEAD.size + length
+        opcode, length = RECORD_HEADER.unpack(header)
+        if opcode == 0 or _MAX_OPCODE < opcode < _MIN_PRIVATE_OPCODE:
+            raise Damaged(position, f"invalid record opcode 0x{opcode:02x}")
+        if position + RECORD_HEADER.size + length > end:
+            raise Damaged(position, "a record exceeds the end of the file")
+        yield Record(opcode, position + RECORD_HEADER.size, length)
+        position += RECORD_HEADER.size + length
 
 
-def read_chunk_head(stream: Readable, start: int, end: int) -> ChunkHead:
-    """What stands before the data of a chunk.
+def read_chunk_header(stream: Readable, start: int, end: int) -> ChunkHeader:
+    """Read the header of a chunk.
 
     Args:
         stream: the file.
-        start: of the content of the record.
-        end: of the content of the record.
+        start: start of the content of the record.
+        end: end of the content of the record; 0 if unknown.
 
     Raises:
-        Damaged: it cannot be true; data that goes beyond the end is not checked for.
+        Damaged: the header is invalid, or the data exceeds a known end.
     """
     stream.seek(start)
-    head = stream.read(_CHUNK_HEAD.size + _LONGEST_NAME + 8)
-    if len(head) < _CHUNK_HEAD.size:
+    header = stream.read(_CHUNK_HEADER.size + _MAX_NAME_BYTES + 8)
+    if len(header) < _CHUNK_HEADER.size:
         raise Damaged(start, "the file ends inside a chunk")
-    first_ns, last_ns, unpacked, crc, name_size = _CHUNK_HEAD.unpack_from(head)
-    after = _CHUNK_HEAD.size + name_size
-    if name_size > _LONGEST_NAME or unpacked > _MOST_BYTES or len(head) < after + 8:
-        raise Damaged(start, "a chunk's head makes no sense")
-    compression = head[_CHUNK_HEAD.size : after].decode("ascii", "replace")
-    (size,) = struct.unpack_from("<Q", head, after)
+    first_ns, last_ns, decompressed, crc, name_size = _CHUNK_HEADER.unpack_from(header)
+    after = _CHUNK_HEADER.size + name_size
+    if name_size > _MAX_NAME_BYTES or decompressed > _MAX_BYTES or len(header) < after + 8:
+        raise Damaged(start, "the header of a chunk is invalid")
+    compression = header[_CHUNK_HEADER.size : after].decode("ascii", "replace")
+    (size,) = struct.unpack_from("<Q", header, after)
     if start + after + 8 + size > end and end > 0:
-        raise Damaged(start, "a chunk's data is longer than the chunk")
-    return ChunkHead(first_ns, last_ns, unpacked, crc, compression, start + after + 8, size)
+        raise Damaged(start, "the data of a chunk exceeds the chunk")
+    return ChunkHeader(first_ns, last_ns, decompressed, crc, compression, start + after + 8, size)
 
 
 def parse(kind: type[Parsed], content: bytes, offset: int) -> Parsed:
-    """A record from its content.
+    """Parse the content of a record.
 
     Raises:
-        Damaged: it cannot be one.
+        Damaged: the content is invalid.
     """
     try:
         return cast(Parsed, kind.read(ReadDataStream(BytesIO(content))))
     except (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError) as error:
-        raise Damaged(offset, f"a {kind.__name__} record makes no sense") from error
+        raise Damaged(offset, f"a {kind.__name__} record is invalid") from error
 
 
 MESSAGE, CHUNK = int(Opcode.MESSAGE), int(Opcode.CHUNK)

@@ -8,7 +8,7 @@ from pathlib import Path
 from vo.sources.logs.choice import choose_topics
 from vo.sources.logs.opening import open_log
 from vo.sources.mcap.file import McapFile
-from vo.sources.mcap.follow import Arrivals, GrowingFile
+from vo.sources.mcap.follow import ArrivingFrames, GrowingFile
 from vo.sources.source import Recording
 from vo.types import Mode
 
@@ -24,15 +24,15 @@ def open_mcap(
 
     Args:
         path: the file.
-        calibration: file that overrides what the log says.
+        calibration: file that overrides the calibration in the log.
         mode: as in `open_source`.
-        topics: `left=/a`, `right=/b` or a name alone; by default found out.
-        follow: whether it is still being written: frames are handed out as they come, until the
-            file is closed or has not grown for a while.
+        topics: `left=/a`, `right=/b` or one name; by default detected.
+        follow: whether it is still being written; frames are then read as they arrive, until the
+            file is closed or has stopped growing.
 
     Raises:
-        SourceError: it is no MCAP file, holds no images, or it cannot be told which.
-        CalibrationError: the calibration is missing or cannot be true.
+        SourceError: it is not an MCAP file, has no images, or the choice of topics is ambiguous.
+        CalibrationError: the calibration is missing or invalid.
     """
     if not follow:
         return open_log(McapFile(path), "mcap", calibration, mode, topics)
@@ -41,5 +41,5 @@ def open_mcap(
     source = open_log(file, "mcap", calibration, mode, topics)
     choice = choose_topics(file.topics, topics, mode)
     right = choice.right if source.rig.is_stereo else None
-    source.begin_anew(Arrivals(growing, file, choice.left, right).next_frames)
+    source.follow(ArrivingFrames(growing, file, choice.left, right).next_frames)
     return source

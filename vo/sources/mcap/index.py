@@ -1,4 +1,4 @@
-"""What is found while going through the records of an MCAP file: channels, counts, messages."""
+"""Index of an MCAP file: channels, their statistics, and the addresses of their messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vo.sources.logs.log import Entry
 from vo.sources.mcap.records import (
     CHANNEL,
     MESSAGE,
-    MESSAGE_HEAD,
+    MESSAGE_HEADER,
     SCHEMA,
     Damaged,
     Readable,
@@ -23,12 +23,12 @@ from vo.sources.mcap.records import (
     records_between,
 )
 
-IN_FILE = -1
-"""Number of the chunk of messages that are in none."""
+NO_CHUNK = -1
+"""Chunk number of messages outside of chunks."""
 
 
-class Place(NamedTuple):
-    """Where the data of a message is: in which chunk, and from which byte on how many."""
+class MessageAddress(NamedTuple):
+    """Address of the data of a message: number of its chunk, first byte and length."""
 
     chunk: int
     start: int
@@ -36,62 +36,62 @@ class Place(NamedTuple):
 
 
 @dataclass
-class Tally:
-    """How many messages a channel has, and when they were logged."""
+class ChannelStatistics:
+    """Number of messages of a channel, and range of their log times."""
 
     count: int = 0
     first_ns: int = 2**63
     last_ns: int = 0
 
-    def note(self, log_ns: int) -> None:
-        """Count a message."""
+    def add(self, log_ns: int) -> None:
+        """Add a message."""
         self.count += 1
         self.first_ns = min(self.first_ns, log_ns)
         self.last_ns = max(self.last_ns, log_ns)
 
 
 @dataclass
-class Book:
-    """Grows with every record.
+class MessageIndex:
+    """Index built from records.
 
     Attributes:
-        channels: by number.
-        schemas: by number.
-        tallies: by channel.
-        entries: messages by channel, of those channels that can be read.
-        codecs: who reads the messages of a channel; None where nobody does.
-        wanted: channels whose messages are listed; None for all that can be read.
+        channels: channels by number.
+        schemas: schemas by number.
+        statistics: statistics by channel number.
+        entries: messages by channel number, for channels that can be decoded.
+        codecs: decoder by channel number; None for unsupported message types.
+        listed: numbers of the channels whose messages are listed; None for all.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
-    tallies: dict[int, Tally] = field(default_factory=dict)
+    statistics: dict[int, ChannelStatistics] = field(default_factory=dict)
     entries: dict[int, list[Entry]] = field(default_factory=dict)
     codecs: dict[int, Codec | None] = field(default_factory=dict)
-    wanted: frozenset[int] | None = None
+    listed: frozenset[int] | None = None
 
-    def go_through(
+    def add_records(
         self, stream: Readable, start: int, end: int, chunk: int, offset: int = 0
     ) -> None:
-        """Note all records of a stretch.
+        """Add all records of a byte range.
 
         Args:
-            stream: the file, or the unpacked data of a chunk.
-            start: of the stretch.
-            end: of the stretch.
-            chunk: number of the chunk that it is; `IN_FILE` outside of chunks.
-            offset: of the stream where the chunk's data begins.
+            stream: the file, or the decompressed data of a chunk.
+            start: first byte of the range.
+            end: end of the range.
+            chunk: number of the chunk; `NO_CHUNK` outside of chunks.
+            offset: position in the stream at which the data of the chunk begins.
 
         Raises:
-            Damaged: at a record that makes no sense; those before are noted.
+            Damaged: a record is invalid; the records before it have been added.
         """
         for record in records_between(stream, start, end):
-            self.note(stream, record, chunk, offset)
+            self.add_record(stream, record, chunk, offset)
 
-    def note(self, stream: Readable, record: Record, chunk: int, offset: int = 0) -> None:
-        """Note a record; else as `go_through`."""
+    def add_record(self, stream: Readable, record: Record, chunk: int, offset: int = 0) -> None:
+        """Add a record; arguments and errors as for `add_records`."""
         if record.opcode == MESSAGE:
-            self._note_message(stream, record, chunk, offset)
+            self._add_message(stream, record, chunk, offset)
         elif record.opcode == SCHEMA:
             schema = parse(Schema, _content(stream, record), record.start)
             self.schemas.setdefault(schema.id, schema)
@@ -100,7 +100,7 @@ class Book:
             self.channels.setdefault(channel.id, channel)
 
     def codec(self, number: int) -> Codec | None:
-        """Who reads the messages of a channel."""
+        """The decoder of a channel, or None."""
         if number not in self.codecs:
             channel = self.channels.get(number)
             schema = None if channel is None else self.schemas.get(channel.schema_id)
@@ -111,24 +111,24 @@ class Book:
             )
         return self.codecs[number]
 
-    def _note_message(self, stream: Readable, record: Record, chunk: int, offset: int) -> None:
+    def _add_message(self, stream: Readable, record: Record, chunk: int, offset: int) -> None:
         stream.seek(record.start)
-        head = stream.read(min(record.length, MESSAGE_HEAD.size + HEAD_BYTES))
-        if len(head) < MESSAGE_HEAD.size:
+        header = stream.read(min(record.length, MESSAGE_HEADER.size + HEAD_BYTES))
+        if len(header) < MESSAGE_HEADER.size:
             raise Damaged(record.start, f"a message of {record.length} bytes is too short")
-        number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(head)
-        self.tallies.setdefault(number, Tally()).note(log_ns)
-        if self.wanted is not None and number not in self.wanted:
+        number, _, log_ns, _ = MESSAGE_HEADER.unpack_from(header)
+        self.statistics.setdefault(number, ChannelStatistics()).add(log_ns)
+        if self.listed is not None and number not in self.listed:
             return
         codec = self.codec(number)
         if codec is None:
             return
         try:
-            stamp_ns = codec.peek_stamp_ns(head[MESSAGE_HEAD.size :])
+            stamp_ns = codec.peek_stamp_ns(header[MESSAGE_HEADER.size :])
         except SourceError:
             stamp_ns = None
-        start, length = record.start + MESSAGE_HEAD.size, record.length - MESSAGE_HEAD.size
-        entry = Entry(log_ns, stamp_ns, Place(chunk, start - offset, length))
+        start, length = record.start + MESSAGE_HEADER.size, record.length - MESSAGE_HEADER.size
+        entry = Entry(log_ns, stamp_ns, MessageAddress(chunk, start - offset, length))
         self.entries.setdefault(number, []).append(entry)
 
 
