@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from vo import warmup
+
 VO = Path(sys.executable).with_name("vo")
 NOTICE = "compiling the inner loops, once"
 # Creates an odometry, and prints whether the given file exists before the first frame.
@@ -71,6 +73,16 @@ def test_warmup_compiles_once(first_warmup: tuple[Path, str, str]) -> None:
     again = run(cache, VO, "warmup")
 
     assert (again.stdout, again.stderr) == ("nothing to compile\n", "")
+
+
+def test_stamp_depends_on_all_compiled_functions() -> None:
+    package = Path(warmup.__file__).parent
+    rooms = {
+        path.parent.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if "@compiled" in path.read_text(encoding="utf-8")
+    }
+    assert rooms <= set(warmup._ROOMS_WITH_KERNELS)
 
 
 @pytest.mark.parametrize("mode", ["stereo", "mono"])

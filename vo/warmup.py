@@ -19,6 +19,15 @@ from vo.formats.png import decode_grey
 from vo.types import Bytes, Camera, Frame, Rig
 
 _PACKAGE = Path(__file__).parent
+_ROOMS_WITH_KERNELS = (
+    "backend",
+    "compiling",
+    "formats",
+    "frontend",
+    "geometry",
+    "mapping",
+    "tracking",
+)
 _SIZE = (240, 320)  # of the images, rows and columns
 _FOCAL_PX = 200.0
 _DISTORTION = (-0.1, 0.01, 0.0, 0.0)
@@ -62,7 +71,7 @@ def warm_up(make_odometry: Callable[[Rig, Config], Any]) -> bool:
 
 
 def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
-    if not machine_code.is_understood():  # numba's own cache does not report compilations
+    if not machine_code.is_supported():  # numba's own cache does not report compilations
         announce_compilation()
     for rig in _rigs():
         _run(make_odometry, rig)
@@ -119,14 +128,13 @@ def _image(texture: Bytes, baselines: float) -> Bytes:
 def _stamp() -> Path:
     """File that exists once everything was compiled.
 
-    Its name is a hash of the version, the modules with compiled functions, the compiler and the
+    Its name is a hash of the version, the rooms with compiled functions, the compiler and the
     processor.
     """
-    digest = hashlib.sha256(f"{__version__} {machine_code.maker()}".encode())
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        source = path.read_bytes()
-        if b"vo.compiling" in source or b"numba" in source:
-            digest.update(source)
+    digest = hashlib.sha256(f"{__version__} {machine_code.toolchain()}".encode())
+    for room in _ROOMS_WITH_KERNELS:
+        for path in sorted((_PACKAGE / room).glob("*.py")):
+            digest.update(path.read_bytes())
     return store.folder() / f"warm-{digest.hexdigest()[:16]}"
 
 

@@ -179,13 +179,13 @@ def test_nothing_is_kept_where_nothing_can_be_written(kept: Path) -> None:
 def test_an_unknown_numba_keeps_what_it_compiles_itself(
     kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(machine_code, "_TRIED_VERSIONS", ("0.1.",))
+    monkeypatch.setattr(machine_code, "_SUPPORTED_VERSIONS", ("0.1.",))
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(kept.parent))
-    machine_code.is_understood.cache_clear()
+    machine_code.is_supported.cache_clear()
     try:
         assert compiled(area)(np.arange(4.0), 2.0) == 12.0
     finally:
-        machine_code.is_understood.cache_clear()
+        machine_code.is_supported.cache_clear()
     assert not kept.exists()
     assert list(kept.parent.rglob("test_compiled.area*.nbc"))
 

@@ -1,1 +1,1 @@
-"""Functions as machine code: compiled by numba once, loaded without numba from then on."""
+"""Functions that numba compiles once and that are then loaded as machine code without numba."""

@@ -1,8 +1,8 @@
-"""What a function does, as one number: it changes if its machine code may have to.
+"""Hash of a function, which changes whenever its machine code could change.
 
-Comments, names of files and numbers of lines do not count. What it calls counts, in whichever
-module that is, and so do the constants that it uses; numba's own cache only looks at the date of
-the file that a function is in.
+It includes the bytecode of the function and of all functions that it calls, in any module, and the
+values of constants; not comments, file names and line numbers. numba's own cache compares only the
+date of the file that contains the function.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import numpy as np
 
 
 def fingerprint(value: Any) -> str:
-    """A hash of a function, and of all that it refers to.
+    """Hash of a function and of everything that it refers to.
 
     Raises:
-        TypeError: it refers to something of which nobody knows whether it stays the same.
+        TypeError: it refers to an object that may change without notice, such as a list.
     """
     return hashlib.sha256("\n".join(_parts(value, set())).encode()).hexdigest()
 
 
 def names_in(code: CodeType) -> set[str]:
-    """Names that code, with functions inside it, looks up in its module or in something else."""
+    """Names of globals and attributes in code, including functions inside it."""
     inside = (c for c in code.co_consts if isinstance(c, CodeType))
     return set(code.co_names).union(*(names_in(c) for c in inside))
 
@@ -71,7 +71,7 @@ def _parts_of_function(function: FunctionType, seen: set[int]) -> Iterator[str]:
 
 
 def source_of(module: str) -> bytes:
-    """A module's source, without importing it."""
+    """Source of a module, which is not imported."""
     spec = importlib.util.find_spec(module)
     assert spec is not None and spec.origin is not None
     return Path(spec.origin).read_bytes()

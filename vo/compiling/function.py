@@ -110,7 +110,7 @@ class Compiled(Generic[P, R]):
     def _jit(self, **wrappers: bool) -> Any:
         import numba
 
-        cache = not machine_code.is_understood()
+        cache = not machine_code.is_supported()
         return numba.njit(cache=cache, **(self.options | wrappers))(_for_numba(self.function))
 
     def _find(self, signature: tuple[Any, ...], arguments: tuple[Any, ...]) -> Callable[..., R]:
@@ -125,29 +125,29 @@ class Compiled(Generic[P, R]):
         None if the signature or the installed numba is not supported by the cache.
         """
         types = describe(arguments)
-        if types is None or not machine_code.is_understood():
+        if types is None or not machine_code.is_supported():
             return None
         name = f"{self.function.__module__}.{self.__name__}"
-        place = store.place_of(name, fingerprint(self), types)
-        code = store.load(place) or self._compile(place, name, arguments)
-        return None if code is None else machine_code.callable_of(code, self.function)
+        path = store.path_of(name, fingerprint(self), types)
+        code = store.load(path) or self._compile(path, name, arguments)
+        return None if code is None else machine_code.link(code, self.function)
 
     def _compile(
-        self, place: Path, name: str, arguments: tuple[Any, ...]
+        self, path: Path, name: str, arguments: tuple[Any, ...]
     ) -> machine_code.MachineCode | None:
         """Machine code for such arguments, from another process that compiles it now, or our own.
 
         None if it cannot be cached.
         """
-        with store.locked(place):
-            code = store.load(place)
+        with store.locked(path):
+            code = store.load(path)
             if code is None:
                 announce_compilation()
                 _compiled_here.append(name)
                 with _collection_paused():
-                    code = machine_code.of(self.dispatcher(), arguments)
+                    code = machine_code.compile_for(self.dispatcher(), arguments)
                 if code is not None:
-                    store.save(place, code)
+                    store.save(path, code)
         return code
 
 
@@ -174,7 +174,7 @@ def compiled_here() -> tuple[str, ...]:
 @lru_cache(maxsize=1)
 def announce_compilation() -> None:
     """Log, once per process, that compilation begins; `vo` prints the line."""
-    _log.info("compiling the inner loops, once; this takes about 10 s")
+    _log.info("compiling the inner loops, once; this takes 10 to 20 s")
 
 
 @contextmanager

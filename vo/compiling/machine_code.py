@@ -1,9 +1,8 @@
-"""Machine code out of numba, and back into functions without it.
+"""Extraction of machine code from numba, and linking of machine code without numba.
 
-This is what numba does with its own cache, less all that it needs to compile: an object file is
-linked by llvmlite, and its entry for Python becomes a function. It relies on parts of numba that
-are no interface, so that it is done only for versions of numba that this was tried with, on the
-system it was tried on; with others numba keeps and loads what it compiles.
+numba's own cache works in the same way: llvmlite links an object file, and the entry for Python in
+it becomes a function. Only the import of numba is saved. Undocumented parts of numba are used, so
+this is limited to versions and systems on which the tests pass; elsewhere numba's cache is used.
 """
 
 from __future__ import annotations
@@ -23,16 +22,23 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
-_TRIED_VERSIONS = ("0.68.",)
-_TRIED_SYSTEM = ("CPython", "Linux", "x86_64")
-# Of Intel's mathematics library, which numba calls where it finds it, and which is not loaded here.
+_SUPPORTED_VERSIONS = ("0.68.",)
+_SUPPORTED_SYSTEM = ("CPython", "Linux", "x86_64")
+# Symbols of Intel's mathematics library, which numba uses if installed; it is not loaded here.
 _FOREIGN = b"__svml_"
 
 _unpickled: dict[int, Any] = {}  # by the address of its bytes
 
 
 class MachineCode(NamedTuple):
-    """An object file, the names of its entry and environment, and what stands in the latter."""
+    """Machine code of one function for one signature.
+
+    Attributes:
+        object_file: in the format of the system's linker.
+        entry: symbol of the function that Python calls.
+        environment: symbol of the pointer to Python objects that the code uses.
+        constants: these objects.
+    """
 
     object_file: bytes
     entry: str
@@ -41,15 +47,15 @@ class MachineCode(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def is_understood() -> bool:
-    """Whether machine code of the installed numba can be taken out and loaded here."""
+def is_supported() -> bool:
+    """Whether this module supports the installed numba on this system."""
     system = (platform.python_implementation(), platform.system(), platform.machine())
-    return system == _TRIED_SYSTEM and _numba_version().startswith(_TRIED_VERSIONS)
+    return system == _SUPPORTED_SYSTEM and _numba_version().startswith(_SUPPORTED_VERSIONS)
 
 
 @lru_cache(maxsize=1)
-def maker() -> str:
-    """What machine code depends on besides its source: compiler, Python and processor."""
+def toolchain() -> str:
+    """Versions of the compiler and of Python, and the processor that code is compiled for."""
     import llvmlite
     from llvmlite import binding
 
@@ -61,8 +67,8 @@ def maker() -> str:
     return " ".join((*versions, processor, features))
 
 
-def of(dispatcher: Any, arguments: tuple[Any, ...]) -> MachineCode | None:
-    """Compile a `numba.njit` function for such arguments; None if the result cannot be kept."""
+def compile_for(dispatcher: Any, arguments: tuple[Any, ...]) -> MachineCode | None:
+    """Compile a `numba.njit` function for the types of arguments; None if it cannot be cached."""
     import numba
 
     signature = tuple(map(numba.typeof, arguments))
@@ -79,10 +85,10 @@ def of(dispatcher: Any, arguments: tuple[Any, ...]) -> MachineCode | None:
     )
 
 
-def callable_of(code: MachineCode, function: FunctionType) -> Callable[..., Any]:
-    """Link machine code; gives what can be called in place of the function it was made from.
+def link(code: MachineCode, function: FunctionType) -> Callable[..., Any]:
+    """Link machine code and return a function that executes it.
 
-    Arguments must be of the kinds it was made for, which it hardly checks.
+    The caller checks the types of arguments: the function itself hardly does.
     """
     from llvmlite import binding
 
@@ -91,11 +97,11 @@ def callable_of(code: MachineCode, function: FunctionType) -> Callable[..., Any]
     engine.finalize_object()
     environment = functions.Environment({})
     environment.consts.extend(code.constants)
-    place = ctypes.c_void_p.from_address(engine.get_global_value_address(code.environment))
-    place.value = id(environment)
+    pointer = ctypes.c_void_p.from_address(engine.get_global_value_address(code.environment))
+    pointer.value = id(environment)
     entry = engine.get_function_address(code.entry)
     module = sys.modules[function.__module__]
-    # The last argument is kept as long as the function; so is the environment.
+    # The function holds references to the environment and to the last argument.
     made: Callable[..., Any] = functions.make_function(
         module, function.__name__, function.__doc__ or "", entry, environment, (engine,)
     )
@@ -104,7 +110,7 @@ def callable_of(code: MachineCode, function: FunctionType) -> Callable[..., Any]
 
 @lru_cache(maxsize=1)
 def _engine() -> Any:
-    """What links object files, with all names that numba's machine code refers to."""
+    """The linker, with all symbols that numba's machine code refers to."""
     from llvmlite import binding
 
     binding.initialize_native_target()
@@ -131,7 +137,7 @@ def _engine() -> Any:
 
 
 def _unpickle(address: int, length: int, digest: int) -> Any:
-    """Give machine code a Python object that it holds; numba's own function would import numba."""
+    """Python object that machine code contains; numba's own function would import numba."""
     if address not in _unpickled:
         _unpickled[address] = pickle.loads(ctypes.string_at(address, length))
     return _unpickled[address]
@@ -144,7 +150,7 @@ _UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, c
 
 @lru_cache(maxsize=3)
 def _extension(name: str) -> ModuleType:
-    """One of numba's extension modules, which need nothing of the package around them."""
+    """One of numba's extension modules, imported without the package."""
     dotted = "numba." + name.replace("/", ".")
     if "numba" in sys.modules:
         return importlib.import_module(dotted)
@@ -160,7 +166,7 @@ def _extension(name: str) -> ModuleType:
 
 @lru_cache(maxsize=1)
 def _numba_version() -> str:
-    """Without importing it; empty if it is not to be found."""
+    """Read without importing numba; empty if it cannot be found."""
     spec = importlib.util.spec_from_file_location("", _numba_folder() / "_version.py")
     assert spec is not None and spec.loader is not None
     version = importlib.util.module_from_spec(spec)

@@ -1,8 +1,8 @@
-"""One instruction set on all processors that have it, so that they all give the same bits.
+"""One instruction set for all processors that support it, so that results have the same bits.
 
-Sums are added up in an order that suits the vectors of the processor: by OpenBLAS, and by compiled
-code that may reorder them. Both are told to do as on a processor of 2013; on small matrices and
-patches longer vectors gain nothing that could be measured.
+The order of additions in a sum depends on the vector length of the processor, in OpenBLAS and in
+compiled code that may reorder them. Both are set to the AVX2 of 2013; on small matrices and patches
+longer vectors bring no measurable gain.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from contextlib import suppress
 from pathlib import Path
 
 _INFO = Path("/proc/cpuinfo")
-# What x86-64-v3 has beyond the older versions, as Linux calls it.
+# Flags in cpuinfo of the extensions that make up x86-64-v3.
 _NEEDED = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
-# Of libraries that know nothing of each other: what is asked for of one does not concern the other.
+# One entry for each library; they are independent of each other.
 _SETTINGS = (
     {"OPENBLAS_CORETYPE": "Haswell"},
     {
         "NUMBA_CPU_NAME": "x86-64-v3",
-        "NUMBA_CPU_FEATURES": "",  # those that the name stands for, instead of all that are there
+        "NUMBA_CPU_FEATURES": "",  # those of the named processor, instead of all of this one
     },
 )
 
@@ -28,10 +28,9 @@ _SETTINGS = (
 def use_common_instructions(
     environment: MutableMapping[str, str] = os.environ, info: Path = _INFO
 ) -> None:
-    """Settle it for this process and its children; to be called before numpy is imported.
+    """Set it for this process and its children; call it before numpy is imported.
 
-    Nothing changes for a library that is told something already, nor on an older processor or one
-    of another kind.
+    Nothing changes for a library whose variables are set already, or on a processor without AVX2.
     """
     if not _flags(info) >= _NEEDED:
         return
@@ -41,7 +40,7 @@ def use_common_instructions(
 
 
 def _flags(info: Path) -> set[str]:
-    """What the first processor can do; all of a machine can do the same."""
+    """Flags of the first processor; all of a machine are alike."""
     with suppress(OSError), info.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:
             name, _, value = line.partition(":")

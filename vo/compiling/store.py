@@ -1,4 +1,4 @@
-"""The folder where machine code is kept from run to run."""
+"""Cache of machine code on disk."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from vo.compiling.machine_code import MachineCode
 _log = logging.getLogger(__name__)
 
 
-def place_of(name: str, fingerprint: str, types: str) -> Path:
-    """Where the machine code of a function for some types of arguments belongs."""
-    made_for = hashlib.sha256(f"{machine_code.maker()}\n{types}".encode()).hexdigest()
+def path_of(name: str, fingerprint: str, types: str) -> Path:
+    """File of the machine code of a function for some types of arguments."""
+    made_for = hashlib.sha256(f"{machine_code.toolchain()}\n{types}".encode()).hexdigest()
     return folder() / f"{name}-{made_for[:16]}-{fingerprint[:16]}.bin"
 
 
-def load(place: Path) -> MachineCode | None:
-    """What was kept; None if there is none, or it is damaged."""
+def load(path: Path) -> MachineCode | None:
+    """Content of a file; None if it is missing or damaged."""
     try:
-        data = place.read_bytes()
+        data = path.read_bytes()
     except OSError:
         return None
     digest, content = data[:32], data[32:]
@@ -35,35 +35,38 @@ def load(place: Path) -> MachineCode | None:
     return MachineCode(*pickle.loads(content))  # our own file, in our own folder
 
 
-def save(place: Path, code: MachineCode) -> None:
-    """Keep it, in place of what older versions of the function had become, if the disk allows."""
+def save(path: Path, code: MachineCode) -> None:
+    """Save machine code and remove that of older versions of the function.
+
+    A folder that cannot be written to is no error.
+    """
     content = pickle.dumps(tuple(code))
-    outdated = place.name.rpartition("-")[0]
-    new = place.with_suffix(f".{os.getpid()}")
+    outdated = path.name.rpartition("-")[0]
+    new = path.with_suffix(f".{os.getpid()}")
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         new.write_bytes(hashlib.sha256(content).digest() + content)
-        new.replace(place)
-        for other in place.parent.glob(f"{outdated}-*"):
-            if other != place:
+        new.replace(path)
+        for other in path.parent.glob(f"{outdated}-*"):
+            if other != path:
                 other.unlink(missing_ok=True)
     except OSError as error:
-        _log.info("machine code cannot be kept: %s", error)
+        _log.info("machine code cannot be saved: %s", error)
         with suppress(OSError):
             new.unlink(missing_ok=True)
 
 
 @contextmanager
-def locked(place: Path) -> Iterator[None]:
+def locked(path: Path) -> Iterator[None]:
     """Keep other processes from compiling the same function at the same time, if the disk allows.
 
     Only on systems that have `fcntl`.
     """
-    lock, file = place.with_suffix(".lock"), None
+    lock, file = path.with_suffix(".lock"), None
     with suppress(OSError, ImportError):
         import fcntl
 
-        place.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         file = lock.open("w")
         fcntl.flock(file, fcntl.LOCK_EX)
     try:
