@@ -90,7 +90,7 @@ def test_the_recording_has_the_new_pose(runs: Path) -> None:
         if entity == entities.SMOOTHED_POSES and "Scalars:scalars" in batch.schema.names:
             stamps += batch[entities.SENSOR_TIMELINE].cast("int64").to_pylist()
             rows += batch["Scalars:scalars"].to_pylist()
-        if entity.startswith(f"{entities.SETTLED_LANDMARKS}/"):
+        if entity.startswith(f"{entities.SETTLED_LANDMARKS}_chunks/"):
             chunks.add(entity)
     positions = np.array(rows)[np.argsort(stamps), :3]
     np.testing.assert_allclose(positions, expected[:, :3, 3], atol=1e-6)

@@ -16,6 +16,7 @@ class BlockedRecorder:
     def __init__(self, error: Exception | None = None) -> None:
         self.go = threading.Event()
         self.frames: list[int] = []
+        self.keyframes: set[int] = set()
         self.finished = False
         self._error = error
 
@@ -27,6 +28,7 @@ class BlockedRecorder:
         if self._error is not None:
             raise self._error
         self.frames.append(estimate.frame_index)
+        self.keyframes |= {keyframe.frame_index for keyframe in estimate.keyframes}
 
     def finish(self, causal, smoothed):
         self.finished = True
@@ -74,6 +76,20 @@ def test_a_slow_recorder_loses_frames_without_blocking(caplog):
     assert 15 <= left_out <= 16
     assert len(taken) == len(inner.frames)  # no snapshots of frames that are left out
     assert f"{left_out} frames are missing in the recording" in caplog.text
+
+
+def test_keyframes_of_lost_frames_come_with_the_next_frame():
+    inner = BlockedRecorder()
+    recorder = begun(inner, queue_size=2)
+    for frame in range(18):
+        fake_run.record(recorder, frame)
+    inner.go.set()
+    while len(inner.frames) < 2:
+        time.sleep(0.01)
+    fake_run.record(recorder, 19)
+    finish(recorder)
+    assert len(inner.frames) < 6
+    assert inner.keyframes == {frame for frame in range(18) if fake_run.is_keyframe(frame)}
 
 
 def test_a_hanging_recorder_is_stopped(caplog):

@@ -82,7 +82,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def newest(rows: Mapping[str, list[tuple[int, Any]]], entity: str) -> list[Any]:
     """The newest row of each chunk of an entity."""
-    chunks = sorted(name for name in rows if name.startswith(f"{entity}/"))
+    chunks = sorted(name for name in rows if name.startswith(f"{entity}_chunks/"))
     return [[value for frame, value in rows[name] if frame != STATIC][-1] for name in chunks]
 
 
@@ -127,7 +127,7 @@ def test_the_viewer_hides_the_pieces_logged_before(tmp_path: Path) -> None:
     final = [value for frame, value in strips[entities.SMOOTHED_PATH] if frame == STATIC][-1]
     np.testing.assert_allclose(final[0], store.trajectory().positions, atol=1e-5)
     for entity, rows in strips.items():
-        if entity.startswith(f"{entities.SMOOTHED_PATH}/"):  # only the final path is shown
+        if entity.startswith(f"{entities.SMOOTHED_PATH}_chunks/"):  # only the final path is shown
             assert [value for frame, value in rows if frame == STATIC][-1] == []
 
 
@@ -139,14 +139,16 @@ def test_a_chunk_is_logged_again_only_if_it_moves(
     path = tmp_path / "run.rrd"
     record(RerunRecorder(path, images="none"), moves)
     for component, entity in (("centers", entities.COVARIANCE), ("strips", entities.SMOOTHED_PATH)):
-        found = [frame for frame, _ in read_rrd(path, component)[f"{entity}/0"] if frame != STATIC]
+        found = [
+            frame for frame, _ in read_rrd(path, component)[f"{entity}_chunks/0"] if frame != STATIC
+        ]
         assert len(found) == rows
 
 
 def test_without_reposing_there_are_no_chunks(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     record(RerunRecorder(path, images="none"), {})
-    assert not [name for name in read_rrd(path, "strips") if "/smoothed/" in name]
+    assert not [name for name in read_rrd(path, "strips") if "_chunks" in name]
 
 
 def test_exported_points_move_with_the_last_keyframe_that_observes_them() -> None:

@@ -2,7 +2,8 @@
 
 They are logged piece by piece, at the moment when each piece settles. Pieces cannot be taken back:
 once an old keyframe is re-posed, they are hidden, and the settled map is logged in chunks instead.
-A chunk is an entity; its newest row is valid, so that only chunks that have moved are logged again.
+A chunk is an entity (`…_chunks/0` and so on), of which the newest row is valid, so that only chunks
+that have moved are logged again.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class SettledLayer:
         """Move landmarks with their re-posed keyframes (`KeyframeChanges.moves`)."""
         if not self._in_chunks:
             self._in_chunks = True
-            self._hide("")
+            self._hide_pieces()
         self._map.move(moves)
 
     def log_changed_chunks(self, moment: Moment) -> None:
@@ -84,11 +85,11 @@ class SettledLayer:
         self.add_keyframes(moment, window, [])
         self.log_changed_chunks(moment)
         for number in sorted(self._chunks):
-            self._log_static_path(f"/{number}", [])
+            self._log_static_path(_suffix(number), [])
         self._log_static_path("", [piece.positions for piece in pieces])
 
     def _log_chunk(self, moment: Moment, chunk: ChunkContent) -> None:
-        suffix = f"/{chunk.number}"
+        suffix = _suffix(chunk.number)
         if chunk.number not in self._chunks:
             self._chunks.add(chunk.number)
             self._log_styles(suffix)
@@ -105,13 +106,13 @@ class SettledLayer:
         )
         self._batch.log_static(entities.COVARIANCE + suffix, shells)
 
-    def _hide(self, suffix: str) -> None:
-        """Replace all rows of the entities; static data take precedence."""
-        self._log_static_path(suffix, [])
+    def _hide_pieces(self) -> None:
+        """Hide all pieces by empty static data, which take precedence."""
+        self._log_static_path("", [])
         points = rr.Points3D.from_fields(positions=[])
-        self._batch.log_static(entities.SETTLED_LANDMARKS + suffix, points)
+        self._batch.log_static(entities.SETTLED_LANDMARKS, points)
         shells = rr.Ellipsoids3D.from_fields(half_sizes=[], centers=[], quaternions=[])
-        self._batch.log_static(entities.COVARIANCE + suffix, shells)
+        self._batch.log_static(entities.COVARIANCE, shells)
 
     def _log_static_path(self, suffix: str, strips: list[Floats]) -> None:
         path = rr.LineStrips3D.from_fields(strips=strips)
@@ -132,6 +133,11 @@ class SettledLayer:
             half_sizes=np.array([half for half, _ in shells]),
             quaternions=np.array([quat for _, quat in shells]),
         )
+
+
+def _suffix(chunk: int) -> str:
+    # Not below the entity of the pieces, whose visible time range children could inherit.
+    return f"_chunks/{chunk}"
 
 
 def add_strips(batch: Batch, moment: Moment, entity: str, lines: list[Floats]) -> None:
