@@ -1,4 +1,4 @@
-"""ROS bags as others write them, with `rosbags`."""
+"""Writer of ROS bags, based on `rosbags`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Packed1 = Rosbag1Writer.CompressionFormat
 def write_bag1(
     path: Path, messages: Iterable[tuple[str, Message]], compression: Packed1 | None = Packed1.LZ4
 ) -> Path:
-    """A bag of ROS 1."""
+    """Write a ROS 1 bag."""
     path.parent.mkdir(parents=True, exist_ok=True)
     store, of_ros2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
     transforms = "geometry_msgs/TransformStamped[] transforms"
@@ -44,7 +44,7 @@ def write_bag2(
     plugin: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """A bag of ROS 2: a folder."""
+    """Write a ROS 2 bag, a folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     store = get_typestore(Stores.ROS2_HUMBLE)
     writer = Rosbag2Writer(path, version=9, storage_plugin=plugin)

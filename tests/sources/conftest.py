@@ -34,13 +34,13 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture(params=layouts.WRITERS)
 def kind(request: pytest.FixtureRequest) -> str:
-    """Each format in turn."""
+    """Name of each format."""
     return str(request.param)
 
 
 @pytest.fixture
 def recording(kind: str, tmp_path: Path) -> Path:
-    """A recording of each format in turn, a folder, file or pattern of the format's name."""
+    """A recording of each format: a folder, file or pattern with the name of the format."""
     path = tmp_path / layouts.PATHS.get(kind, kind)
     layouts.WRITERS[kind](path)
     return path
@@ -48,6 +48,6 @@ def recording(kind: str, tmp_path: Path) -> Path:
 
 @pytest.fixture(params=[kind for kind in layouts.WRITERS if kind not in layouts.PATHS])
 def folder_recording(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Those that are folders with images in files of their own."""
+    """Name of each format that is a folder of image files."""
     layouts.WRITERS[request.param](tmp_path / request.param)
     return tmp_path / request.param

@@ -1,4 +1,4 @@
-"""The same stereo images as messages, in files of their own, and as a video."""
+"""The same stereo images as messages, as image files, and as a video."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def write_glob(path: Path, source: Recording) -> Path:
 
 
 def write_video(path: Path, source: Recording) -> Path:
-    """The left camera without loss; time begins at 0."""
+    """The left camera as lossless video; time begins at 0."""
     unit = Fraction(1, 10**9)
     with av.open(str(path), "w", options={"video_track_timescale": "1000000000"}) as container:
         stream = container.add_stream("png", rate=20)

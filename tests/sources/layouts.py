@@ -1,4 +1,4 @@
-"""The same six moments written to disk in every layout."""
+"""The same six frames written in each layout."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ baseline_m: {BASELINE_M}
 
 
 def image(index: int, right: bool = False) -> Bytes:
-    """Noise whose top-left pixel tells which image it is."""
+    """Noise whose top-left pixel is the number of the image."""
     pixels = np.random.default_rng(index).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
     pixels[0, 0] = index + (100 if right else 0)
     return pixels
@@ -61,7 +61,7 @@ def seconds(stamp_ns: int) -> str:
 
 
 def truth() -> list[Floats]:
-    """world_from_cam0 of each moment."""
+    """world_from_cam0 of each frame."""
     return [se3_exp(np.array([0, 0.02 * i, 0, 0.1 * i, 0, 0.5 * i])) for i in range(COUNT)]
 
 
@@ -97,7 +97,7 @@ def numbers(values: Iterable[float]) -> str:
 
 
 def calib_cam_to_cam() -> str:
-    """Two rectified grey cameras, their frame turned as much as the world is."""
+    """Two rectified grey cameras, in a frame rotated like the world."""
     fx, fy, cx, cy = INTRINSICS
     lines = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
     for i in range(2):
@@ -120,7 +120,7 @@ def rigid_text(transform: Floats) -> str:
 
 
 def write_kitti_raw(folder: Path) -> None:
-    """The inertial unit sits where the rectified left camera does, the scanner somewhere else."""
+    """The inertial unit is at the rectified left camera, the laser scanner elsewhere."""
     dates = "".join(f"{date(s)}\n" for s in STAMPS_NS)
     for camera in ("image_00", "image_01"):
         write_text(folder / camera / "timestamps.txt", dates)
@@ -138,7 +138,7 @@ def write_kitti_raw(folder: Path) -> None:
 
 
 def oxts_record(world_from_imu: Floats) -> str:
-    """Near the equator at Greenwich: Mercator's metres are those of the sphere."""
+    """Near the equator at Greenwich, where Mercator's scale is 1."""
     rotation, (x, y, z) = world_from_imu[:3, :3], world_from_imu[:3, 3]
     roll = math.atan2(rotation[2, 1], rotation[2, 2])
     pitch = math.asin(-rotation[2, 0])
@@ -205,7 +205,7 @@ def write_glob(pattern: Path) -> None:
 
 
 def write_video(path: Path) -> None:
-    """Without loss, with a unit of time that is fine enough for the stamps."""
+    """Lossless, with a time base that is fine enough for the stamps."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unit = Fraction(1, 10**9)
     with av.open(str(path), "w", options={"video_track_timescale": "1000000000"}) as container:
@@ -221,7 +221,7 @@ def write_video(path: Path) -> None:
 
 
 def log_messages(codec: str = "mono8") -> Iterator[tuple[str, Message]]:
-    """The same moments as messages; `codec` is mono8 or png."""
+    """The same frames as messages; `codec` is mono8 or png."""
     cam0_from_cam1 = np.eye(4)
     cam0_from_cam1[0, 3] = BASELINE_M
     body_from_cam0 = FrameTransform("body", "cam0", BODY_FROM_CAM0)
@@ -249,7 +249,7 @@ def write_mcap(path: Path) -> None:
 
 
 def stamps(kind: str) -> list[int]:
-    """What a format makes of `STAMPS_NS`: a video begins at 0."""
+    """`STAMPS_NS` as read from a format: those of a video begin at 0."""
     return [stamp - STAMPS_NS[0] for stamp in STAMPS_NS] if kind == "video" else STAMPS_NS
 
 
@@ -268,7 +268,7 @@ PATHS = {
     "video": "video.mov",
     "mcap": "mcap.mcap",
 }
-"""Where a recording is that is not a folder of the format's name."""
+"""Paths of recordings other than a folder with the name of the format."""
 
 WRITERS: dict[str, Callable[[Path], None]] = {
     "kitti": write_kitti,

@@ -1,4 +1,4 @@
-"""MCAP files as others write them, with the writer that MCAP's authors publish."""
+"""Writer of MCAP files, based on MCAP's official library."""
 
 from __future__ import annotations
 

@@ -35,14 +35,16 @@ def check_whole(path: Path) -> None:
 
 @pytest.mark.parametrize("codec", ["mono8", "png"])
 @pytest.mark.parametrize("compression", PACKED1)
-def test_ros1_in_every_compression(tmp_path: Path, compression: Packed1 | None, codec: str) -> None:
+def test_ros1_with_each_compression(
+    tmp_path: Path, compression: Packed1 | None, codec: str
+) -> None:
     write_bag1(tmp_path / "a.bag", layouts.log_messages(codec), compression)
     check_whole(tmp_path / "a.bag")
 
 
 @pytest.mark.parametrize("codec", ["mono8", "png"])
 @pytest.mark.parametrize("compression", PACKED2)
-def test_ros2_sqlite_in_every_compression(
+def test_ros2_sqlite_with_each_compression(
     tmp_path: Path, compression: CompressionMode, codec: str
 ) -> None:
     write_bag2(tmp_path / "bag", layouts.log_messages(codec), StoragePlugin.SQLITE3, compression)
@@ -58,7 +60,7 @@ def test_ros2_mcap(tmp_path: Path, compression: CompressionMode) -> None:
     check_whole(tmp_path / "bag")
 
 
-def test_ros2_mcap_with_each_message_compressed_is_refused(tmp_path: Path) -> None:
+def test_error_for_ros2_mcap_with_compressed_messages(tmp_path: Path) -> None:
     write_bag2(
         tmp_path / "bag", layouts.log_messages("mono8"), StoragePlugin.MCAP, CompressionMode.MESSAGE
     )
@@ -78,14 +80,14 @@ def test_ros2_without_metadata_as_after_a_crash(
     assert "has no metadata.yaml, as after a crash" in caplog.text
 
 
-def test_ros2_a_file_alone(tmp_path: Path) -> None:
+def test_ros2_single_file(tmp_path: Path) -> None:
     write_bag2(tmp_path / "bag", layouts.log_messages())
     file = next((tmp_path / "bag").glob("*.db3"))
     check_whole(Path(shutil.move(file, tmp_path / "alone.db3")))
 
 
-def test_ros2_in_several_files(tmp_path: Path) -> None:
-    """The second half of the messages in a file of its own, as after a split."""
+def test_ros2_with_several_files(tmp_path: Path) -> None:
+    """The second half of the messages is in a second file, as after a split."""
     write_bag2(tmp_path / "bag", layouts.log_messages())
     first = next((tmp_path / "bag").glob("*.db3"))
     second = first.with_name("bag_1.db3")
@@ -102,9 +104,7 @@ def test_ros2_in_several_files(tmp_path: Path) -> None:
     check_whole(tmp_path / "bag")
 
 
-def test_ros2_metadata_that_makes_no_sense_is_not_needed(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_ros2_with_invalid_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     write_bag2(tmp_path / "bag", layouts.log_messages())
     (tmp_path / "bag/metadata.yaml").write_text("[")
     check_whole(tmp_path / "bag")
@@ -127,8 +127,8 @@ def test_topics_can_be_chosen(tmp_path: Path, side: str) -> None:
     assert frame.image1 is None
 
 
-def test_ros1_cut_off_is_salvaged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The index, at the end, is gone; so is the newest chunk, or a part of it."""
+def test_ros1_truncated(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The index at the end is missing, and the last chunk or a part of it."""
     path = tmp_path / "a.bag"
     write_bag1(path, layouts.log_messages(), None)
     data = path.read_bytes()
@@ -143,8 +143,8 @@ def test_ros1_cut_off_is_salvaged(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert "messages in" in caplog.text
 
 
-def test_ros1_without_its_index_is_whole(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """As rosbag leaves it when the recorder is killed: the bag ends after a chunk."""
+def test_ros1_without_index_is_complete(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The bag ends after a chunk, as when the recorder is killed."""
     path = tmp_path / "a.bag.active"
     write_bag1(path, layouts.log_messages(), None)
     data = path.read_bytes()
@@ -155,8 +155,8 @@ def test_ros1_without_its_index_is_whole(tmp_path: Path, caplog: pytest.LogCaptu
 
 
 @pytest.mark.parametrize("kind", ["a.bag", "bag"])
-def test_damage_is_never_more_than_one_clear_error(tmp_path: Path, kind: str) -> None:
-    """Cuts and wrong bytes at random places: an error of ours, or some of the frames, unharmed."""
+def test_damaged_bags_give_frames_or_one_error(tmp_path: Path, kind: str) -> None:
+    """Cuts and wrong bytes at random positions give a VoError, or intact frames."""
     path = tmp_path / kind
     write = layouts.write_rosbag1 if kind == "a.bag" else layouts.write_rosbag2
     write(path)
@@ -184,7 +184,7 @@ def test_damage_is_never_more_than_one_clear_error(tmp_path: Path, kind: str) ->
 
 
 @pytest.mark.parametrize("content", [b"", b"#ROSBAG V1.2\n", b"something else"])
-def test_says_when_it_is_no_bag(tmp_path: Path, content: bytes) -> None:
+def test_error_for_files_that_are_not_bags(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.bag").write_bytes(content)
     with pytest.raises(SourceError, match="a ROS 1 bag of version 2.0 begins with"):
         open_source(tmp_path / "a.bag")

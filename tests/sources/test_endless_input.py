@@ -1,4 +1,4 @@
-"""Devices and pipes in the place of files: they may have no end, or never begin."""
+"""Devices and pipes instead of files: reading them may never end, or never begin."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ def endless(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return tmp_path / "pipe"
 
 
-def test_as_a_trajectory(endless: Path) -> None:
+def test_error_for_a_trajectory(endless: Path) -> None:
     with pytest.raises(SourceError, match="is a device or a pipe, not a file"):
         read_trajectory(endless)
 
 
-def test_as_a_calibration(endless: Path) -> None:
+def test_error_for_a_calibration(endless: Path) -> None:
     with pytest.raises(CalibrationError, match="is a device or a pipe, not a file"):
         read_calibration(endless)
 
 
 @pytest.mark.parametrize("format", [None, *FORMATS])
-def test_as_a_recording(endless: Path, format: str | None) -> None:
+def test_error_for_a_recording(endless: Path, format: str | None) -> None:
     with pytest.raises(SourceError, match="is neither a file nor a folder"):
         open_source(endless, format=format)
 
 
-def test_as_an_image(endless: Path) -> None:
+def test_error_for_an_image(endless: Path) -> None:
     with pytest.raises(SourceError, match="is a device or a pipe, not a file"):
         ImageFile(endless).read()

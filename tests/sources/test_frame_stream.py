@@ -1,4 +1,4 @@
-"""A stream of frames without known length or times, through a whole run."""
+"""Runs on a stream of frames without known length or times."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESULTS = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 
 
 class Camera:
-    """Hands out frames until it is unplugged; knows neither their number nor their times."""
+    """A camera: frames until it is unplugged, without known number or times."""
 
     def __init__(self, rig: Rig, frames: Iterator[Frame]) -> None:
         self.name, self.format, self.rig = "camera", "live", rig
@@ -39,7 +39,7 @@ class Camera:
 
 
 class Watcher:
-    """Keeps what the progress of a run shows."""
+    """Records the progress of a run."""
 
     def __init__(self) -> None:
         self.total: int | None = None

@@ -1,4 +1,4 @@
-"""Transforms of a log that are damaged."""
+"""Damaged transforms of a log."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def messages() -> list[tuple[str, Message]]:
     return found
 
 
-def test_damaged_transforms_are_told_of_once(
+def test_one_warning_for_damaged_transforms(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_log(tmp_path / "log.mcap", messages(), replace(ROS2, encode=encode))

@@ -28,14 +28,14 @@ def _written(path: Path, pixels: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".bmp", ".pgm", ".tif"])
-def test_reads_grey_images_as_they_are(tmp_path: Path, suffix: str) -> None:
+def test_grey_images_are_exact(tmp_path: Path, suffix: str) -> None:
     assert np.array_equal(read(_written(tmp_path / f"a{suffix}", GREY)), GREY)
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".webp", ".pgm", ".ppm"])
-def test_reads_every_depth_and_number_of_channels(
+def test_reads_all_bit_depths_and_channels(
     tmp_path: Path, suffix: str, bits: int, channels: int
 ) -> None:
     if (suffix == ".webp" and bits == 16) or channels not in {".pgm": [1], ".ppm": [3]}.get(
@@ -52,13 +52,13 @@ def test_reads_every_depth_and_number_of_channels(
     np.testing.assert_array_equal(read(path), GREY)
 
 
-def test_reads_jpeg_nearly_as_it_is(tmp_path: Path) -> None:
+def test_jpeg_is_nearly_exact(tmp_path: Path) -> None:
     smooth = cv2.GaussianBlur(GREY, (0, 0), 3)
     image = read(_written(tmp_path / "a.jpg", smooth))
     assert np.abs(image.astype(int) - smooth).max() <= 4
 
 
-def test_turns_colour_to_grey(tmp_path: Path) -> None:
+def test_colour_is_converted_to_grey(tmp_path: Path) -> None:
     blue_green_red = np.tile(np.array([200, 100, 50], np.uint8), (40, 60, 1))
     image = read(_written(tmp_path / "a.png", blue_green_red))
     assert image.shape == (40, 60)
@@ -68,7 +68,9 @@ def test_turns_colour_to_grey(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("brightest", "bits"), [(900, 10), (1023, 10), (1024, 12), (4095, 12), (16000, 14), (65535, 16)]
 )
-def test_scales_16_bit_images_by_the_bits_in_use(tmp_path: Path, brightest: int, bits: int) -> None:
+def test_16_bit_images_are_scaled_by_their_bit_depth(
+    tmp_path: Path, brightest: int, bits: int
+) -> None:
     pixels = np.zeros((40, 60), np.uint16)
     pixels[5, 6] = brightest
     path = _written(tmp_path / "a.png", pixels)
@@ -78,12 +80,12 @@ def test_scales_16_bit_images_by_the_bits_in_use(tmp_path: Path, brightest: int,
     assert image[5, 6] == brightest * 256 // 2**bits
 
 
-def test_brighter_16_bit_pixels_than_expected_saturate(tmp_path: Path) -> None:
+def test_16_bit_pixels_above_the_bit_depth_saturate(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.png", np.full((4, 4), 5000, np.uint16))
     assert (read(path, 12) == 255).all()
 
 
-def test_depth_is_that_of_the_brightest_of_several_images(tmp_path: Path) -> None:
+def test_bit_depth_is_that_of_the_brightest_image(tmp_path: Path) -> None:
     paths = [
         _written(tmp_path / f"{i}.png", np.full((4, 4), 100 + 1000 * i, np.uint16))
         for i in range(4)
@@ -95,7 +97,7 @@ def test_depth_is_that_of_the_brightest_of_several_images(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm", ".webp"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
-def test_refuses_cut_off_files_without_noise(
+def test_error_for_truncated_files_without_output_of_opencv(
     tmp_path: Path, suffix: str, share: float, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = _written(tmp_path / f"a{suffix}", GREY)
@@ -106,7 +108,7 @@ def test_refuses_cut_off_files_without_noise(
     assert capfd.readouterr() == ("", "")
 
 
-def test_refuses_a_png_with_a_flipped_bit(
+def test_error_for_a_png_with_a_flipped_bit(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = _written(tmp_path / "a.png", GREY)
@@ -118,7 +120,7 @@ def test_refuses_a_png_with_a_flipped_bit(
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None:
+def test_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.jpg", GREY)
     data = path.read_bytes()
     thumbnail = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"\xff\xd8  \xff\xd9"
@@ -129,7 +131,7 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None
         read(path)
 
 
-def test_accepts_jpegs_padded_at_the_end(tmp_path: Path) -> None:
+def test_accepts_jpegs_with_padding_at_the_end(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.jpg", GREY)
     path.write_bytes(path.read_bytes() + bytes(100))
     assert read(path).shape == GREY.shape
@@ -138,7 +140,7 @@ def test_accepts_jpegs_padded_at_the_end(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"), [(b"", "is empty"), (b"text", "damaged or not an image")]
 )
-def test_says_what_is_wrong(tmp_path: Path, content: bytes, reason: str) -> None:
+def test_error_names_the_problem(tmp_path: Path, content: bytes, reason: str) -> None:
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(SourceError, match=reason):
         read(tmp_path / "a.png")
@@ -151,13 +153,13 @@ def test_missing_files_and_folders(tmp_path: Path) -> None:
         read(tmp_path)
 
 
-def test_refuses_pixels_of_floating_point(tmp_path: Path) -> None:
+def test_error_for_floating_point_pixels(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.tif", GREY.astype(np.float32))
     with pytest.raises(SourceError, match="float32 pixels; 8 or 16 bits"):
         read(path)
 
 
-def test_leaves_the_log_level_of_opencv_as_it_was(tmp_path: Path) -> None:
+def test_log_level_of_opencv_is_restored(tmp_path: Path) -> None:
     before = cv2.utils.logging.getLogLevel()
     with pytest.raises(SourceError):
         read(_written(tmp_path / "a.png", GREY).with_suffix(".jpg"))

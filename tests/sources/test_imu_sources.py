@@ -1,4 +1,4 @@
-"""Inertial measurements, as others write them: exact, in time order, read only when asked for."""
+"""Inertial measurements of each format: exact, in time order, read on demand."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def check_exact(samples: ImuSamples, rows: slice | list[int] = slice(None)) -> N
 
 
 @pytest.mark.parametrize("container", ["ros2", "foxglove", "rosbag1", "rosbag2"])
-def test_logs_give_what_was_written(tmp_path: Path, container: str) -> None:
+def test_samples_of_logs_are_exact(tmp_path: Path, container: str) -> None:
     path = tmp_path / {"rosbag1": "a.bag", "rosbag2": "bag"}.get(container, "a.mcap")
     if container == "rosbag1":
         bag_logs.write_bag1(path, all_messages())
@@ -89,7 +89,7 @@ def test_ros1_messages_in_mcap(tmp_path: Path) -> None:
     check_exact(LogImu(log, topic, lambda _: None).read())
 
 
-def test_our_own_generator_is_read_back(synthetic_stereo: Path) -> None:
+def test_samples_of_synthetic_recordings_are_exact(synthetic_stereo: Path) -> None:
     imu = the_imu(synthetic_stereo)
     table = np.loadtxt(
         synthetic_stereo / "mav0" / "imu0" / "data.csv", str, delimiter=",", skiprows=1
@@ -116,7 +116,7 @@ def euroc_lines() -> list[str]:
     return [f"{stamp},{','.join(map(repr, [*g.tolist(), *a.tolist()]))}" for stamp, g, a in rows]
 
 
-def test_euroc_says_where_it_is(euroc: Path) -> None:
+def test_euroc_contains_the_extrinsics(euroc: Path) -> None:
     body_from_imu = se3_exp(np.array([0.1, -0.2, 0.3, 0.01, 0.02, 0.03]))
     euroc_table(euroc, euroc_lines(), layouts.sensor_yaml(body_from_imu))
     imu = the_imu(euroc)
@@ -127,7 +127,7 @@ def test_euroc_says_where_it_is(euroc: Path) -> None:
     assert the_imu(euroc).cam0_from_imu is None
 
 
-def test_kalibr_says_where_it_is(euroc: Path, tmp_path: Path) -> None:
+def test_kalibr_contains_the_extrinsics(euroc: Path, tmp_path: Path) -> None:
     euroc_table(euroc, euroc_lines(), None)
     cam_from_imu = se3_exp(np.array([0.3, 0.1, -0.2, 0.05, 0.0, 0.1]))
     camera = {
@@ -146,7 +146,7 @@ def test_kalibr_says_where_it_is(euroc: Path, tmp_path: Path) -> None:
         assert source.imus[0].cam0_from_imu == pytest.approx(cam_from_imu, abs=1e-9)
 
 
-def test_kitti_raw_takes_what_turns_with_the_unit(tmp_path: Path) -> None:
+def test_kitti_raw_samples_are_in_the_frame_of_the_unit(tmp_path: Path) -> None:
     drive = tmp_path / "drive"
     layouts.write_kitti_raw(drive)
     for i, (gyro, accel) in enumerate(zip(GYRO, ACCEL, strict=False)):
@@ -163,7 +163,7 @@ def test_kitti_raw_takes_what_turns_with_the_unit(tmp_path: Path) -> None:
 
 
 def spoiled_log(path: Path) -> Path:
-    """Every eighth message is cut short, and one has a number that is none."""
+    """Every eighth message is truncated, and one contains NaN."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
@@ -188,7 +188,7 @@ def spoiled_log(path: Path) -> Path:
     return path
 
 
-def test_damage_is_told_once_with_its_count_and_only_when_read(
+def test_one_warning_for_damaged_samples_when_they_are_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     source = open_source(spoiled_log(tmp_path / "a.mcap"))
@@ -204,7 +204,7 @@ def test_damage_is_told_once_with_its_count_and_only_when_read(
     assert np.array_equal(samples.accel, ACCEL[kept])
 
 
-def test_damaged_lines_of_a_table_are_told_once(
+def test_one_warning_for_damaged_lines_of_a_table(
     euroc: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     lines = euroc_lines()
@@ -223,7 +223,7 @@ def test_damaged_lines_of_a_table_are_told_once(
     check_exact(samples, [i for i in range(SAMPLES) if i not in (4, 9, 11)])
 
 
-def test_of_several_sensors_one_is_chosen(tmp_path: Path) -> None:
+def test_one_of_several_sensors_is_chosen(tmp_path: Path) -> None:
     more = [(f"/{i % 2}/imu", m) for i, (_, m) in enumerate(imu_messages()) if i < 21]
     mcap_logs.write_log(tmp_path / "a.mcap", [*all_messages(), *more], FOXGLOVE)
     names = [imu.name for imu in open_source(tmp_path / "a.mcap").imus]
@@ -234,7 +234,7 @@ def test_of_several_sensors_one_is_chosen(tmp_path: Path) -> None:
         open_source(tmp_path / "a.mcap", topics=["imu=/truth"])
 
 
-def test_gyroscope_and_accelerometer_of_their_own_topics_are_one_sensor(tmp_path: Path) -> None:
+def test_gyroscope_and_accelerometer_topics_are_joined(tmp_path: Path) -> None:
     zero = np.zeros(3)
     parts: list[tuple[str, Message]] = []
     for stamp, gyro in zip(STAMPS_NS.tolist(), GYRO, strict=True):
@@ -260,7 +260,7 @@ def test_gyroscope_and_accelerometer_of_their_own_topics_are_one_sensor(tmp_path
     assert len(imu.read_some(10)) == 10
 
 
-def test_many_samples_are_read_in_stretches(tmp_path: Path) -> None:
+def test_excerpts_of_many_samples(tmp_path: Path) -> None:
     mcap_logs.write_log(tmp_path / "a.mcap", all_messages())
     imu = the_imu(tmp_path / "a.mcap")
     some = imu.read_some(20)

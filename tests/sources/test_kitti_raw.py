@@ -1,4 +1,4 @@
-"""KITTI raw: stamps, rectified and recorded images, the colour pair, and truth from GPS/INS."""
+"""KITTI raw: stamps, rectified and unrectified images, colour pair, GPS/INS ground truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_stamps_are_exact() -> None:
         stamp_ns_from_date("26.9.2011 13:02")
 
 
-def test_finds_the_calibration_of_the_date(drive: Path) -> None:
+def test_calibration_of_the_date_is_found(drive: Path) -> None:
     for path in drive.glob("calib_*.txt"):
         path.rename(drive.parent / path.name)
     source = open_source(drive)
@@ -39,7 +39,7 @@ def test_finds_the_calibration_of_the_date(drive: Path) -> None:
     np.testing.assert_allclose(source.ground_truth.world_from_cam, layouts.truth(), atol=1e-9)
 
 
-def test_images_as_recorded_take_the_other_half_of_the_calibration(drive: Path) -> None:
+def test_unrectified_images_have_the_unrectified_calibration(drive: Path) -> None:
     for path in drive.glob("image_0?/data/*.png"):
         layouts.write_image(path, np.zeros((512, 1392), np.uint8))
     rig = open_source(drive).rig
@@ -48,7 +48,7 @@ def test_images_as_recorded_take_the_other_half_of_the_calibration(drive: Path) 
     assert rig.is_stereo
 
 
-def test_the_colour_pair_where_there_is_no_grey_one(drive: Path) -> None:
+def test_colour_pair_is_used_without_a_grey_one(drive: Path) -> None:
     for i in range(2):
         (drive / f"image_0{i}").rename(drive / f"image_0{i + 2}")
     text = (drive / "calib_cam_to_cam.txt").read_text()
@@ -68,13 +68,13 @@ def test_the_colour_pair_where_there_is_no_grey_one(drive: Path) -> None:
     np.testing.assert_allclose(source.ground_truth.world_from_cam, expected, atol=1e-9)
 
 
-def test_a_missing_image_leaves_the_others_their_stamps(drive: Path) -> None:
+def test_missing_image_does_not_shift_the_stamps(drive: Path) -> None:
     (drive / "image_00/data/0000000002.png").unlink()
     stamps = [f.stamp_ns for f in open_source(drive).frames()]
     assert stamps == layouts.STAMPS_NS[:2] + layouts.STAMPS_NS[3:]
 
 
-def test_cameras_have_stamps_of_their_own(drive: Path) -> None:
+def test_each_camera_has_its_own_stamps(drive: Path) -> None:
     late = "".join(f"{layouts.date(s + 1_400_000)}\n" for s in layouts.STAMPS_NS)
     layouts.write_text(drive / "image_01/timestamps.txt", late)
     frames = list(open_source(drive).frames())
@@ -82,7 +82,7 @@ def test_cameras_have_stamps_of_their_own(drive: Path) -> None:
     assert all(f.image1 is not None for f in frames)
 
 
-def test_truth_is_interpolated_at_the_stamps_of_the_images(drive: Path) -> None:
+def test_ground_truth_is_interpolated_at_the_stamps_of_the_images(drive: Path) -> None:
     def write(delay_ns: int) -> None:
         lines = "".join(f"{layouts.date(s + delay_ns)}\n" for s in layouts.STAMPS_NS)
         layouts.write_text(drive / "oxts/timestamps.txt", lines)
@@ -96,9 +96,7 @@ def test_truth_is_interpolated_at_the_stamps_of_the_images(drive: Path) -> None:
     np.testing.assert_allclose(truth.positions, between, atol=2e-3)
 
 
-def test_truth_of_a_chosen_calibration_stands_on_that_of_the_drive(
-    drive: Path, tmp_path: Path
-) -> None:
+def test_ground_truth_with_a_given_calibration(drive: Path, tmp_path: Path) -> None:
     layouts.write_text(tmp_path / "mine.yaml", layouts.CALIBRATION)
     truth = open_source(drive, calibration=tmp_path / "mine.yaml").ground_truth
     assert truth is not None
@@ -106,7 +104,7 @@ def test_truth_of_a_chosen_calibration_stands_on_that_of_the_drive(
 
 
 @pytest.mark.parametrize("missing", ["calib_imu_to_velo.txt", "calib_velo_to_cam.txt"])
-def test_no_truth_where_nobody_knows_where_the_unit_sits(
+def test_no_ground_truth_without_the_extrinsics_of_the_unit(
     drive: Path, missing: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     (drive / missing).unlink()
@@ -116,7 +114,7 @@ def test_no_truth_where_nobody_knows_where_the_unit_sits(
     assert missing in caplog.text
 
 
-def test_a_damaged_record_costs_the_truth_and_nothing_else(
+def test_damaged_record_loses_only_the_ground_truth(
     drive: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     layouts.write_text(drive / "oxts/data/0000000003.txt", "49.0 8.4\n")
@@ -124,13 +122,13 @@ def test_a_damaged_record_costs_the_truth_and_nothing_else(
     assert "0000000003.txt is not a GPS/INS record" in caplog.text
 
 
-def test_no_oxts_no_truth(drive: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_no_ground_truth_without_oxts(drive: Path, caplog: pytest.LogCaptureFixture) -> None:
     shutil.rmtree(drive / "oxts")
     assert open_source(drive).ground_truth is None
     assert not caplog.records
 
 
-def test_stamps_that_do_not_fit(drive: Path) -> None:
+def test_error_for_inconsistent_stamps(drive: Path) -> None:
     layouts.write_text(drive / "image_00/timestamps.txt", layouts.date(0) + "\n")
     with pytest.raises(SourceError, match="6 images but 1 stamps"):
         open_source(drive)
@@ -149,7 +147,7 @@ def test_mercator_agrees_with_the_length_of_a_degree() -> None:
     np.testing.assert_allclose(steps[0, :2] + steps[1, :2], [0, degree_m * 1e-3], atol=2e-3)
 
 
-def test_angles_turn_x_ahead_to_the_left_and_down() -> None:
+def test_rotation_from_roll_pitch_yaw() -> None:
     yaw = rotation_from_roll_pitch_yaw(0, 0, np.pi / 2)
     np.testing.assert_allclose(yaw @ [1, 0, 0], [0, 1, 0], atol=1e-12)
     pitch = rotation_from_roll_pitch_yaw(0, np.pi / 2, 0)

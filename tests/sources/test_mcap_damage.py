@@ -1,4 +1,4 @@
-"""Files that were cut off or damaged: what comes before is read, and nothing else goes wrong."""
+"""Truncated and damaged MCAP files: the intact part is read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KINDS = {
     "unchunked": (CompressionType.NONE, False),
 }
 TRIES = 50
-"""For each kind of file."""
+"""Writer options by kind of file."""
 
 LONGEST_S = 5.0
 
@@ -48,7 +48,7 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def contents(file: McapFile) -> dict[tuple[str, int], bytes]:
-    """What can be read, by topic and time of logging."""
+    """The readable messages by topic and log time."""
     found = {}
     for topic, entries in file.entries([topic.name for topic in file.topics]).items():
         for entry in entries:
@@ -60,7 +60,7 @@ def contents(file: McapFile) -> dict[tuple[str, int], bytes]:
 
 
 def ends(file: McapFile, by_message: bool) -> dict[tuple[str, int], int]:
-    """Up to which byte the file must be sound for each message."""
+    """Last byte of the file that each message needs."""
 
     def end(entry: Entry) -> int:
         chunk, start, length = entry.address
@@ -79,7 +79,7 @@ def ends(file: McapFile, by_message: bool) -> dict[tuple[str, int], int]:
 
 
 def check(damaged: Path, expected: dict[tuple[str, int], bytes]) -> None:
-    """All that is expected is there, and a run would get frames or an error in one line."""
+    """All expected messages are readable, and opening gives frames or an error of one line."""
     begun = time.monotonic()
     try:
         found = contents(McapFile(damaged))
@@ -95,7 +95,7 @@ def check(damaged: Path, expected: dict[tuple[str, int], bytes]) -> None:
     assert time.monotonic() - begun < LONGEST_S
 
 
-def test_every_message_before_a_cut_is_read(whole: Path, tmp_path: Path) -> None:
+def test_all_messages_before_a_cut_are_read(whole: Path, tmp_path: Path) -> None:
     file = McapFile(whole)
     messages, sound = contents(file), ends(file, by_message=True)
     data = whole.read_bytes()
@@ -105,7 +105,7 @@ def test_every_message_before_a_cut_is_read(whole: Path, tmp_path: Path) -> None
         check(damaged, {key: messages[key] for key in messages if sound[key] <= at})
 
 
-def test_every_message_before_a_wrong_byte_is_read(whole: Path, tmp_path: Path) -> None:
+def test_all_messages_before_a_wrong_byte_are_read(whole: Path, tmp_path: Path) -> None:
     file = McapFile(whole)
     messages, sound = contents(file), ends(file, by_message=False)
     data = whole.read_bytes()
@@ -119,7 +119,7 @@ def test_every_message_before_a_wrong_byte_is_read(whole: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
-def test_a_wrong_byte_in_a_chunk_costs_no_more_than_the_chunk(kind: str, tmp_path: Path) -> None:
+def test_wrong_byte_loses_at_most_its_chunk(kind: str, tmp_path: Path) -> None:
     path = write_log(
         tmp_path / "log.mcap",
         layouts.log_messages(),
@@ -139,7 +139,7 @@ def test_a_wrong_byte_in_a_chunk_costs_no_more_than_the_chunk(kind: str, tmp_pat
     assert all(after[key] == before[key] for key in after)
 
 
-def test_says_how_much_of_a_cut_file_is_used(
+def test_warning_names_the_used_part_of_a_truncated_file(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_log(tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000)
@@ -156,7 +156,7 @@ def test_says_how_much_of_a_cut_file_is_used(
 
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
-def test_most_of_a_chunk_that_is_cut_off_is_used(kind: str, tmp_path: Path) -> None:
+def test_most_of_a_truncated_chunk_is_used(kind: str, tmp_path: Path) -> None:
     noise = np.random.default_rng(3).integers(0, 256, (200, 48, 64), dtype=np.uint8)
     path = write_log(
         tmp_path / "log.mcap",
@@ -176,7 +176,7 @@ def test_most_of_a_chunk_that_is_cut_off_is_used(kind: str, tmp_path: Path) -> N
     assert all(whole[key] == found[key] for key in found)
 
 
-def test_a_sound_file_is_read_without_a_word(whole: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_no_warning_for_intact_files(whole: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO):
         assert len(list(open_source(whole).frames())) == layouts.COUNT
     assert caplog.records == []
@@ -192,7 +192,7 @@ def test_messages_are_in_the_order_of_their_stamps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 2, b"#!/bin/sh\n"])
-def test_no_mcap_file(tmp_path: Path, content: bytes) -> None:
+def test_error_for_files_that_are_not_mcap(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(content)
     with pytest.raises(SourceError, match="is not an MCAP file|no topic has readable messages"):
@@ -211,7 +211,7 @@ OPTIONS: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 @pytest.mark.parametrize("options", OPTIONS, ids=lambda options: ",".join(options))
-def test_files_as_others_write_them(
+def test_files_of_other_writers(
     tmp_path: Path, dialect: str, options: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "log.mcap"
@@ -223,9 +223,7 @@ def test_files_as_others_write_them(
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_bytes_that_were_changed_or_lost_in_files_without_checksums(
-    tmp_path: Path, dialect: str
-) -> None:
+def test_damaged_files_without_checksums(tmp_path: Path, dialect: str) -> None:
     rng = np.random.default_rng(4)
     path = tmp_path / "log.mcap"
     for options in OPTIONS[:3]:
@@ -239,7 +237,7 @@ def test_bytes_that_were_changed_or_lost_in_files_without_checksums(
             check(path, {})
 
 
-def test_a_time_that_cannot_be_is_left_out(tmp_path: Path) -> None:
+def test_implausible_stamp_is_left_out(tmp_path: Path) -> None:
     messages = [(t, replace(m, stamp_ns=0)) for t, m in layouts.log_messages()]
     times = iter(range(len(messages)))
     path = write_log(

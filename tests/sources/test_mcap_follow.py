@@ -1,4 +1,4 @@
-"""Files that grow while they are read."""
+"""MCAP files that grow while they are read."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAUSE_S = 0.01
 
 
 def messages(rounds: int) -> Iterator[tuple[str, Message]]:
-    """The six moments again and again, as if time went on."""
+    """The six frames repeated, with increasing stamps."""
     for number in range(rounds):
         for topic, message in layouts.log_messages():
             later = message.stamp_ns + number * layouts.COUNT * 100_000_001
@@ -33,7 +33,7 @@ def messages(rounds: int) -> Iterator[tuple[str, Message]]:
 
 @contextmanager
 def growing(path: Path, data: bytes) -> Iterator[threading.Thread]:
-    """Write a file bit by bit, as a recorder does."""
+    """Write a file in small parts, as a recorder does."""
     path.write_bytes(b"")
 
     def write() -> None:
@@ -51,7 +51,7 @@ def growing(path: Path, data: bytes) -> Iterator[threading.Thread]:
 
 
 @pytest.mark.parametrize("chunked", [True, False])
-def test_hands_out_the_same_frames_while_the_file_grows(tmp_path: Path, chunked: bool) -> None:
+def test_same_frames_while_the_file_grows(tmp_path: Path, chunked: bool) -> None:
     whole = write_log(tmp_path / "whole.mcap", messages(5), use_chunking=chunked, chunk_size=8_000)
     expected = list(open_source(whole).frames())
     path = tmp_path / "live.mcap"
@@ -90,7 +90,7 @@ def test_slices_of_a_growing_file(tmp_path: Path) -> None:
     assert [frame.index for frame in source.frames(2, 11, 4)] == [2, 6, 10]
 
 
-def test_what_cannot_grow_says_so(tmp_path: Path) -> None:
+def test_error_for_formats_that_cannot_grow(tmp_path: Path) -> None:
     layouts.write_folder(tmp_path / "folder")
     with pytest.raises(SourceError, match="cannot be followed; these formats can: mcap"):
         open_source(tmp_path / "folder", follow=True)

@@ -11,8 +11,8 @@ import layouts
 from mcap_logs import write_log
 
 
-def test_a_log_through_a_pipe_is_read_as_far_as_asked_for(tmp_path: Path) -> None:
-    """The pipe stays open, as that of a recorder that goes on."""
+def test_log_through_a_pipe_is_read_up_to_the_last_frame(tmp_path: Path) -> None:
+    """The pipe stays open, as with a recorder that continues."""
     log = write_log(tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000)
     program = "from vo.cli.app import app; app()"
     output = tmp_path / "out"
@@ -34,7 +34,7 @@ def test_a_log_through_a_pipe_is_read_as_far_as_asked_for(tmp_path: Path) -> Non
 
 
 def vo_run(tmp_path: Path, stdin: bytes | None) -> tuple[int, str, str]:
-    """Exit status, standard error and, if there is one, the summary."""
+    """Exit status, standard error and the summary, if any."""
     output = tmp_path / "out"
     program = [sys.executable, "-c", "from vo.cli.app import app; app()"]
     done = subprocess.run(
@@ -45,13 +45,13 @@ def vo_run(tmp_path: Path, stdin: bytes | None) -> tuple[int, str, str]:
     return done.returncode, done.stderr.decode(), said
 
 
-def test_what_is_wrong_with_it_is_said_of_standard_input(tmp_path: Path) -> None:
+def test_errors_name_standard_input(tmp_path: Path) -> None:
     status, errors, _ = vo_run(tmp_path, b"no log" * 100)
     assert status == 1
     assert errors == "error: standard input is not an MCAP file: its first bytes differ\n"
 
 
-def test_damage_is_told_of_standard_input(tmp_path: Path) -> None:
+def test_warnings_name_standard_input(tmp_path: Path) -> None:
     log = write_log(tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000)
     whole = log.read_bytes()
     status, errors, summary = vo_run(tmp_path, whole[: 6 * len(whole) // 10])
@@ -62,7 +62,7 @@ def test_damage_is_told_of_standard_input(tmp_path: Path) -> None:
     assert ".mcap" not in summary
 
 
-def test_a_closed_standard_input_is_refused(tmp_path: Path) -> None:
+def test_error_for_a_closed_standard_input(tmp_path: Path) -> None:
     program = "import os; os.close(0); os.execvp(VO, [VO, 'run', '-', '-o', 'out'])"
     vo = str(Path(sys.executable).with_name("vo"))
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Files much larger than memory may grow."""
+"""MCAP files larger than memory."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ print(len(source), read, peak_rss_mb())
 
 
 class Sparse:
-    """Leaves holes in a file where nothing but zeros is written, so that it takes no disk."""
+    """A file with holes instead of zeros, so that it needs no disk space."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -51,7 +51,7 @@ class Sparse:
 
 
 def write_huge(path: Path) -> int:
-    """Black images without chunks; the number of them."""
+    """Write black images without chunks, and return their number."""
     camera = Camera(WIDTH, HEIGHT, 2000.0, 2000.0, 2000.0, 1250.0)
     projection = np.column_stack([camera.matrix, np.zeros(3)])
     count = FILE_BYTES // (WIDTH * HEIGHT)
@@ -76,7 +76,7 @@ def write_huge(path: Path) -> int:
     return count
 
 
-def test_five_gigabytes_are_read_in_little_memory(tmp_path: Path) -> None:
+def test_five_gigabytes_are_read_with_little_memory(tmp_path: Path) -> None:
     if shutil.disk_usage(tmp_path).free < 2 * FILE_BYTES:
         pytest.skip("needs 10 GB of disk")
     path = tmp_path / "huge.mcap"

@@ -1,4 +1,4 @@
-"""The same images give the same path, byte for byte, whatever they are stored in."""
+"""The same images give the same trajectory, byte for byte, in each container."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Video as messages, packed by a real encoder."""
+"""Video in messages, encoded by FFmpeg."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STAMPS_NS = [1_600_000_000_000_000_000 + i * 33_333_333 for i in range(COUNT)]
 
 
 def picture(index: int) -> Bytes:
-    """A smooth scene that moves, with a bright square that counts along."""
+    """A moving smooth scene, with a bright square whose position is the number of the frame."""
     noise = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH * 2), dtype=np.uint8)
     smooth = cv2.GaussianBlur(noise, (0, 0), 4)
     scene = cv2.normalize(smooth, None, 40, 200, cv2.NORM_MINMAX)[:, index : index + WIDTH].copy()
@@ -35,7 +35,7 @@ def picture(index: int) -> Bytes:
 
 
 def packed(encoder: str, every: int = 10) -> Iterator[bytes]:
-    """A message for each frame, with parameters before each key frame and no B-frames."""
+    """One message per frame, with parameter sets before each keyframe and without B-frames."""
     codec = av.CodecContext.create(encoder, "w")
     assert isinstance(codec, VideoCodecContext)
     codec.width, codec.height, codec.pix_fmt = WIDTH, HEIGHT, "yuv420p"
@@ -77,7 +77,7 @@ def differs(image: Bytes, index: int) -> float:
     return float(np.abs(image.astype(int) - picture(index)).mean())
 
 
-def test_frames_come_one_after_the_other(video: Path) -> None:
+def test_frames_in_order(video: Path) -> None:
     frames = list(open_source(video, calibration=video.with_suffix(".yaml")).frames())
     assert [frame.stamp_ns for frame in frames] == STAMPS_NS
     for frame in frames:
@@ -88,9 +88,7 @@ def test_frames_come_one_after_the_other(video: Path) -> None:
 
 
 @pytest.mark.parametrize(("start", "stride"), [(0, 7), (13, 1), (25, 2), (9, 12)])
-def test_frames_from_the_middle_are_those_of_the_whole(
-    video: Path, start: int, stride: int
-) -> None:
+def test_frames_from_the_middle(video: Path, start: int, stride: int) -> None:
     source = open_source(video, calibration=video.with_suffix(".yaml"))
     whole = {frame.index: frame.image0 for frame in source.frames()}
     for frame in source.frames(start=start, stride=stride):
@@ -107,7 +105,7 @@ def test_frames_before_the_first_key_frame_are_skipped(tmp_path: Path) -> None:
     assert frames[0].index == 7
 
 
-def test_damage_costs_no_more_than_the_frames_to_the_next_key_frame(tmp_path: Path) -> None:
+def test_damage_loses_frames_up_to_the_next_keyframe(tmp_path: Path) -> None:
     messages = list(packed("libx264"))
     messages[12] = messages[12][: len(messages[12]) // 3]
     path = write(tmp_path / "log.mcap", messages, "h264")
@@ -116,7 +114,7 @@ def test_damage_costs_no_more_than_the_frames_to_the_next_key_frame(tmp_path: Pa
     assert set(good) >= {*range(12), *range(20, 30)}
 
 
-def test_other_codecs_are_named(tmp_path: Path) -> None:
+def test_error_names_unsupported_codecs(tmp_path: Path) -> None:
     path = write(tmp_path / "log.mcap", [b"\x12\x00"] * COUNT, "av1")
     with pytest.raises(SourceError, match="none of 30 images can be read.*'av1'; h264 and h265"):
         open_source(path, calibration=path.with_suffix(".yaml"))
@@ -135,5 +133,5 @@ def test_other_codecs_are_named(tmp_path: Path) -> None:
         (b"\x00\x00\x01", "h264", False),
     ],
 )
-def test_what_stands_alone(data: bytes, codec: str, alone: bool) -> None:
+def test_keyframes_are_detected(data: bytes, codec: str, alone: bool) -> None:
     assert is_keyframe(data, codec) == alone

@@ -28,11 +28,11 @@ def _pairs(left: list[float], right: list[float]) -> list[int | None]:
     return [None if image is None else int(Path(image.name).stem) for image in found]
 
 
-def test_pairs_stamps_that_differ_a_little() -> None:
+def test_pairs_similar_stamps() -> None:
     assert _pairs([0, 100, 200], [1.4, 98.6, 200.1]) == [0, 1, 2]
 
 
-def test_leaves_out_what_has_no_partner(caplog: pytest.LogCaptureFixture) -> None:
+def test_images_without_partner_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
     assert _pairs([0, 100, 300, 400], [0, 200, 300, 400]) == [0, None, 2, 3]
     assert "1 of 4 right images have no left image" in caplog.text
     assert [kind_of(record) for record in caplog.records] == ["unpaired_images"]
@@ -44,7 +44,7 @@ def test_no_image_has_two_partners() -> None:
 
 
 @pytest.mark.parametrize(("offset_ms", "found"), [(4.9, [0, 1]), (-4.9, [0, 1]), (5.1, [None] * 2)])
-def test_tolerance_is_5_ms_at_most(offset_ms: float, found: list[int | None]) -> None:
+def test_tolerance_is_at_most_5_ms(offset_ms: float, found: list[int | None]) -> None:
     assert _pairs([10, 110], [10 + offset_ms, 110 + offset_ms]) == found
 
 
@@ -75,7 +75,7 @@ def test_pairs_are_one_to_one_in_order_and_close(left: list[int], right: list[in
             assert abs(left[i] - right[j]) <= 5
 
 
-def test_right_images_take_the_stamps_of_their_names() -> None:
+def test_right_images_get_the_stamps_of_left_images_of_the_same_name() -> None:
     left = [
         Shot(i * 100, ImageFile(Path(f"left/{name}.png")), "here") for i, name in enumerate("abc")
     ]
@@ -83,6 +83,6 @@ def test_right_images_take_the_stamps_of_their_names() -> None:
     assert [(s.stamp_ns, s.image.name) for s in found] == [(0, "right/a.jpg"), (200, "right/c.jpg")]
 
 
-def test_neither_names_nor_counts_agree() -> None:
+def test_error_if_names_and_counts_differ() -> None:
     with pytest.raises(SourceError, match="left has 3 images and right has 2, with no name"):
         copy_stamps(_shots([0, 1, 2]), [Path("right/x.png"), Path("right/y.png")])

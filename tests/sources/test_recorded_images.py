@@ -1,4 +1,4 @@
-"""Images as they were recorded, in colour and with 16 bits; the odometry's stay grey."""
+"""Images as recorded, in colour and with 16 bits; those for the odometry stay grey."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read(path: Path, kind: str) -> Pixels:
 
 
 @pytest.mark.parametrize("image", [COLOUR, DEEP, DEEP_COLOUR], ids=["8 x 3", "16", "16 x 3"])
-def test_files_give_what_they_hold(tmp_path: Path, image: Pixels) -> None:
+def test_images_of_files_are_exact(tmp_path: Path, image: Pixels) -> None:
     path = folder_of(tmp_path / "a", image)
     assert np.array_equal(read(path, "recorded"), image)
     assert read(path, "recorded").dtype == image.dtype
@@ -62,7 +62,7 @@ def test_files_give_what_they_hold(tmp_path: Path, image: Pixels) -> None:
     assert grey.shape == (HEIGHT, WIDTH) and grey.dtype == np.uint8
 
 
-def test_transparency_is_left_out_and_grey_stays_grey(tmp_path: Path) -> None:
+def test_alpha_is_dropped_and_grey_stays_grey(tmp_path: Path) -> None:
     alpha = np.dstack([COLOUR, COLOUR[:, :, 0]])
     assert np.array_equal(read(folder_of(tmp_path / "a", alpha), "recorded"), COLOUR)
     grey = COLOUR[:, :, 0]
@@ -83,7 +83,7 @@ def test_transparency_is_left_out_and_grey_stays_grey(tmp_path: Path) -> None:
         ("mono8", COLOUR[:, :, 1].copy(), COLOUR[:, :, 1]),
     ],
 )
-def test_raw_messages_give_what_they_hold(
+def test_images_of_raw_messages_are_exact(
     tmp_path: Path, pixel_format: str, image: Pixels, expected: Pixels
 ) -> None:
     path = log_of(tmp_path / "a.mcap", raw(pixel_format, image))
@@ -94,7 +94,7 @@ def test_raw_messages_give_what_they_hold(
     ("pattern", "corner"),
     [("rggb", (0, 0)), ("bggr", (1, 1)), ("gbrg", (1, 0)), ("grbg", (0, 1))],
 )
-def test_bayer_patterns_come_in_their_colours(
+def test_bayer_patterns_are_converted_to_colour(
     tmp_path: Path, pattern: str, corner: tuple[int, int]
 ) -> None:
     mosaic = np.full((HEIGHT, WIDTH), 100, np.uint8)
@@ -105,7 +105,7 @@ def test_bayer_patterns_come_in_their_colours(
 
 
 @pytest.mark.parametrize(("pixel_format", "luma"), [("yuv422", 1), ("yuv422_yuy2", 0)])
-def test_yuv_comes_in_colour(tmp_path: Path, pixel_format: str, luma: int) -> None:
+def test_yuv_is_converted_to_colour(tmp_path: Path, pixel_format: str, luma: int) -> None:
     packed = np.zeros((HEIGHT, WIDTH, 2), np.uint8)
     packed[:, :, luma] = 81
     packed[:, 0::2, 1 - luma], packed[:, 1::2, 1 - luma] = 90, 240  # red by BT.601
@@ -141,5 +141,5 @@ def video(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("make", [compressed, video])
-def test_what_was_compressed_keeps_its_colour(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+def test_compressed_images_keep_their_colour(tmp_path: Path, make: Callable[[Path], Path]) -> None:
     check_red(make(tmp_path / "a"))

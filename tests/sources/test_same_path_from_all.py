@@ -1,4 +1,4 @@
-"""The path does not depend on the container that the images come in."""
+"""The trajectory does not depend on the container of the images."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def from_folder(
 
 @pytest.mark.parametrize("codec", ["mono8", "png"])
 @pytest.mark.parametrize("name", LOGS)
-def test_logs_give_the_very_bytes(
+def test_logs_give_identical_results(
     synthetic_stereo: Path, tmp_path: Path, from_folder: dict[str, bytes], name: str, codec: str
 ) -> None:
     write = LOGS[name]
@@ -42,7 +42,7 @@ def test_logs_give_the_very_bytes(
     assert path_of(path, tmp_path / "out", "stereo") == from_folder["stereo"]
 
 
-def test_patterns_give_the_very_bytes(
+def test_patterns_give_identical_results(
     synthetic_stereo: Path, tmp_path: Path, from_folder: dict[str, bytes]
 ) -> None:
     pattern = container_copies.write_glob(tmp_path / "glob", open_source(synthetic_stereo))
@@ -50,7 +50,7 @@ def test_patterns_give_the_very_bytes(
     assert path_of(pattern, tmp_path / "out", "stereo") == from_folder["stereo"]
 
 
-def test_a_video_without_loss_gives_the_same_poses(
+def test_lossless_video_gives_the_same_poses(
     synthetic_stereo: Path, tmp_path: Path, from_folder: dict[str, bytes]
 ) -> None:
     video = container_copies.write_video(tmp_path / "a.mov", open_source(synthetic_stereo))

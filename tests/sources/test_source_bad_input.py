@@ -1,4 +1,4 @@
-"""Each thing that can be wrong with a recording: one clear line, or a warning and onwards."""
+"""Invalid recordings: an error of one line, or a warning."""
 
 from __future__ import annotations
 
@@ -34,34 +34,34 @@ def _indices(path: Path) -> list[int]:
 # What is not a recording
 
 
-def test_missing_folder(tmp_path: Path) -> None:
+def test_error_for_a_missing_folder(tmp_path: Path) -> None:
     assert _message(tmp_path / "nowhere", SourceError).startswith(f"{tmp_path}/nowhere does not")
 
 
-def test_folder_without_images(tmp_path: Path) -> None:
+def test_error_for_a_folder_without_images(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no images here")
     message = _message(tmp_path, SourceError)
     assert f"folder {tmp_path} has no images" in message
     assert "image_0 (kitti)" in message
 
 
-def test_layout_without_images(kitti: Path) -> None:
+def test_error_for_a_layout_without_images(kitti: Path) -> None:
     shutil.rmtree(kitti / "image_0")
     (kitti / "image_0").mkdir()
     assert f"folder {kitti}/image_0 has no images" in _message(kitti, SourceError)
 
 
-def test_file_of_unknown_kind(tmp_path: Path) -> None:
+def test_error_for_a_file_of_unknown_format(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no recording")
     assert "file of unknown format" in _message(tmp_path / "notes.txt", SourceError)
 
 
-def test_unknown_format(kitti: Path) -> None:
+def test_error_for_an_unknown_format(kitti: Path) -> None:
     message = _message(kitti, SourceError, format="kity")
     assert message.startswith("format 'kity' is unknown; known formats: ")
 
 
-def test_format_that_does_not_fit_says_what_it_misses(folder: Path) -> None:
+def test_error_names_what_a_format_lacks(folder: Path) -> None:
     assert "image_0 does not exist" in _message(folder, SourceError, format="kitti")
 
 
@@ -95,7 +95,7 @@ def test_damaged_right_image_leaves_the_left_one(
     assert "frame 2 used without its right image" in caplog.text
 
 
-def test_no_readable_image(kitti: Path) -> None:
+def test_error_without_a_readable_image(kitti: Path) -> None:
     for path in (kitti / "image_0").iterdir():
         path.write_bytes(b"")
     message = _message(kitti, SourceError)
@@ -115,7 +115,7 @@ def test_image_of_another_size_in_the_middle_is_skipped(
     assert len(caplog.records) == 1
 
 
-def test_images_of_another_size_than_the_calibration(folder: Path) -> None:
+def test_error_for_images_of_another_size_than_the_calibration(folder: Path) -> None:
     _edit(folder / "calibration.yaml", "[64, 48]", "[640, 480]")
     message = _message(folder, CalibrationError)
     file = folder / "calibration.yaml"
@@ -123,7 +123,7 @@ def test_images_of_another_size_than_the_calibration(folder: Path) -> None:
     assert "--calibration FILE" in message
 
 
-def test_right_images_of_another_size_than_the_calibration(kitti: Path) -> None:
+def test_error_for_right_images_of_another_size_than_the_calibration(kitti: Path) -> None:
     for path in (kitti / "image_1").iterdir():
         layouts.write_image(path, np.zeros((20, 30), np.uint8))
     message = _message(kitti, CalibrationError)
@@ -142,7 +142,7 @@ def test_right_images_of_another_size_than_the_calibration(kitti: Path) -> None:
         ("folder", "calibration.yaml"),
     ],
 )
-def test_calibration_missing(tmp_path: Path, layout: str, file: str) -> None:
+def test_error_for_a_missing_calibration(tmp_path: Path, layout: str, file: str) -> None:
     layouts.WRITERS[layout](tmp_path / layout)
     (tmp_path / layout / file).unlink()
     message = _message(tmp_path / layout, CalibrationError)
@@ -151,13 +151,13 @@ def test_calibration_missing(tmp_path: Path, layout: str, file: str) -> None:
     assert "docs/calibration.md" in message
 
 
-def test_chosen_calibration_missing(kitti: Path) -> None:
+def test_error_for_a_missing_given_calibration(kitti: Path) -> None:
     message = _message(kitti, CalibrationError, calibration=kitti / "none.yaml")
     assert message == f"calibration file {kitti}/none.yaml does not exist"
 
 
 @pytest.mark.parametrize(("value", "found"), [(".nan", "is nan"), ("-50.0", "is -50, 51")])
-def test_calibration_that_cannot_be_true(tum: Path, value: str, found: str) -> None:
+def test_error_for_an_implausible_calibration(tum: Path, value: str, found: str) -> None:
     _edit(tum / "calibration.yaml", "[50.0", f"[{value}")
     message = _message(tum, CalibrationError)
     assert str(tum / "calibration.yaml") in message
@@ -167,21 +167,21 @@ def test_calibration_that_cannot_be_true(tum: Path, value: str, found: str) -> N
 # Stamps
 
 
-def test_more_images_than_stamps(kitti: Path) -> None:
+def test_error_for_more_images_than_stamps(kitti: Path) -> None:
     _edit(kitti / "times.txt", layouts.seconds(layouts.STAMPS_NS[-1]), "")
     message = _message(kitti, SourceError)
     assert "image_0 has 6 images" in message
     assert "times.txt has 5 stamps" in message
 
 
-def test_fewer_images_than_stamps(folder: Path) -> None:
+def test_error_for_fewer_images_than_stamps(folder: Path) -> None:
     (folder / "left/frame9.png").unlink()
     message = _message(folder, SourceError)
     assert "left has 5 images" in message
     assert "times.txt has 6 stamps" in message
 
 
-def test_times_missing(kitti: Path) -> None:
+def test_error_for_missing_times(kitti: Path) -> None:
     (kitti / "times.txt").unlink()
     assert "times.txt is missing" in _message(kitti, SourceError)
 
@@ -195,7 +195,9 @@ def test_times_missing(kitti: Path) -> None:
         ("folder", "times.txt", 4),
     ],
 )
-def test_stamps_not_increasing(tmp_path: Path, layout: str, file: str, line: int) -> None:
+def test_error_for_stamps_that_do_not_increase(
+    tmp_path: Path, layout: str, file: str, line: int
+) -> None:
     layouts.WRITERS[layout](tmp_path / layout)
     table = tmp_path / layout / file
     a, b = layouts.STAMPS_NS[2:4]
@@ -206,7 +208,7 @@ def test_stamps_not_increasing(tmp_path: Path, layout: str, file: str, line: int
     assert message.startswith(f"{table}:{line}: stamp {a} ns is not after {b} ns")
 
 
-def test_stamp_given_twice(tum: Path) -> None:
+def test_error_for_a_repeated_stamp(tum: Path) -> None:
     stamps = [layouts.seconds(s) for s in layouts.STAMPS_NS]
     _edit(tum / "rgb.txt", f"{stamps[1]} ", f"{stamps[0]} ")
     assert "rgb.txt:4: stamp" in _message(tum, SourceError)
@@ -224,24 +226,24 @@ def test_stamp_given_twice(tum: Path) -> None:
         ("tum", "rgb.txt", "1e300 rgb/1.png"),
     ],
 )
-def test_lines_that_cannot_be_read(tmp_path: Path, layout: str, file: str, line: str) -> None:
+def test_error_for_invalid_lines(tmp_path: Path, layout: str, file: str, line: str) -> None:
     layouts.WRITERS[layout](tmp_path / layout)
     table = tmp_path / layout / file
     table.write_text(f"{line}\n{table.read_text()}")
     assert _message(tmp_path / layout, SourceError).startswith(f"{table}:1: ")
 
 
-def test_table_that_is_not_text(tum: Path) -> None:
+def test_error_for_a_table_that_is_not_text(tum: Path) -> None:
     (tum / "rgb.txt").write_bytes(b"\xff\xfe\x00\x81")
     assert "rgb.txt is not text" in _message(tum, SourceError)
 
 
-def test_empty_table(euroc: Path) -> None:
+def test_error_for_an_empty_table(euroc: Path) -> None:
     (euroc / "mav0/cam0/data.csv").write_text("#timestamp [ns],filename\n")
     assert "data.csv has no data" in _message(euroc, SourceError)
 
 
-def test_table_naming_some_missing_files(euroc: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_table_with_some_missing_files(euroc: Path, caplog: pytest.LogCaptureFixture) -> None:
     (euroc / f"mav0/cam0/data/{layouts.STAMPS_NS[0]}.png").unlink()
     (euroc / f"mav0/cam0/data/{layouts.STAMPS_NS[3]}.png").unlink()
     assert _indices(euroc) == [1, 2, 4, 5]
@@ -251,7 +253,7 @@ def test_table_naming_some_missing_files(euroc: Path, caplog: pytest.LogCaptureF
     ]
 
 
-def test_table_naming_only_missing_files(euroc: Path) -> None:
+def test_error_for_a_table_with_only_missing_files(euroc: Path) -> None:
     shutil.rmtree(euroc / "mav0/cam0/data")
     message = _message(euroc, SourceError)
     assert "none of the 6 images" in message

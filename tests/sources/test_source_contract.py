@@ -1,4 +1,4 @@
-"""What every format must do, on the same six moments in each layout."""
+"""Contract of all formats, tested with the same six frames in each layout."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ STEREO = {"kitti", "kitti_raw", "euroc", "folder", "glob", "mcap", "rosbag1", "r
 WITHOUT_TRUTH = {"glob", "video"}
 
 
-def test_every_registered_format_is_under_contract() -> None:
+def test_all_registered_formats_are_tested() -> None:
     assert set(layouts.WRITERS) == set(FORMATS)
 
 
-def test_knows_its_format_and_name(kind: str, recording: Path) -> None:
+def test_format_and_name(kind: str, recording: Path) -> None:
     source = open_source(recording)
     assert detect_format(recording) == source.format == source.name == kind
 
 
-def test_hands_out_all_frames_in_order_with_exact_stamps(kind: str, recording: Path) -> None:
+def test_all_frames_in_order_with_exact_stamps(kind: str, recording: Path) -> None:
     source = open_source(recording)
     frames = list(source.frames())
     assert len(source) == len(frames) == layouts.COUNT
@@ -62,7 +62,7 @@ def test_reads_the_calibration(recording: Path) -> None:
         np.testing.assert_allclose(rig.cam1_from_cam0, expected, atol=1e-9)
 
 
-def test_gives_true_poses_of_the_left_camera(kind: str, recording: Path) -> None:
+def test_ground_truth_of_the_left_camera(kind: str, recording: Path) -> None:
     truth = open_source(recording).ground_truth
     if kind in WITHOUT_TRUTH:
         assert truth is None
@@ -91,7 +91,7 @@ def test_slices(recording: Path) -> None:
         (0, None, 0, "stride is 0"),
     ],
 )
-def test_refuses_slices_without_frames_at_once(
+def test_error_for_slices_without_frames(
     recording: Path, start: int, end: int | None, stride: int, message: str
 ) -> None:
     with pytest.raises(SourceError, match=message):
@@ -106,15 +106,13 @@ def test_mono_leaves_the_right_camera_out(recording: Path) -> None:
     assert source.unpaired == 0
 
 
-def test_a_chosen_calibration_overrides_that_of_the_recording(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_given_calibration_overrides_that_of_the_recording(recording: Path, tmp_path: Path) -> None:
     text = layouts.CALIBRATION.replace("intrinsics: [50.0", "intrinsics: [77.0")
     layouts.write_text(tmp_path / "mine.yaml", text)
     assert open_source(recording, calibration=tmp_path / "mine.yaml").rig.cam0.fx == 77.0
 
 
-def test_opens_the_same_way_again_and_reads_twice(recording: Path) -> None:
+def test_can_be_opened_and_read_twice(recording: Path) -> None:
     source = open_source(recording)
     first = [frame.stamp_ns for frame in source.frames()]
     assert [frame.stamp_ns for frame in source.frames()] == first

@@ -1,4 +1,4 @@
-"""What is particular to each format."""
+"""Special cases of single formats."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_euroc_opens_without_mav0_on_disk(euroc: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", ["mav0", ".", ".."])
-def test_euroc_finds_kalibrs_chain(euroc: Path, where: str) -> None:
+def test_euroc_with_a_kalibr_camchain(euroc: Path, where: str) -> None:
     camera = (
         f"camera_model: pinhole, resolution: [64, 48], intrinsics: {layouts.INTRINSICS}, "
         "distortion_model: radtan, distortion_coeffs: [-0.1, 0.0, 0.0, 0.0]"
@@ -79,7 +79,7 @@ def test_euroc_finds_kalibrs_chain(euroc: Path, where: str) -> None:
     assert rig.cam1_from_cam0[0, 3] == pytest.approx(-0.2)
 
 
-def test_euroc_takes_the_cameras_own_truth_where_there_is_no_other(euroc: Path) -> None:
+def test_euroc_with_ground_truth_of_the_camera(euroc: Path) -> None:
     shutil.rmtree(euroc / "mav0/state_groundtruth_estimate0")
     layouts.write_text(euroc / "groundtruth.tum", layouts.tum_text(layouts.truth()))
     truth = open_source(euroc).ground_truth
@@ -87,7 +87,7 @@ def test_euroc_takes_the_cameras_own_truth_where_there_is_no_other(euroc: Path) 
     np.testing.assert_allclose(truth.world_from_cam, np.stack(layouts.truth()), atol=1e-9)
 
 
-def test_euroc_knows_the_body_from_sensor_yaml_also_with_a_chosen_calibration(
+def test_euroc_reads_the_body_frame_from_sensor_yaml_with_a_given_calibration(
     euroc: Path, tmp_path: Path
 ) -> None:
     layouts.write_text(tmp_path / "mine.yaml", layouts.CALIBRATION)
@@ -96,7 +96,7 @@ def test_euroc_knows_the_body_from_sensor_yaml_also_with_a_chosen_calibration(
     np.testing.assert_allclose(truth.world_from_cam, np.stack(layouts.truth()), atol=1e-9)
 
 
-def test_euroc_does_not_take_the_bodys_poses_for_the_cameras(
+def test_euroc_does_not_confuse_poses_of_body_and_camera(
     euroc: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     layouts.write_text(tmp_path / "mine.yaml", layouts.CALIBRATION)
@@ -161,7 +161,7 @@ def test_folder_reads_stamps_from_names(
 @pytest.mark.parametrize(
     "names", [["000000", "000001"], ["0000000001", "0000000002"], ["a", "b"], ["5.1", "5.1001"]]
 )
-def test_folder_takes_counters_for_no_stamps(tmp_path: Path, names: list[str]) -> None:
+def test_folder_does_not_read_counters_as_stamps(tmp_path: Path, names: list[str]) -> None:
     folder = _plain(tmp_path / "walk", [f"{name}.png" for name in names])
     assert [f.stamp_ns for f in open_source(folder).frames()] == [0, 100_000_000]
 
@@ -175,7 +175,7 @@ def test_folder_reads_nanoseconds_from_timestamps_txt(tmp_path: Path) -> None:
     assert stamps == [1403636579763555584, 1403636579813555456]
 
 
-def test_folder_pairs_by_order_where_names_differ(folder: Path) -> None:
+def test_folder_pairs_by_order_if_names_differ(folder: Path) -> None:
     for path in (folder / "right").iterdir():
         path.rename(path.with_name(path.name.replace("frame", "right")))
     frames = list(open_source(folder).frames())

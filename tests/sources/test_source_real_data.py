@@ -1,4 +1,4 @@
-"""The real sequences, where they are at hand."""
+"""Real recordings, if available."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RGB-D recordings: which depth belongs to which image, and in which unit."""
+"""RGB-D recordings: association of depth images, and their unit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def raw_depth(index: int) -> np.ndarray:
 
 @pytest.fixture
 def rgbd(tum: Path) -> Path:
-    """Each depth image 7 ms after its image."""
+    """Depth images 7 ms after their images."""
     rows = ""
     for i, stamp in enumerate(layouts.STAMPS_NS):
         name = f"depth/{layouts.seconds(stamp + 7 * MS)}.png"
@@ -35,7 +35,7 @@ def rgbd(tum: Path) -> Path:
     return tum
 
 
-def test_hands_out_metres(rgbd: Path) -> None:
+def test_depth_is_in_metres(rgbd: Path) -> None:
     source = open_source(rgbd)
     assert source.rig.has_depth
     assert source.rig.is_metric
@@ -49,7 +49,7 @@ def test_hands_out_metres(rgbd: Path) -> None:
     assert source.unpaired == 0
 
 
-def test_the_calibration_may_give_another_unit(rgbd: Path, tmp_path: Path) -> None:
+def test_unit_from_the_calibration(rgbd: Path, tmp_path: Path) -> None:
     text = layouts.CALIBRATION.replace("baseline_m: 0.12", "depth_per_metre: 1000")
     layouts.write_text(tmp_path / "millimetres.yaml", text)
     frame = next(iter(open_source(rgbd, calibration=tmp_path / "millimetres.yaml").frames()))
@@ -57,20 +57,20 @@ def test_the_calibration_may_give_another_unit(rgbd: Path, tmp_path: Path) -> No
     assert frame.depth[5, 5] == pytest.approx(5.0)
 
 
-def test_refuses_a_unit_that_cannot_be(rgbd: Path, tmp_path: Path) -> None:
+def test_error_for_an_implausible_unit(rgbd: Path, tmp_path: Path) -> None:
     text = layouts.CALIBRATION.replace("baseline_m: 0.12", "depth_per_metre: 0")
     layouts.write_text(tmp_path / "c.yaml", text)
     with pytest.raises(CalibrationError, match="depth_per_metre is 0; it must be above 0"):
         open_source(rgbd, calibration=tmp_path / "c.yaml")
 
 
-def test_mono_leaves_depth_out(rgbd: Path) -> None:
+def test_mono_ignores_depth(rgbd: Path) -> None:
     source = open_source(rgbd, mode="mono")
     assert not source.rig.is_metric
     assert all(frame.depth is None for frame in source.frames())
 
 
-def test_a_missing_or_damaged_depth_image_costs_only_itself(
+def test_missing_or_damaged_depth_image_loses_only_itself(
     rgbd: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     files = sorted((rgbd / "depth").iterdir())
@@ -86,7 +86,7 @@ def test_a_missing_or_damaged_depth_image_costs_only_itself(
     assert "is 9x9, but those of the camera are 64x48" in caplog.text
 
 
-def test_no_depth_image_at_all_is_an_error_that_says_how_to_go_on(rgbd: Path) -> None:
+def test_error_without_any_depth_image_names_mono_mode(rgbd: Path) -> None:
     for path in (rgbd / "depth").iterdir():
         path.unlink()
     with pytest.raises(SourceError, match="to ignore depth, use --mode mono"):
@@ -114,7 +114,7 @@ def test_depth_of_another_time_is_not_used(rgbd: Path, caplog: pytest.LogCapture
         ([0, 10], [], [None, None]),
     ],
 )
-def test_takes_the_closest_pairs_first(
+def test_closest_pairs_first(
     left_ms: list[float], depth_ms: list[float], expected: list[int | None]
 ) -> None:
     left = [Shot(round(t * MS), ImageFile(Path("left")), "here") for t in left_ms]

@@ -1,4 +1,4 @@
-"""Videos: times from the container, jumps, turned pictures, damage."""
+"""Videos: stamps from the container, seeking, rotated pictures, damage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TICKS = np.cumsum([0] + [3003, 3003, 3750, 9000, 300] * 8)[:COUNT].tolist()
 
 
 def picture(index: int) -> Bytes:
-    """Grey levels that tell the number of the frame whatever a codec does to them."""
+    """Grey levels that encode the number of the frame, even after lossy compression."""
     image = np.full((layouts.HEIGHT, layouts.WIDTH), 20 + 5 * index, np.uint8)
     image[:, :8] = 250  # a bright edge on the left, to see how it is turned
     return image
@@ -56,7 +56,7 @@ def write(
 
 @pytest.fixture
 def clip(tmp_path: Path) -> Path:
-    """H.264 with B-frames and a key frame every ten, at a varying rate."""
+    """H.264 with B-frames, a keyframe every ten frames, and a variable rate."""
     return write(tmp_path / "clip.mp4", "libx264", g="10", bf="3")
 
 
@@ -64,7 +64,7 @@ def expected_ns(ticks: list[int] = TICKS) -> list[int]:
     return [round(Fraction(tick, 90000) * 10**9) for tick in ticks]
 
 
-def test_varying_rates_are_exact(clip: Path) -> None:
+def test_variable_rates_are_exact(clip: Path) -> None:
     source = open_source(clip)
     frames = list(source.frames())
     assert (source.name, source.format, len(source)) == ("clip", "video", COUNT)
@@ -91,7 +91,7 @@ def test_reads_other_containers_and_codecs(
     np.testing.assert_allclose(stamps, expected_ns(), rtol=0, atol=unit_ns / 2)
 
 
-def test_reads_avi_at_its_steady_rate(tmp_path: Path) -> None:
+def test_reads_avi_with_its_constant_rate(tmp_path: Path) -> None:
     path = tmp_path / "a.avi"
     writer = cv2.VideoWriter(
         str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (layouts.WIDTH, layouts.HEIGHT)
@@ -108,7 +108,7 @@ def test_reads_avi_at_its_steady_rate(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "chosen", [(0, None, 1), (3, 6, 1), (17, None, 1), (5, 40, 13), (39, 40, 1)]
 )
-def test_jumps_to_the_very_frame(clip: Path, chosen: tuple[int, int | None, int]) -> None:
+def test_seeks_to_the_exact_frame(clip: Path, chosen: tuple[int, int | None, int]) -> None:
     source = open_source(clip)
     wanted = list(range(COUNT))[slice(*chosen)]
     for _ in range(2):
@@ -116,7 +116,7 @@ def test_jumps_to_the_very_frame(clip: Path, chosen: tuple[int, int | None, int]
         assert [number(f.image0) for f in frames] == [f.index for f in frames] == wanted
 
 
-def test_closes_the_file_whenever_reading_ends(clip: Path) -> None:
+def test_file_is_closed_when_reading_ends(clip: Path) -> None:
     def is_open() -> bool:
         handles = [Path(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd")]
         return any(handle.exists() and handle.resolve() == clip.resolve() for handle in handles)
@@ -131,8 +131,8 @@ def test_closes_the_file_whenever_reading_ends(clip: Path) -> None:
     assert not is_open()
 
 
-def test_pictures_that_lie_down_are_turned_up(clip: Path) -> None:
-    """The matrix of a phone held upright, as it stands in the file, and OpenCV's reading of it."""
+def test_rotated_pictures_are_turned_upright(clip: Path) -> None:
+    """The display matrix of a phone held upright, compared with OpenCV's interpretation."""
     data = bytearray(clip.read_bytes())
     matrix = data.index(b"tkhd") + 4 + 40
     turned = [0, 1 << 16, 0, -(1 << 16) % 2**32, 0, 0, 0, 0, 1 << 30]
@@ -149,7 +149,7 @@ def test_pictures_that_lie_down_are_turned_up(clip: Path) -> None:
     assert np.abs(image.astype(int) - reference).max() <= 3
 
 
-def test_the_calibration_of_its_name_comes_first(clip: Path) -> None:
+def test_calibration_with_the_name_of_the_video_is_preferred(clip: Path) -> None:
     text = layouts.CALIBRATION.replace("intrinsics: [50.0", "intrinsics: [77.0")
     layouts.write_text(clip.with_suffix(".yaml"), text)
     assert open_source(clip).rig.cam0.fx == 77.0
@@ -159,25 +159,25 @@ def test_the_calibration_of_its_name_comes_first(clip: Path) -> None:
         open_source(clip)
 
 
-def test_stereo_is_not_to_be_had(clip: Path) -> None:
+def test_error_for_stereo(clip: Path) -> None:
     with pytest.raises(SourceError, match="no images of a right camera"):
         open_source(clip, mode="stereo")
 
 
 @pytest.mark.parametrize("content", [b"", b"no video", b"\x00\x00\x00\x20ftypisom" + bytes(90)])
-def test_says_when_it_is_no_video(tmp_path: Path, content: bytes) -> None:
+def test_error_for_files_that_are_not_videos(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mp4").write_bytes(content)
     with pytest.raises(SourceError, match="cannot be opened as a video"):
         open_source(tmp_path / "a.mp4")
 
 
-def test_an_mp4_without_its_end_is_lost(clip: Path) -> None:
+def test_error_for_a_truncated_mp4(clip: Path) -> None:
     clip.write_bytes(clip.read_bytes()[:-200])
     with pytest.raises(SourceError, match="a truncated MP4 file cannot be recovered"):
         open_source(clip)
 
 
-def test_a_matroska_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_truncated_matroska_file_is_read_up_to_the_end(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mkv", "ffv1", "gray")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     source = open_source(path)
@@ -187,7 +187,7 @@ def test_a_matroska_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     assert len(source) - len(frames) == len(source.skipped) <= 1
 
 
-def test_damage_in_the_middle_costs_some_frames(
+def test_damage_in_the_middle_loses_some_frames(
     clip: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     data = bytearray(clip.read_bytes())
