@@ -23,25 +23,25 @@ def _second(xy: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return moved[:, :2] / moved[:, 2:] * (fx, fy) + (cx, cy), moved[:, 2]
 
 
-def test_a_segment_goes_from_the_nearest_to_the_farthest_depth() -> None:
+def test_a_segment_begins_at_the_nearest_and_ends_at_the_farthest_depth() -> None:
     start, end, possible = epipolar_segments(XY, MOTION, 2.5, 40.0, 0.01, INTRINSICS)
     assert possible.all()
     assert np.allclose(start, _second(XY, np.full(len(XY), 2.5))[0], atol=1e-9)
     assert np.allclose(end, _second(XY, np.full(len(XY), 40.0))[0], atol=1e-9)
 
 
-def test_it_begins_where_a_point_keeps_enough_of_its_depth() -> None:
+def test_points_that_lose_too_much_depth_are_cut_off() -> None:
     start, _, possible = epipolar_segments(XY, MOTION, 2.5, 40.0, 0.75, INTRINSICS)
     assert possible.all()
     at_zero, at_one = (_second(XY, np.full(len(XY), depth))[1] for depth in (1e-9, 1.0))
-    slope = at_one - at_zero  # depth there as it grows with that here
+    slope = at_one - at_zero  # of depth in the second view over depth in the first
     depth = -at_zero / (slope - 0.75)
     assert np.all(depth > 2.5)
     assert np.allclose(_second(XY, depth)[1], 0.75 * depth)
     assert np.allclose(start, _second(XY, depth)[0], atol=1e-6)
 
 
-def test_pixels_whose_nearest_point_is_behind_the_second_camera_have_none() -> None:
+def test_no_segment_if_the_nearest_point_is_behind_the_second_camera() -> None:
     ahead = MOTION.copy()
     ahead[2, 3] = -2.2
     nearest = np.full(len(XY), 2.0)
@@ -53,5 +53,5 @@ def test_pixels_whose_nearest_point_is_behind_the_second_camera_have_none() -> N
     assert np.array_equal(np.isnan(end[:, 0]), ~possible)
 
 
-def _is_moved_on(xy: np.ndarray, motion: np.ndarray, smallest: float) -> np.ndarray:
-    return np.asarray(_rays(xy) @ motion[2, :3] - smallest > 0.05)
+def _is_moved_on(xy: np.ndarray, motion: np.ndarray, min_ratio: float) -> np.ndarray:
+    return np.asarray(_rays(xy) @ motion[2, :3] - min_ratio > 0.05)

@@ -56,18 +56,18 @@ def test_points_in_view_are_those_inside_the_corners_at_a_size_like_their_patch_
     reference = _pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     target = _pose((-0.05, 0.1, 0.3), (-0.4, 0.2, 3.0))
     points = np.random.default_rng(1).uniform((-6, -6, -6), (6, 6, 12), (500, 3))
-    corners, most_scale = (8.0, 8.0, 632.0, 472.0), 1.5
+    corners, max_scale = (8.0, 8.0, 632.0, 472.0), 1.5
     found = points_in_view(
         points,
         np.zeros(len(points), np.int64),
         np.stack([reference, target]),
         INTRINSICS,
-        most_scale,
+        max_scale,
         corners,
     )
     seen = _predict(points, reference, target)
     inside = ((seen.xy >= corners[:2]) & (seen.xy < corners[2:])).all(axis=1)
-    alike = (seen.scale < most_scale) & (seen.scale > 1.0 / most_scale)
+    alike = (seen.scale < max_scale) & (seen.scale > 1.0 / max_scale)
     assert found.rows.tolist() == np.flatnonzero(inside & alike).tolist()
     assert 5 < len(found.rows) < np.count_nonzero(inside)  # so that both conditions matter
     np.testing.assert_array_equal(found.xy, seen.xy[found.rows])

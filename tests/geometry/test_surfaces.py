@@ -14,7 +14,7 @@ HEIGHT_M = 1.65  # of a camera above a road
 
 
 def _pixels(count: int = 400) -> Floats:
-    """Below the horizon, where a road is."""
+    """Random pixels below the horizon."""
     return np.random.default_rng(0).uniform((0, CY + 20), (1200, CY + 190), (count, 2))
 
 
@@ -22,50 +22,50 @@ def _road_depth(xy: Floats) -> Floats:
     return np.asarray(FY * HEIGHT_M / (xy[:, 1] - CY))
 
 
-def test_the_slope_of_a_road_is_one_by_the_rows_below_the_horizon() -> None:
+def test_the_slope_of_a_road_is_the_inverse_of_the_rows_below_the_horizon() -> None:
     xy = _pixels()
     slopes = inverse_depth_slopes(xy, 1.0 / _road_depth(xy), np.arange(len(xy)))
-    # What is much farther or nearer is left out, which takes more above than below; near the
-    # horizon the prior holds back too.
-    sure = xy[:, 1] > CY + 60
-    np.testing.assert_allclose(slopes[sure, 1] * (xy[sure, 1] - CY), 1.0, atol=0.03)
-    np.testing.assert_allclose(slopes[sure, 0], 0.0, atol=2e-4)
+    # Neighbours at very different depths are excluded, more of them above than below; near the
+    # horizon the prior matters too.
+    reliable = xy[:, 1] > CY + 60
+    np.testing.assert_allclose(slopes[reliable, 1] * (xy[reliable, 1] - CY), 1.0, atol=0.03)
+    np.testing.assert_allclose(slopes[reliable, 0], 0.0, atol=2e-4)
 
 
-def test_only_those_asked_for_are_answered_in_their_order() -> None:
+def test_slopes_are_returned_in_the_order_of_the_rows() -> None:
     xy = _pixels()
     every = inverse_depth_slopes(xy, 1.0 / _road_depth(xy), np.arange(len(xy)))
     of = np.array([17, 3, 399])
     np.testing.assert_array_equal(inverse_depth_slopes(xy, 1.0 / _road_depth(xy), of), every[of])
 
 
-def test_another_surface_behind_an_edge_tells_nothing() -> None:
+def test_another_surface_behind_an_edge_is_ignored() -> None:
     xy = _pixels()
     depth = np.where(xy[:, 0] < 600.0, 5.0, 9.0)
     slopes = inverse_depth_slopes(xy, 1.0 / depth, np.arange(len(xy)))
     np.testing.assert_allclose(slopes, 0.0, atol=1e-12)
 
 
-def test_a_few_wrong_depths_do_not_tilt_it() -> None:
+def test_outliers_in_depth_do_not_tilt_the_surface() -> None:
     rng = np.random.default_rng(1)
     xy = _pixels()
     depth = _road_depth(xy)
     wrong = rng.random(len(xy)) < 0.1
     depth[wrong] *= 1.25
     slopes = inverse_depth_slopes(xy, 1.0 / depth, np.arange(len(xy)))
-    sure = (xy[:, 1] > CY + 60) & ~wrong
-    error = np.abs(slopes[sure, 1] * (xy[sure, 1] - CY) - 1.0)
+    reliable = (xy[:, 1] > CY + 60) & ~wrong
+    error = np.abs(slopes[reliable, 1] * (xy[reliable, 1] - CY) - 1.0)
     assert np.median(error) < 0.03 and np.mean(error > 0.15) < 0.05
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_what_stands_alone_faces_the_camera(count: int) -> None:
+def test_isolated_points_have_slope_0(count: int) -> None:
     xy = np.array([[100.0, 100.0], [500.0, 100.0]])
     slopes = inverse_depth_slopes(xy, np.array([0.2, 0.21]), np.arange(count))
     np.testing.assert_array_equal(slopes, np.zeros((count, 2)))
 
 
-def test_normals_stand_on_the_plane_in_the_world() -> None:
+def test_normals_are_perpendicular_to_the_plane_in_the_world() -> None:
     pose = make_transform(cv2.Rodrigues(np.array([0.3, -0.5, 0.2]))[0], np.array([1.0, 2.0, 3.0]))
     in_cam = np.array([0.15, 0.05, 0.9]) / 6.0
     xy = np.random.default_rng(2).uniform((300, 50), (900, 310), (300, 2))
@@ -77,8 +77,8 @@ def test_normals_stand_on_the_plane_in_the_world() -> None:
     assert cosine.min() > np.cos(np.deg2rad(0.2))
 
 
-def test_steps_of_the_right_image_are_taken_back_on_a_receding_road() -> None:
-    """A road's disparity grows with the rows: a third of a pixel a row at a usual baseline."""
+def test_offsets_of_the_right_image_are_warped_to_the_left_on_a_receding_road() -> None:
+    """The disparity of a road grows by a third of a pixel per row at a usual baseline."""
     baseline_m, xy = 0.54, _pixels()
     disparity = FX * baseline_m / _road_depth(xy)
     slope = np.column_stack([np.zeros(len(xy)), 1.0 / (xy[:, 1] - CY)])

@@ -5,7 +5,7 @@ import pytest
 
 from vo.geometry.projection import Intrinsics
 from vo.geometry.transforms import make_transform, se3_exp, transform_points
-from vo.geometry.triangulation import in_front, sound_points, triangulate
+from vo.geometry.triangulation import in_front, triangulate, triangulate_pixels
 from vo.types import Floats
 
 SECOND_FROM_FIRST = se3_exp(np.array([0.05, -0.1, 0.02, -0.8, 0.1, 0.3]))
@@ -36,7 +36,7 @@ def test_angles_are_those_between_the_rays() -> None:
     np.testing.assert_allclose(np.rad2deg(angle), [90.0, 60.0, np.rad2deg(2e-6)], rtol=1e-6)
 
 
-def test_noise_moves_points_by_what_it_should() -> None:
+def test_noise_moves_points_as_predicted() -> None:
     rng = np.random.default_rng(1)
     points = _points(500)
     moved = transform_points(SECOND_FROM_FIRST, points)
@@ -75,7 +75,7 @@ def test_diverging_rays_meet_behind_the_cameras() -> None:
     assert not in_front(found, sideways).any()
 
 
-def test_in_front_needs_both_cameras() -> None:
+def test_in_front_means_of_both_cameras() -> None:
     ahead = make_transform(np.eye(3), np.array([0.0, 0.0, -2.0]))  # the second is 2 m ahead
     points = np.array([[0.0, 0, 3], [0, 0, 1], [0, 0, -1], [0, 0, 2], [np.inf] * 3, [np.nan] * 3])
     assert in_front(points, ahead).tolist() == [True, False, False, False, False, False]
@@ -97,50 +97,52 @@ def _pixels(points: np.ndarray) -> np.ndarray:
     return np.asarray(_rays(points) * (fx, fy) + (cx, cy))
 
 
-def _judged(second: np.ndarray, points: np.ndarray, **limits: float) -> tuple[Floats, list[bool]]:
-    found = sound_points(
+def _triangulated(
+    second: np.ndarray, points: np.ndarray, **limits: float
+) -> tuple[Floats, list[bool]]:
+    found = triangulate_pixels(
         second,
         _pixels(points),
         _pixels(transform_points(second, points)),
         INTRINSICS,
-        **{"least_rad": 0.01, "share": 0.0, "limit_px": 1.75, **limits},
+        **{"min_parallax_rad": 0.01, "min_parallax_ratio": 0.0, "max_error_px": 1.75, **limits},
     )
-    return found.xyz, found.sound.tolist()
+    return found.xyz, found.valid.tolist()
 
 
-def test_points_with_parallax_enough_are_sound_and_exact() -> None:
+def test_points_with_sufficient_parallax_are_valid_and_exact() -> None:
     points = np.array([[0.3, -0.2, 4.0], [1.0, 0.5, 12.0], [-0.4, 0.1, 400.0]])
     sideways = se3_exp(np.array([0.0, 0.0, 0.0, -0.3, 0.0, 0.0]))
-    found, sound = _judged(sideways, points)
-    assert sound == [True, True, False]  # 0.3 m in 400 m are less than 0.01 rad
+    found, valid = _triangulated(sideways, points)
+    assert valid == [True, True, False]  # 0.3 m in 400 m are less than 0.01 rad
     np.testing.assert_allclose(found[:2], points[:2], rtol=1e-9)
 
 
-def test_in_a_turn_parallax_must_be_a_share_of_the_motion_in_the_image() -> None:
+def test_minimum_parallax_grows_with_the_motion_in_the_image() -> None:
     turn = se3_exp(np.array([0.0, 0.2, 0.0, -0.1, 0.0, 0.0]))  # 0.2 rad, of which 0.025 parallax
     points = np.array([[0.3, -0.2, 4.0]])
-    assert _judged(turn, points, share=0.05)[1] == [True]
-    assert _judged(turn, points, share=0.3)[1] == [False]
+    assert _triangulated(turn, points, min_parallax_ratio=0.05)[1] == [True]
+    assert _triangulated(turn, points, min_parallax_ratio=0.3)[1] == [False]
 
 
-def test_points_behind_a_camera_are_not_sound() -> None:
+def test_points_behind_a_camera_are_invalid() -> None:
     ahead = se3_exp(np.array([0.0, 0.0, 0.0, -0.2, 0.0, -5.0]))  # 5 m ahead
     points = np.array([[0.5, 0.2, 4.0], [0.5, 0.2, 9.0]])
-    assert _judged(ahead, points)[1] == [False, True]
+    assert _triangulated(ahead, points)[1] == [False, True]
 
 
-def test_pixels_off_each_other_s_epipolar_lines_make_no_sound_point() -> None:
+def test_points_with_large_reprojection_errors_are_invalid() -> None:
     sideways = se3_exp(np.array([0.0, 0.0, 0.0, -0.3, 0.0, 0.0]))
     first = _pixels(np.array([[0.3, -0.2, 4.0]]))
     second = _pixels(transform_points(sideways, np.array([[0.3, -0.2, 4.0]])))
     for off_px, expected in ((1.0, True), (8.0, False)):
-        found = sound_points(
+        found = triangulate_pixels(
             sideways,
             first,
             second + (0.0, off_px),
             INTRINSICS,
-            least_rad=0.01,
-            share=0.0,
-            limit_px=1.75,
+            min_parallax_rad=0.01,
+            min_parallax_ratio=0.0,
+            max_error_px=1.75,
         )
-        assert found.sound.tolist() == [expected]
+        assert found.valid.tolist() == [expected]

@@ -1,4 +1,4 @@
-"""Which pixels lie beside others, and values taken from those beside them."""
+"""Neighbouring pixels: nearest points, and pixels away from others."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from vo.compiling.function import compiled
 from vo.types import Bools, Floats, Floats32
 
 NEIGHBOURS = 3
-_CELL_PX = 6.0  # pixels are beside each other in the same cell of this size, or cells that touch
+_CELL_PX = 6.0  # pixels in the same cell of this side, or in touching cells, are neighbours
 
 
 def median_of_nearest(xy: Floats, known_xy: Floats, known: Floats) -> Floats:
-    """The median (N,) of the values that the three points nearest to each pixel have.
+    """Median (N,) of the values of the three points nearest to each pixel.
 
     Args:
         xy: (N, 2) pixels.
-        known_xy: (M, 2) pixels of the points with a value, three at least; of those equally far
-            the first are taken.
+        known_xy: (M, 2) pixels with a value, at least three; of equally distant ones the first
+            count.
         known: (M,) their values.
     """
     return np.asarray(
@@ -28,13 +28,14 @@ def median_of_nearest(xy: Floats, known_xy: Floats, known: Floats) -> Floats:
 
 
 def far_from(xy: Floats | Floats32, taken_xy: Floats) -> Bools:
-    """Mask (N,) of pixels that have no taken one (M, 2) in their cell or the cells beside it."""
+    """Mask (N,) of pixels without a taken pixel (M, 2) in their cell or in touching cells."""
     pixels = np.ascontiguousarray(xy, dtype=np.float64)
     return np.asarray(_far_from(pixels, np.ascontiguousarray(taken_xy)))
 
 
 @compiled
 def _far_from(xy, taken_xy):  # type: ignore[no-untyped-def]
+    """See `far_from`; marks the neighbourhood of taken cells, then looks pixels up."""
     columns, rows = 0, 0
     for m in range(len(taken_xy)):
         column, row = _cell(taken_xy[m])
@@ -52,13 +53,14 @@ def _far_from(xy, taken_xy):  # type: ignore[no-untyped-def]
 
 @compiled
 def _cell(pixel):  # type: ignore[no-untyped-def]
-    """Column and row, both 1 at least: pixels outside of the image belong to its edge."""
+    """Column and row, at least 1; pixels outside of the image are in cells along its edge."""
     column, row = int(np.floor(pixel[0] / _CELL_PX)), int(np.floor(pixel[1] / _CELL_PX))
     return max(column, -1) + 2, max(row, -1) + 2
 
 
 @compiled
 def _median_of_nearest(xy, known_xy, known):  # type: ignore[no-untyped-def]
+    """See `median_of_nearest`; the three nearest are kept by insertion."""
     result = np.empty(len(xy))
     for n in range(len(xy)):
         first = second = third = np.inf

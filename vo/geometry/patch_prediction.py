@@ -1,4 +1,4 @@
-"""Where the patches of points should be in other views, and how they look there."""
+"""Prediction of patches in other views: position, scale and affine warp."""
 
 from __future__ import annotations
 
@@ -10,17 +10,21 @@ from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.projection import Intrinsics, from_world, project
 from vo.types import Floats, Ints
 
-_NEAREST = 1e-3  # depth in distances of the reference camera below which nothing is predicted
+# Minimum depth, relative to the distance from the reference camera, for a prediction.
+_MIN_DEPTH_RATIO = 1e-3
+_MIN_COSINE = 1e-9  # between normal and ray, below which a surface is seen edge-on
+# Range of the area of a pixel's image in the reference within which a warp is used.
+_MIN_AREA_RATIO, _MAX_AREA_RATIO = 0.1, 10.0
 
 
 class PatchPrediction(NamedTuple):
-    """Patches in other views, (N,) pairs of a point and a camera.
+    """Patches of N pairs of a point and a camera.
 
     Attributes:
-        xy: (N, 2) ideal pixels, NaN where the point is not in front of the camera.
-        scale: (N,) size of the patch there against its reference.
-        reference_from_target: (N, 2, 2) takes steps of pixels there back to the reference image.
-        slope: (N, 2) how inverse depth changes from pixel to pixel there, relative to it, 1/px.
+        xy: (N, 2) undistorted pixels, NaN where the point is not in front of the camera.
+        scale: (N,) size of the patch in the target relative to the reference.
+        reference_from_target: (N, 2, 2) warp of pixel offsets from the target to the reference.
+        slope: (N, 2) gradient of inverse depth in the target relative to inverse depth, 1/px.
     """
 
     xy: Floats
@@ -38,21 +42,23 @@ def predict_patches(
     world_from_cam: Floats,
     intrinsics: Intrinsics,
 ) -> PatchPrediction:
-    """Project points into cameras, together with the neighbourhood that their patch shows.
+    """Project points, and the planes that their patches lie on, into cameras.
 
-    Two neighbours one pixel away on the point's surface are carried over.
+    The warp is the finite difference of the projection over one pixel of the reference: both
+    neighbours of a point are intersected with its plane, then projected into the target.
 
     Args:
         points: (M, 3) in the world.
-        normals: (M, 3) of the surfaces there, of any length; where unknown, the reference camera's
-            axis.
-        reference: (M,) row in world_from_cam of the camera that holds each point's patch.
+        normals: (M, 3) of the planes, of any length; the optical axis of the reference camera if
+            unknown.
+        reference: (M,) row in world_from_cam of each point's reference camera.
         point: (N,) row in points of each pair.
-        camera: (N,) row in world_from_cam of each pair.
+        camera: (N,) row in world_from_cam of each pair's target camera.
         world_from_cam: (K, 4, 4).
         intrinsics: of all cameras.
 
-    Source: Forster et al., SVO, 2014, sec. IV-B, whose patches all face their reference camera.
+    Source: Forster et al., "SVO", 2014, sec. IV-B, where patches are parallel to the image plane
+        of their reference camera.
     """
     return PatchPrediction(
         *_predict(
@@ -68,11 +74,11 @@ def predict_patches(
 
 
 class PointsInView(NamedTuple):
-    """Points that a camera sees, and at a size like that of their patch.
+    """Points within the image of a camera and within a range of scales.
 
     Attributes:
-        rows: (n,) which.
-        xy: (n, 2) ideal pixels.
+        rows: (n,) rows of the points.
+        xy: (n, 2) undistorted pixels.
     """
 
     rows: Ints
@@ -84,18 +90,19 @@ def points_in_view(
     reference: Ints,
     world_from_cam: Floats,
     intrinsics: Intrinsics,
-    most_scale: float,
-    corners: tuple[float, float, float, float],
+    max_scale: float,
+    bounds: tuple[float, float, float, float],
 ) -> PointsInView:
-    """The points that the last of some cameras sees, without what takes time for each.
+    """Points that the last camera sees; cheaper than `predict_patches`.
 
     Args:
         points: (M, 3) in the world.
-        reference: (M,) row in world_from_cam of the camera that holds each point's patch.
-        world_from_cam: (K, 4, 4).
+        reference: (M,) row in world_from_cam of each point's reference camera.
+        world_from_cam: (K, 4, 4); the last is the camera.
         intrinsics: of all cameras.
-        most_scale: times that a patch may be larger or smaller than its reference, less than that.
-        corners: least u, least v (inclusive), and what u and v are below, in ideal pixels.
+        max_scale: exclusive maximum of the ratio of scales between target and reference, or its
+            inverse.
+        bounds: min u, min v (inclusive), max u, max v (exclusive), in undistorted pixels.
     """
     return PointsInView(
         *_in_view(
@@ -103,33 +110,34 @@ def points_in_view(
             reference,
             np.ascontiguousarray(world_from_cam),
             intrinsics,
-            most_scale,
-            corners,
+            max_scale,
+            bounds,
         )
     )
 
 
 @compiled
-def _in_view(points, reference, poses, intrinsics, most_scale, corners):  # type: ignore[no-untyped-def]
+def _in_view(points, reference, poses, intrinsics, max_scale, bounds):  # type: ignore[no-untyped-def]
     rows, xy = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
-    count = _add_in_view(points, reference, poses, intrinsics, most_scale, corners, rows, xy)
+    count = _add_in_view(points, reference, poses, intrinsics, max_scale, bounds, rows, xy)
     return rows[:count].copy(), xy[:count].copy()
 
 
 @compiled(**NO_REFCOUNT)
-def _add_in_view(points, reference, poses, intrinsics, most_scale, corners, rows, xy):  # type: ignore[no-untyped-def]
+def _add_in_view(points, reference, poses, intrinsics, max_scale, bounds, rows, xy):  # type: ignore[no-untyped-def]
+    """Write rows and pixels of the points in view to `rows` and `xy`; gives their number."""
     count = 0
-    left, top, right, bottom = corners
+    left, top, right, bottom = bounds
     here = poses[-1]
     for n in range(len(points)):
         at, there = points[n], poses[reference[n]]
         x, y, z = from_world(here, at[0], at[1], at[2])
         then, now = _distance(there, at), _distance(here, at)
-        if not z > _NEAREST * then:
+        if not z > _MIN_DEPTH_RATIO * then:
             continue
         u, v = project(intrinsics, x, y, z)
         scale = then / now
-        if left <= u < right and top <= v < bottom and 1.0 / most_scale < scale < most_scale:
+        if left <= u < right and top <= v < bottom and 1.0 / max_scale < scale < max_scale:
             rows[count], xy[count, 0], xy[count, 1] = n, u, v
             count += 1
     return count
@@ -149,44 +157,49 @@ def _predict(points, normals, reference, point, camera, poses, intrinsics):  # t
 
 @compiled(**NO_REFCOUNT)
 def _predict_each(points, normals, reference, point, camera, poses, intrinsics, found):  # type: ignore[no-untyped-def]
+    """Fill `found`: xy, scale, reference_from_target and slope."""
     xy, scale, back, slope = found
     for n in range(len(point)):
         at, normal = points[point[n]], normals[point[n]]
         there, here = poses[reference[point[n]]], poses[camera[n]]
         x, y, z = from_world(here, at[0], at[1], at[2])
         then, now = _distance(there, at), _distance(here, at)
-        if not z > _NEAREST * then:
+        if not z > _MIN_DEPTH_RATIO * then:
             continue
         u, v = project(intrinsics, x, y, z)
         xy[n, 0], xy[n, 1], scale[n] = u, v, then / now
+        # On the plane n . X = h the inverse depth at normalised (x, y) is n . (x, y, 1) / h.
         ahead = _along(normal, here, at)
-        if abs(ahead) > 1e-9 * now:
+        if abs(ahead) > _MIN_COSINE * now:
             slope[n, 0] = _dot(normal, here[:3, 0]) * z / (intrinsics.fx * ahead)
             slope[n, 1] = _dot(normal, here[:3, 1]) * z / (intrinsics.fy * ahead)
         depth = from_world(there, at[0], at[1], at[2])[2]
+        # Columns (a, c) and (b, d) of target_from_reference, which is then inverted.
         a, c = _moved(at, normal, there, 0, depth / intrinsics.fx, here, intrinsics)
         b, d = _moved(at, normal, there, 1, depth / intrinsics.fy, here, intrinsics)
         a, c = a - u, c - v
         b, d = b - u, d - v
         determinant = a * d - b * c
-        if 0.1 <= abs(determinant) <= 10.0:
+        if _MIN_AREA_RATIO <= abs(determinant) <= _MAX_AREA_RATIO:
             back[n, 0, 0], back[n, 0, 1] = d / determinant, -b / determinant
             back[n, 1, 0], back[n, 1, 1] = -c / determinant, a / determinant
-        else:  # seen from the side, or from behind: as it was is as good a guess as any
+        else:  # edge-on or from behind: unchanged
             back[n, 0, 0] = back[n, 1, 1] = 1.0
 
 
 @compiled(**NO_REFCOUNT)
 def _distance(pose, at):  # type: ignore[no-untyped-def]
+    """From a camera to a point."""
     x, y, z = at[0] - pose[0, 3], at[1] - pose[1, 3], at[2] - pose[2, 3]
     return np.sqrt(x * x + y * y + z * z)
 
 
 @compiled(**NO_REFCOUNT)
 def _moved(at, normal, there, axis, step, here, intrinsics):  # type: ignore[no-untyped-def]
-    """Pixel of a point moved along its surface.
+    """Pixel in camera `here` of a point moved within its plane.
 
-    It is moved by a step along an axis of another camera, then to the surface along its ray.
+    The point is moved by `step` along an axis of camera `there`, then along the ray of that camera
+    back to the plane, if its distance changes by less than a factor of 2.
     """
     ahead = _along(normal, there, at)
     moved = ahead + step * _dot(normal, there[:3, axis])
@@ -204,7 +217,7 @@ def _moved(at, normal, there, axis, step, here, intrinsics):  # type: ignore[no-
 
 @compiled(**NO_REFCOUNT)
 def _along(normal, pose, at):  # type: ignore[no-untyped-def]
-    """How far a point is from a camera, along a normal."""
+    """Distance of a point from a camera along a normal."""
     return (
         normal[0] * (at[0] - pose[0, 3])
         + normal[1] * (at[1] - pose[1, 3])

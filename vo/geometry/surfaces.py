@@ -1,4 +1,4 @@
-"""How the surfaces that points lie on are inclined, told by the points beside them."""
+"""Local surface orientation of points, from neighbouring points."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.projection import Intrinsics
 from vo.types import Floats, Ints
 
-_REACH_PX = 100.0  # points farther away tell nothing
-_FADE_PX = 30.0  # and those farther than this less and less
-_MOST_DIFFERENT = 0.3  # inverse depth, relative: farther apart they lie on another surface
-# Standard deviation of relative inverse depth about a plane, and of slopes as such, 1/px.
-_NOISE, _USUAL = 0.05, 0.02
-_PASSES = 3  # of reweighting
-_MOST_CELLS = 200  # a side: undistorted pixels may lie anywhere
+_RADIUS_PX = 100.0  # of the neighbourhood
+_SCALE_PX = 30.0  # distance at which the weight of a neighbour has fallen to a half
+# Maximum relative difference of inverse depth; neighbours that differ more are on another surface.
+_MAX_DIFFERENCE = 0.3
+_SIGMA_DEPTH = 0.05  # standard deviation of relative inverse depth about a plane
+_SIGMA_SLOPE = 0.02  # prior standard deviation of slopes, 1/px
+_ITERATIONS = 3  # of reweighting
+_MAX_CELLS = 200  # along each side, because undistorted pixels are not bounded by the image
 
 
 def inverse_depth_slopes(xy: Floats, inverse_depth: Floats, of: Ints) -> Floats:
-    """How inverse depth changes from pixel to pixel at some points, relative to it.
+    """Gradient of inverse depth in the image relative to inverse depth, at some points.
 
-    A plane's inverse depth is an affine function of the pixel: one is fitted through the point to
-    those around it, robustly (Cauchy), and held back by a prior of 0, a surface that faces the
-    camera. A road 60 rows below the horizon has a slope of 1 / 60 downwards.
+    Inverse depth is an affine function of the pixel on a plane. A plane through the point is fitted
+    to its neighbours with Cauchy weights, and a prior of slope 0 (parallel to the image plane). A
+    road has a slope of 1 / 60 downwards 60 rows below the horizon.
 
     Args:
-        xy: (N, 2) ideal pixels of points whose depth is known.
-        inverse_depth: (N,) of them, in any unit, above 0.
-        of: (n,) rows of the points that are asked for.
+        xy: (N, 2) undistorted pixels of points with known depth.
+        inverse_depth: (N,) positive, in any unit.
+        of: (n,) rows of the points to compute.
 
     Returns:
-        (n, 2) gradients of inverse depth by its value, 1/px.
+        (n, 2) in 1/px.
     """
     return np.asarray(_slopes(np.ascontiguousarray(xy), np.ascontiguousarray(inverse_depth), of))
 
@@ -42,13 +43,13 @@ def surface_normals(
     world_from_cam: Floats,
     intrinsics: Intrinsics,
 ) -> Floats:
-    """Normals (n, 3), of any length, in the world, of the surfaces at some points.
+    """Surface normals (n, 3) of any length in the world, at some points.
 
     Args:
-        xy: (N, 2) ideal pixels of points.
-        depth: (N,) their depths, above 0.
-        of: (n,) rows of the points that are asked for.
-        world_from_cam: (4, 4) of the camera that sees them.
+        xy: (N, 2) undistorted pixels of points.
+        depth: (N,) positive depths.
+        of: (n,) rows of the points to compute.
+        world_from_cam: (4, 4) of the observing camera.
         intrinsics: of that camera.
     """
     fx, fy, cx, cy = intrinsics
@@ -60,11 +61,12 @@ def surface_normals(
 
 
 def left_from_right(disparity: Floats, slope: Floats) -> Floats:
-    """(N, 2, 2) that take steps of pixels in the right image to the left one.
+    """Warps (N, 2, 2) of pixel offsets from the right image to the left one.
 
     Args:
         disparity: (N,) pixels.
-        slope: (N, 2) of inverse depth in the left image, 1/px; disparity has the same.
+        slope: (N, 2) relative gradient of inverse depth in the left image, equal to that of
+            disparity, 1/px.
     """
     stretch = 1.0 / np.clip(1.0 - disparity * slope[:, 0], 0.5, 2.0)
     back = np.zeros((len(disparity), 2, 2))
@@ -76,10 +78,11 @@ def left_from_right(disparity: Floats, slope: Floats) -> Floats:
 
 @compiled
 def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
+    """See `inverse_depth_slopes`; neighbours are searched in the 3 x 3 cells around a point."""
     slopes = np.zeros((len(of), 2))
     column, row, columns, first, order = _by_cell(xy)
-    u, v, told = xy[order, 0], xy[order, 1], inverse_depth[order]
-    # Steps to those beside, and how much nearer they are.
+    u, v, sorted_inverse = xy[order, 0], xy[order, 1], inverse_depth[order]
+    # Offsets of the neighbours, and their inverse depths relative to the point's, less 1.
     dx, dy, more = np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy))
     for i in range(len(of)):
         n = of[i]
@@ -91,28 +94,29 @@ def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
             if begin >= len(first) - 1:
                 break
             for k in range(first[begin], first[min(end, len(first) - 1)]):
-                right, down, nearer = u[k] - x, v[k] - y, told[k] * by_own - 1.0
-                near = (right * right + down * down <= _REACH_PX**2) & (order[k] != n)
+                right, down, nearer = u[k] - x, v[k] - y, sorted_inverse[k] * by_own - 1.0
+                near = (right * right + down * down <= _RADIUS_PX**2) & (order[k] != n)
                 dx[count], dy[count], more[count] = right, down, nearer
-                # Without a branch: what does not count is written over.
-                count += int(near & (abs(nearer) <= _MOST_DIFFERENT))
+                # Without a branch: rejected neighbours are overwritten by the next.
+                count += int(near & (abs(nearer) <= _MAX_DIFFERENCE))
         slopes[i, 0], slopes[i, 1] = _fitted(dx[:count], dy[:count], more[:count])
     return slopes
 
 
 @compiled(
     fastmath={"reassoc", "contract"}, error_model="numpy", **NO_REFCOUNT
-)  # in vector instructions
+)  # for vector instructions
 def _fitted(dx, dy, more):  # type: ignore[no-untyped-def]
+    """Slopes (gx, gy) of more = gx dx + gy dy by iteratively reweighted least squares."""
     gx = gy = 0.0
-    for number in range(_PASSES):
-        xx = yy = 1.0 / _USUAL**2
+    for number in range(_ITERATIONS):
+        xx = yy = 1.0 / _SIGMA_SLOPE**2
         xy = bx = by = 0.0
-        robust = 0.0 if number == 0 else 1.0 / _NOISE**2
+        robust = 0.0 if number == 0 else 1.0 / _SIGMA_DEPTH**2
         for m in range(np.uintp(len(dx))):
             residual = more[m] - gx * dx[m] - gy * dy[m]
-            squared = (dx[m] * dx[m] + dy[m] * dy[m]) * (1.0 / _FADE_PX**2)
-            w = (1.0 / _NOISE**2) / ((1.0 + squared) * (1.0 + robust * residual * residual))
+            squared = (dx[m] * dx[m] + dy[m] * dy[m]) * (1.0 / _SCALE_PX**2)
+            w = (1.0 / _SIGMA_DEPTH**2) / ((1.0 + squared) * (1.0 + robust * residual * residual))
             xx += w * dx[m] * dx[m]
             yy += w * dy[m] * dy[m]
             xy += w * dx[m] * dy[m]
@@ -125,7 +129,10 @@ def _fitted(dx, dy, more):  # type: ignore[no-untyped-def]
 
 @compiled
 def _by_cell(xy):  # type: ignore[no-untyped-def]
-    """Columns and rows of cells as large as the reach, and the points ordered by cell."""
+    """Column and row of each point's cell (side `_RADIUS_PX`), number of columns, points by cell.
+
+    The points of cell c are `order[first[c] : first[c + 1]]`.
+    """
     column, row = np.zeros(len(xy), dtype=np.int64), np.zeros(len(xy), dtype=np.int64)
     columns, rows = 1, 1
     if len(xy) > 0:
@@ -133,8 +140,8 @@ def _by_cell(xy):  # type: ignore[no-untyped-def]
         for n in range(len(xy)):
             left, top = min(left, xy[n, 0]), min(top, xy[n, 1])
         for n in range(len(xy)):
-            column[n] = int(min((xy[n, 0] - left) / _REACH_PX, _MOST_CELLS - 1))
-            row[n] = int(min((xy[n, 1] - top) / _REACH_PX, _MOST_CELLS - 1))
+            column[n] = int(min((xy[n, 0] - left) / _RADIUS_PX, _MAX_CELLS - 1))
+            row[n] = int(min((xy[n, 1] - top) / _RADIUS_PX, _MAX_CELLS - 1))
             columns, rows = max(columns, column[n] + 1), max(rows, row[n] + 1)
     first = np.zeros(columns * rows + 1, dtype=np.int64)
     for n in range(len(xy)):

@@ -17,7 +17,7 @@ from vo.geometry.quantiles import median
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.surfaces import surface_normals
 from vo.geometry.transforms import inverse, transform_points
-from vo.geometry.triangulation import SoundPoints, sound_points
+from vo.geometry.triangulation import TriangulatedPoints, triangulate_pixels
 from vo.mapping.keyframe import Keyframe, without_disparity
 from vo.mapping.local_map import LocalMap
 from vo.types import Bools, Bytes, Floats, Ints
@@ -128,13 +128,13 @@ class KeyframeTriangulator:
         if pair is None:
             return
         points = self._points(pair, parallax)
-        pair = pair.select(points.sound)
-        found = self._align_on_surfaces(pair, points.xyz[points.sound])
+        pair = pair.select(points.valid)
+        found = self._align_on_surfaces(pair, points.xyz[points.valid])
         good = self._patches.is_found(found)
         good &= np.linalg.norm(found.xy - pair.image_xy, axis=1) <= _MAX_CORRECTION_PX
         pair = pair.moved(good, found.xy, self._map.rig)
         points = self._points(pair, parallax)
-        chosen = np.flatnonzero(points.sound)
+        chosen = np.flatnonzero(points.valid)
         if len(chosen) > room:
             angle = points.angle[chosen]
             chosen = np.sort(chosen[np.argsort(-angle, kind="stable")[:room]])
@@ -184,16 +184,16 @@ class KeyframeTriangulator:
         xy = keyframe.keypoints.xy[rows].astype(np.float64)
         return patches_of(self._map.images[keyframe.slot], xy, reference_from_target)
 
-    def _points(self, pair: _Pair, parallax: _Parallax) -> SoundPoints:
+    def _points(self, pair: _Pair, parallax: _Parallax) -> TriangulatedPoints:
         """Triangulated points in the frame of the older keyframe."""
-        return sound_points(
+        return triangulate_pixels(
             pair.newer_from_older,
             pair.older.undistorted_xy[pair.query],
             pair.xy,
             self._map.rig.intrinsics,
-            least_rad=float(np.deg2rad(parallax.min_deg)),
-            share=parallax.min_ratio,
-            limit_px=self._config.gate * self._patches.sigma_px,
+            min_parallax_rad=float(np.deg2rad(parallax.min_deg)),
+            min_parallax_ratio=parallax.min_ratio,
+            max_error_px=self._config.gate * self._patches.sigma_px,
         )
 
     def _align_on_surfaces(self, pair: _Pair, points: Floats) -> Alignment:
