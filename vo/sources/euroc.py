@@ -33,8 +33,8 @@ def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         left=_shots(root / "cam0"),
         right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
         calibrate=calibration_reader(calibration, _calibration_files(root, top)),
-        read_truth=lambda known: _truth(root, top, known),
-        find_imus=lambda known: euroc_imus(root, known, lambda: _body_from_cam0(root, known)),
+        read_truth=lambda loaded: _truth(root, top, loaded),
+        find_imus=lambda loaded: euroc_imus(root, loaded, lambda: _body_from_cam0(root, loaded)),
     )
 
 

@@ -39,7 +39,7 @@ def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         left=left,
         right=_right(path / folders[1], left),
         calibrate=lambda size: _calibration(path, calibration, matrices, size),
-        read_truth=lambda known: _truth(path / "poses.txt", left, known),
+        read_truth=lambda loaded: _truth(path / "poses.txt", left, loaded),
     )
 
 

@@ -46,8 +46,8 @@ def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Record
         left=shots,
         right=_shots(path / right) if (path / right / "data").is_dir() else None,
         calibrate=lambda size: _calibration(path, calibration, cameras, size),
-        read_truth=lambda known: _truth(path, known, cameras, shots),
-        find_imus=lambda known: _imus(path, known, cameras),
+        read_truth=lambda loaded: _truth(path, loaded, cameras, shots),
+        find_imus=lambda loaded: _imus(path, loaded, cameras),
     )
 
 

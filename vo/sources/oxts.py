@@ -131,12 +131,13 @@ def read_transform(path: Path) -> Floats:
 def interpolate_at(truth: Trajectory, stamps_ns: Ints) -> Trajectory:
     """Interpolate poses at other times; times outside the trajectory are skipped."""
     inside = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
-    wanted = stamps_ns[inside]
-    after = np.searchsorted(truth.stamps_ns, wanted).clip(1, max(len(truth) - 1, 1))
+    times_ns = stamps_ns[inside]
+    after = np.searchsorted(truth.stamps_ns, times_ns).clip(1, max(len(truth) - 1, 1))
     poses = [
-        _interpolate(truth, int(row), int(stamp)) for row, stamp in zip(after, wanted, strict=True)
+        _interpolate(truth, int(row), int(stamp))
+        for row, stamp in zip(after, times_ns, strict=True)
     ]
-    return Trajectory(wanted, np.array(poses).reshape(-1, 4, 4))
+    return Trajectory(times_ns, np.array(poses).reshape(-1, 4, 4))
 
 
 def _interpolate(truth: Trajectory, after: int, stamp_ns: int) -> Floats:

@@ -111,7 +111,7 @@ def open_source(
     open_it = _load(FORMATS[name].opener)
     if follow:
         if not FORMATS[name].can_grow:
-            growing = ", ".join(n for n, known in FORMATS.items() if known.can_grow)
+            growing = ", ".join(n for n, entry in FORMATS.items() if entry.can_grow)
             raise SourceError(f"{path} ({name}) cannot be followed; these formats can: {growing}")
         return cast(Opener, open_it)(path, chosen, mode, topics, follow=True)
     if FORMATS[name].has_topics:
@@ -164,17 +164,17 @@ def detect_format(path: Path) -> str:
     if not path.exists() and _is_pattern(path):
         return "glob"
     names = [entry.name.lower() for entry in path.iterdir()] if path.is_dir() else []
-    for name, known in FORMATS.items():
-        if any(fnmatch.filter(names, pattern) for pattern in known.folder_patterns):
+    for name, entry in FORMATS.items():
+        if any(fnmatch.filter(names, pattern) for pattern in entry.folder_patterns):
             return name
-        if path.is_file() and path.suffix.lower() in known.suffixes:
+        if path.is_file() and path.suffix.lower() in entry.suffixes:
             return name
     if path.is_file():
         raise SourceError(f"{path} is a file of unknown format; give the folder of a recording")
     if not path.is_dir():
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
     looked_for = ", ".join(
-        f"{known.folder_patterns[0]} ({n})" for n, known in FORMATS.items() if known.folder_patterns
+        f"{entry.folder_patterns[0]} ({n})" for n, entry in FORMATS.items() if entry.folder_patterns
     )
     raise SourceError(
         f"folder {path} has no images and is not a recording of a known format; looked for "

@@ -97,13 +97,13 @@ class Bag:
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """See `Log.entries`."""
         found: dict[str, list[Entry]] = {name: [] for name in names}
-        wanted = {n for n in self._codecs if self._connections[n].topic in found}
+        selected = {n for n in self._codecs if self._connections[n].topic in found}
         for number, chunk in enumerate(self._chunks):
-            if chunk.connections and not chunk.connections & wanted:
+            if chunk.connections and not chunk.connections & selected:
                 continue
             try:
                 for record in self._messages(number):
-                    if record.connection in wanted:
+                    if record.connection in selected:
                         entry = _entry(record, number, self._codecs[record.connection])
                         found[self._connections[record.connection].topic].append(entry)
             except (SourceError, Damaged) as error:

@@ -1,4 +1,4 @@
-"""ChosenTopics of the topics of the left and the right camera."""
+"""Choice of the topics of the left and the right camera."""
 
 from __future__ import annotations
 

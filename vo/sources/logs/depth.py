@@ -115,5 +115,5 @@ def _millimetres(message: ImageMessage) -> Pixels:
         raise SourceError(f"{width}x{height} pixels do not fit {len(message.data)} bytes")
     stored = np.dtype(">f4" if message.big_endian else "<f4")
     metres = np.ndarray((height, width), stored, message.data, strides=(step, 4))
-    known = np.where(np.isfinite(metres), metres, 0.0).astype(np.float32)
-    return cast("Pixels", known * np.float32(UNITS_PER_METRE))
+    finite = np.where(np.isfinite(metres), metres, 0.0).astype(np.float32)
+    return cast("Pixels", finite * np.float32(UNITS_PER_METRE))

@@ -32,8 +32,8 @@ class FrameTree:
         """Add transforms; one that changes is not used."""
         for each in message.transforms:
             pair = (each.parent, each.child)
-            known = self._parent_from_child.setdefault(pair, each.parent_from_child)
-            if np.abs(known - each.parent_from_child).max() > _MAX_CHANGE:
+            first = self._parent_from_child.setdefault(pair, each.parent_from_child)
+            if np.abs(first - each.parent_from_child).max() > _MAX_CHANGE:
                 self._moving.add(pair)
 
     def between(self, a: str, b: str) -> Floats | None:

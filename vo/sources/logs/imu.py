@@ -32,7 +32,7 @@ class LogImu:
         Args:
             log: the log.
             topic: topic of the samples.
-            find_extrinsics: finds cam0_from_imu, given the frame of the sensor; or None.
+            find_extrinsics: finds cam0_from_imu or None, given the frame of the sensor.
         """
         self.name = topic.name
         self.noise: ImuNoise | None = None

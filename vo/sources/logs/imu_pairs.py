@@ -63,8 +63,8 @@ def _joined(gyro: ImuSamples, accel: ImuSamples) -> ImuSamples:
     if len(accel) == 0:
         return ImuSamples(stamps[:0], gyro.gyro[:0], gyro.accel[:0], unreadable)
     # Relative to the first stamp, because a float64 cannot represent nanoseconds since 1970.
-    times, known = stamps - stamps[:1], accel.stamps_ns - stamps[:1]
-    columns = [np.interp(times, known, axis) for axis in accel.accel.T]
+    times, accel_times = stamps - stamps[:1], accel.stamps_ns - stamps[:1]
+    columns = [np.interp(times, accel_times, axis) for axis in accel.accel.T]
     return ImuSamples(stamps, gyro.gyro, np.stack(columns, axis=1), unreadable)
 
 
@@ -76,7 +76,7 @@ def log_imus(
     Args:
         log: the log.
         topics: topics of inertial sensors.
-        find_extrinsics: finds cam0_from_imu, given the frame of a sensor; or None.
+        find_extrinsics: finds cam0_from_imu or None, given the frame of a sensor.
     """
     single = {topic.name: LogImu(log, topic, find_extrinsics) for topic in topics}
     partners = {name: _GYRO.sub("accel", name) for name in single if _GYRO.search(name)}

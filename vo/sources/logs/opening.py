@@ -51,14 +51,14 @@ def open_log(
     choice = choose_topics(log.topics, topics, mode)
     opened = _ChosenLog(log, choice)
     left = list_images(log, choice.left, opened.entries[choice.left.name])
-    known = opened.calibration_of_log(mode) if calibration is None else None
+    own = opened.calibration_of_log(mode) if calibration is None else None
     right = None
-    if choice.right is not None and mode != "mono" and (known is None or known.rig.is_stereo):
+    if choice.right is not None and mode != "mono" and (own is None or own.rig.is_stereo):
         right = list_images(log, choice.right, opened.entries[choice.right.name])
 
     def calibrate(size: ImageSize) -> Calibration:
-        if known is not None:
-            return known
+        if own is not None:
+            return own
         assert calibration is not None
         found = read_calibration(calibration, size)
         return replace(found, depth_per_metre=found.depth_per_metre or UNITS_PER_METRE)

@@ -80,8 +80,10 @@ class McapFile:
     def _list_messages(self, names: Collection[str]) -> MessageIndex:
         """Scan the chunks that contain messages of some topics."""
         listed = frozenset(number for name in names for number in self._channels_of[name])
-        known = self._contents.index
-        index = MessageIndex(known.channels, known.schemas, codecs=known.codecs, listed=listed)
+        summary = self._contents.index
+        index = MessageIndex(
+            summary.channels, summary.schemas, codecs=summary.codecs, listed=listed
+        )
         try:
             with self.path.open("rb") as stream:
                 for number, chunk in enumerate(self._contents.chunks):
