@@ -26,7 +26,7 @@ _MAX_LOOK_SPEED = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Handling:
-    """How the carrier moves the camera along a route.
+    """Parameters of the motion of a camera that a carrier moves along a route.
 
     Attributes:
         rng: random numbers of the wander.

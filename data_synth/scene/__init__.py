@@ -1,1 +1,1 @@
-"""What can be seen: solids, ground, light, and the renderer."""
+"""Visible scene: solids, ground, light, and the renderer."""

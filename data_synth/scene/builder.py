@@ -65,7 +65,7 @@ class Builder:
 
 @dataclass(frozen=True)
 class Place:
-    """A pose on the floor, for things that have their back at y = 0 and their front towards -y."""
+    """A pose on the floor, for objects with their back at y = 0 and their front towards -y."""
 
     x: float
     y: float

@@ -1,1 +1,1 @@
-"""What a camera makes of light: timing, exposure, lens and pixels."""
+"""Model of the camera's sensor: timing, exposure, vignetting, noise and response."""

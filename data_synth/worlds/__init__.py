@@ -1,1 +1,1 @@
-"""The worlds: procedural, seeded, nothing to download."""
+"""Procedural worlds, generated from a seed without downloads."""

@@ -226,7 +226,7 @@ def worn_paint(rng: Rng, shape: tuple[int, int]) -> Floats32:
 
 
 def label(rng: Rng, shape: tuple[int, int]) -> Floats32:
-    """A small print for a thing's front: lines of type and a bar code."""
+    """A small print for the front of an object: lines of type and a bar code."""
     return clipped(_sheet(rng, shape))
 
 

@@ -1,4 +1,4 @@
-"""How kernels are compiled: entry points that Python calls, and functions inlined into them."""
+"""Decorators that compile kernels: entry points called by Python, and inlined functions."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ ZERO = (0.0, 0.0, 0.0)
 
 
 class View(NamedTuple):
-    """What the centre rays of all pixels meet, in the middle of the exposure of their rows.
+    """Hits of the centre rays of all pixels, in the middle of the exposure of their rows.
 
     Attributes:
         image: (H, W) radiance, 0…1.
@@ -96,7 +96,7 @@ class Beam(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """What a group of rays may meet.
+    """Solids and ground that a group of rays may meet.
 
     Attributes:
         solids: (K,) by `entries`, in ascending order.
@@ -112,7 +112,7 @@ class Candidates(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """How to average a texture over the footprint of a ray.
+    """Parameters of the mean of a texture over the footprint of a ray.
 
     Attributes:
         level: mip-map level.
