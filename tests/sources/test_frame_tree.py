@@ -55,5 +55,5 @@ def test_one_warning_for_damaged_transforms(
     rig = open_source(path).rig
     assert rig.cam1_from_cam0 is not None and rig.cam1_from_cam0[0, 3] == -0.5
     (record,) = caplog.records
-    told = record.getMessage()
-    assert told.startswith("/tf: 39 of 60 sampled transforms cannot be read")
+    message = record.getMessage()
+    assert message.startswith("/tf: 39 of 60 sampled transforms cannot be read")

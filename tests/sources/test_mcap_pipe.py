@@ -41,8 +41,8 @@ def vo_run(tmp_path: Path, stdin: bytes | None) -> tuple[int, str, str]:
         [*program, "run", "-", "-o", str(output)], input=stdin, capture_output=True, timeout=120
     )
     summary = output / "summary.json"
-    said = summary.read_text(encoding="utf-8") if summary.exists() else ""
-    return done.returncode, done.stderr.decode(), said
+    content = summary.read_text(encoding="utf-8") if summary.exists() else ""
+    return done.returncode, done.stderr.decode(), content
 
 
 def test_errors_name_standard_input(tmp_path: Path) -> None:

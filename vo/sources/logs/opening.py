@@ -15,7 +15,7 @@ from vo.sources.imu import Imu, cam0_from_imu_of
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import ChosenTopics, choose_topics
 from vo.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
-from vo.sources.logs.frames import FrameTree, read_frame_tree
+from vo.sources.logs.frame_tree import FrameTree, read_frame_tree
 from vo.sources.logs.images import list_images
 from vo.sources.logs.imu import imu_topics
 from vo.sources.logs.imu_pairs import log_imus

@@ -12,7 +12,7 @@ from vo.formats.calibration.checks import check_baseline
 from vo.formats.messages import CalibrationMessage
 from vo.geometry.transforms import inverse, make_transform
 from vo.sources.logs.choice import base_name
-from vo.sources.logs.frames import FrameTree
+from vo.sources.logs.frame_tree import FrameTree
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.types import Camera, Floats
 

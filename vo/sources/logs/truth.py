@@ -12,7 +12,7 @@ from vo.errors import SourceError
 from vo.formats.calibration import Calibration
 from vo.formats.messages import PoseMessage
 from vo.sources.listing import MAX_STAMP_NS
-from vo.sources.logs.frames import FrameTree
+from vo.sources.logs.frame_tree import FrameTree
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.types import Floats, Trajectory
 
