@@ -171,3 +171,17 @@ def test_history_reports_moves_of_old_keyframes_only() -> None:
     for frame in REPOSED:
         np.testing.assert_allclose(moves[9][frame], MOVE, atol=1e-12)
     assert [k.frame_index for k in history.window] == [8, 9, 10, 11]
+
+
+def test_optimisation_of_a_map_that_is_replaced_is_not_reposing() -> None:
+    history = KeyframeHistory()
+    for frame in range(6):
+        history.update(exact_run.estimate(frame).keyframes, exact_run.snapshot(frame))
+    moved = [pose_of(k, MOVE @ exact_run.pose(k)) for k in (2, 3, 4, 5)]
+    new_map = exact_run.snapshot(10)  # of the keyframes 7 to 10
+    changes = history.update([*moved, pose_of(10, exact_run.pose(10))], new_map)
+    assert not changes.moves
+    newest = [pose_of(frame, exact_run.pose(frame)) for frame in (10, 11)]
+    assert not history.update(newest, exact_run.snapshot(11)).moves
+    changes = history.update([pose_of(3, exact_run.pose(3))], exact_run.snapshot(11))
+    assert changes.moves.keys() == {3}
