@@ -101,7 +101,7 @@ def test_white_noise_and_random_walks_have_the_given_densities() -> None:
         assert np.diff(bias, axis=0).std() == pytest.approx(walk / np.sqrt(RATE_HZ), rel=0.02)
 
 
-def test_biases_start_small_but_not_at_zero() -> None:
+def test_initial_biases_are_small_but_not_zero() -> None:
     starts = []
     for seed in range(40):
         _, truth = measure(

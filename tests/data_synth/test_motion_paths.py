@@ -52,7 +52,7 @@ def test_speed_acceleration_and_turning_keep_within_the_bounds(
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_acceleration_stays_bounded_at_thrice_the_speed(motion: MotionName) -> None:
+def test_acceleration_is_bounded_at_three_times_the_speed(motion: MotionName) -> None:
     path, bounds = _path(motion, "hills", speed=3.0, seed=1), BOUNDS[motion]
     speeds = np.linalg.norm(path.velocity(_times(path)), axis=1)
     turns = np.linalg.norm(path.angular_velocity(_times(path)), axis=1)
@@ -233,7 +233,7 @@ def test_small_obstacle_on_the_path_is_found() -> None:
         )
 
 
-def test_loops_are_driven_only_on_long_courses() -> None:
+def test_loops_are_driven_on_long_courses_and_walked_on_short_ones() -> None:
     assert polygon_length_m(COURSES["aisles"].waypoints) < LARGE_M
     assert polygon_length_m(COURSES["rectangle"].waypoints) == pytest.approx(480.0)
     assert _path("loop", "rectangle").controls[:, 2].mean() == pytest.approx(1.6, abs=0.01)

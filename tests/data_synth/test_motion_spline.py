@@ -35,14 +35,14 @@ def test_derivatives_are_those_of_the_poses(turns: int | None) -> None:
     np.testing.assert_allclose(path.angular_velocity(times), _body_rates(path, times), atol=1e-7)
 
 
-def test_acceleration_does_not_jump() -> None:
+def test_acceleration_is_continuous_at_the_knots() -> None:
     path = _path(None)
     knots = np.arange(1, 30) * path.step_s
     before, after = path.acceleration(knots - 1e-9), path.acceleration(knots + 1e-9)
     np.testing.assert_allclose(before, after, atol=1e-5)
 
 
-def test_a_closed_path_repeats_itself() -> None:
+def test_closed_path_is_periodic() -> None:
     path = _path(2)
     times = np.linspace(0.0, path.duration_s, 101)
     for many in (-1.0, 1.0, 3.0):

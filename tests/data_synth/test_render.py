@@ -133,7 +133,7 @@ def test_images_have_many_corners_in_all_parts(room: World, pool: ThreadPoolExec
         assert counts.min() >= 3
 
 
-def test_depth_is_exact_on_a_turned_box(pool: ThreadPoolExecutor) -> None:
+def test_depth_is_exact_on_a_rotated_box(pool: ThreadPoolExecutor) -> None:
     box = Solid((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), texture=0, yaw=np.pi / 2)
     world = build_world([box], [np.full((4, 4), 0.5, np.float32)])
     looking_along_x = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -144,7 +144,7 @@ def test_depth_is_exact_on_a_turned_box(pool: ThreadPoolExecutor) -> None:
     assert np.isinf(view.depth[0, 20])
 
 
-def test_fine_stripes_far_away_turn_grey_instead_of_moire(pool: ThreadPoolExecutor) -> None:
+def test_distant_fine_stripes_are_rendered_grey_without_moire(pool: ThreadPoolExecutor) -> None:
     stripes = np.tile(np.array([0.0, 1.0], np.float32), (64, 32))
     box = Solid((0.0, 0.0, -0.5), (80.0, 80.0, 1.0), texture=0, density=100.0)
     world = build_world([box], [stripes])

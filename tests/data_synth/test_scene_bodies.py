@@ -45,7 +45,9 @@ def test_body_is_rendered_at_its_pose(pool: ThreadPoolExecutor) -> None:
     assert turned[39, 30] == pytest.approx(20.0, abs=1e-5)
 
 
-def test_edge_of_a_body_leans_by_speed_times_readout(pool: ThreadPoolExecutor) -> None:
+def test_rolling_shutter_shears_a_moving_body_by_speed_times_readout(
+    pool: ThreadPoolExecutor,
+) -> None:
     speed, readout = -8.0, 0.02  # to the right: 4 px
     world = _world(np.array([[0.0, speed, 0.0]]))
     image = render(world, RAYS, moving_shutter(AT_REST, 0.0, ROWS, 0.0, readout), pool).image
@@ -56,7 +58,7 @@ def test_edge_of_a_body_leans_by_speed_times_readout(pool: ThreadPoolExecutor) -
     assert np.abs(edges - expected).max() < 0.15
 
 
-def test_edge_of_a_body_is_blurred_by_its_motion_and_stays_in_place(
+def test_edge_of_a_moving_body_is_blurred_by_its_motion_and_unbiased(
     pool: ThreadPoolExecutor,
 ) -> None:
     exposure, motion_px = 0.01, 9.0

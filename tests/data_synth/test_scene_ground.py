@@ -61,7 +61,7 @@ def test_rays_along_grid_lines_hit_the_ground(pool: ThreadPoolExecutor) -> None:
     assert np.isfinite(render(world, RAYS, static_shutter(pose), pool).depth).all()
 
 
-def test_the_crest_of_a_near_hill_is_smooth_and_in_place(pool: ThreadPoolExecutor) -> None:
+def test_crest_of_a_near_hill_is_antialiased_and_unbiased(pool: ThreadPoolExecutor) -> None:
     x = np.arange(101.0)
     profile = np.interp(x, [0, 10, 14, 40, 60, 100], [0, 2, 0, 0, 12, 14])
     ridges = Ground(
@@ -91,7 +91,7 @@ def test_clearance_counts_the_height_above_ground() -> None:
     np.testing.assert_allclose(clearance(world, points), [3.0, 0.0], atol=1e-6)
 
 
-def test_heights_are_bilinear_and_level_at_the_rim() -> None:
+def test_heights_are_bilinear_and_constant_outside_the_grid() -> None:
     ground = Ground(np.array([[0, 2], [4, 10]], np.float32), (1.0, 2.0), 2.0, WHITE)
     height_field = bright_world([], ground).height_field
     points = np.array([[1.0, 2.0], [2.0, 2.0], [2.0, 3.0], [3.0, 4.0], [9.0, 9.0]])

@@ -35,7 +35,7 @@ def _at(image: Floats32, x: float, y: float) -> float:
 
 
 @pytest.mark.parametrize("ground", [False, True])
-def test_the_shadow_of_a_post_is_as_long_as_the_sun_is_high(
+def test_length_of_a_shadow_follows_the_elevation_of_the_sun(
     pool: ThreadPoolExecutor, ground: bool
 ) -> None:
     flat = Ground(np.zeros((31, 31), np.float32), (-15.0, -15.0), 1.0, WHITE, stain=0.0)
@@ -48,7 +48,7 @@ def test_the_shadow_of_a_post_is_as_long_as_the_sun_is_high(
     assert _at(image, 1.7, 1.5) > 0.65
 
 
-def test_a_hill_shades_the_valley_behind_it(pool: ThreadPoolExecutor) -> None:
+def test_hill_casts_a_shadow_on_the_valley_behind_it(pool: ThreadPoolExecutor) -> None:
     x = np.arange(-15.0, 16.0)
     profile = 4.0 * np.exp(-0.5 * (x / 1.5) ** 2)
     hill = Ground(np.tile(profile, (31, 1)).astype(np.float32), (-15.0, -15.0), 1.0, WHITE)
@@ -76,7 +76,7 @@ def test_lamps_light_visible_surfaces_only(pool: ThreadPoolExecutor) -> None:
     assert _at(_from_above(only, pool), -8.0, 0.0) < _at(image, -8.0, 0.0) - 0.3
 
 
-def test_the_sky_is_paler_at_the_horizon_and_has_soft_clouds(pool: ThreadPoolExecutor) -> None:
+def test_sky_is_paler_at_the_horizon_and_has_soft_clouds(pool: ThreadPoolExecutor) -> None:
     pose = np.eye(4)
     pose[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     world = bake_lighting(bright_world([Solid((0, 0, -99), (1, 1, 1), WHITE)]), Lighting(sky=0.6))

@@ -16,7 +16,7 @@ ROWS = CAMERA.height
 DEPTH_M = 4.0
 
 
-def test_an_edge_leans_by_speed_times_readout(pool: ThreadPoolExecutor) -> None:
+def test_rolling_shutter_shears_an_edge_by_speed_times_readout(pool: ThreadPoolExecutor) -> None:
     world = bright_world([LEFT_HALF, WALL])
     speed, readout = 10.0, 0.02  # to the left, so that the edge goes right: 5 px
     shutter = moving_shutter(gliding((0.0, speed, 0.0)), 0.0, ROWS, 0.0, readout)
@@ -29,7 +29,7 @@ def test_an_edge_leans_by_speed_times_readout(pool: ThreadPoolExecutor) -> None:
 
 
 @pytest.mark.parametrize("motion_px", [2.0, 7.3, 20.0])
-def test_a_blurred_edge_is_as_wide_as_the_motion_and_stays_in_place(
+def test_blurred_edge_is_as_wide_as_the_motion_and_unbiased(
     pool: ThreadPoolExecutor, motion_px: float
 ) -> None:
     world = bright_world([LEFT_HALF, WALL])
@@ -47,7 +47,7 @@ def test_a_blurred_edge_is_as_wide_as_the_motion_and_stays_in_place(
     assert np.sqrt(12.0 * deviation**2) == pytest.approx(np.sqrt(motion_px**2 + 2.0), rel=0.06)
 
 
-def test_a_blurred_image_is_the_mean_of_many_sharp_ones(
+def test_blurred_image_is_the_mean_of_many_sharp_ones(
     room: World, pool: ThreadPoolExecutor
 ) -> None:
     rays = camera_rays(RIG.cam0)[::2, ::2].copy()
@@ -83,7 +83,7 @@ def test_number_of_threads_does_not_change_the_image(room: World) -> None:
     assert images[0] == images[1]
 
 
-def test_without_exposure_or_readout_the_camera_stands_still() -> None:
+def test_camera_is_static_without_exposure_time_and_readout() -> None:
     shutter = moving_shutter(gliding((1.0, 0.0, 0.0)), 2.0, ROWS, 0.0)
     assert shutter.origins.tolist() == [[2.0, 0.0, 0.0]]
     assert shutter.width == 0.0

@@ -58,7 +58,7 @@ def test_depth_is_exact_on_the_side_and_the_top_of_a_cylinder(pool: ThreadPoolEx
     assert np.abs(z).max() < 1.0 + 1e-5
 
 
-def test_a_cylinder_seen_from_right_above_is_its_top(pool: ThreadPoolExecutor) -> None:
+def test_cylinder_seen_from_straight_above_shows_its_top_only(pool: ThreadPoolExecutor) -> None:
     down = np.eye(4)
     down[:3, :3] = np.diag([1.0, -1.0, -1.0])
     down[:3, 3] = (5.0, 0.2, 4.0)
@@ -66,7 +66,7 @@ def test_a_cylinder_seen_from_right_above_is_its_top(pool: ThreadPoolExecutor) -
     assert np.unique(depth[np.isfinite(depth)]) == pytest.approx([4.5])
 
 
-def test_silhouettes_are_smooth_and_in_place(pool: ThreadPoolExecutor) -> None:
+def test_silhouettes_are_antialiased_and_unbiased(pool: ThreadPoolExecutor) -> None:
     view = render(bright_world([EGG, WALL]), RAYS, static_shutter(looking_along_x()), pool)
     coverage = _egg_coverage(12)
     rim = (coverage > 0.0) & (coverage < 1.0)

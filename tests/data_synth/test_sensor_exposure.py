@@ -72,7 +72,7 @@ def test_exposure_recovers_from_clipped_and_black_images() -> None:
     assert abs(means[125 + 15] - TARGET) < 0.05  # which is undone after 0.75 s
 
 
-def test_the_lag_grows_with_strength() -> None:
+def test_lag_of_exposure_grows_with_strength() -> None:
     light = np.ones(200)
     light[20:] = 0.5
     counts = [
@@ -109,7 +109,7 @@ def test_exposure_time_rises_before_gain_and_gain_is_at_most_16() -> None:
         )
 
 
-def test_exposure_follows_blur_but_the_brightness_does_not() -> None:
+def test_blur_strength_changes_exposure_time_but_not_brightness() -> None:
     for blur in (0.0, 0.5, 2.0):
         (settings,), means = _exposed(Effects(blur=blur), np.ones(1), radiance=0.3)
         assert settings.exposure_s == pytest.approx(8e-3 * blur)
@@ -125,7 +125,7 @@ def test_exposure_and_readout_fit_between_frames() -> None:
     assert readout_s(Effects(), 60.0) == 0.0
 
 
-def test_a_caller_may_observe_one_frame_late() -> None:
+def test_image_means_may_arrive_one_frame_late() -> None:
     means = [0.42, 0.2, 0.9, 0.5, 0.3, 0.42]
     prompt, late = (AutoExposure(Effects(), FPS, 0.35) for _ in range(2))
     taken = []

@@ -24,7 +24,7 @@ def _ramp() -> Floats32:
     return np.random.default_rng(1).uniform(-0.02, 1.1, (120, 160)).astype(np.float32)
 
 
-def test_a_perfect_camera_gives_the_radiance_in_grey_levels() -> None:
+def test_perfect_camera_gives_the_radiance_in_grey_levels() -> None:
     radiance = _ramp()
     image = develop(radiance, Settings(), PERFECT, 1.0, vignetting(CAMERA_SMALL, 0.0), _rng())
     expected = np.clip(np.round(np.float32(255.0) * radiance), 0, 255).astype(np.uint8)
@@ -55,14 +55,14 @@ def test_variance_is_linear_in_the_signal(gain: float, strength: float) -> None:
     assert abs(offset - (strength * read_noise(gain)) ** 2) < 0.1 * line[0]
 
 
-def test_noise_is_about_two_grey_levels_in_the_middle_and_less_than_one_in_the_dark() -> None:
+def test_noise_is_2_grey_levels_at_mid_grey_and_less_than_1_in_the_dark() -> None:
     image = develop(_even(0.5), Settings(), Effects(), 1.0, None, _rng())
     assert 1.9 < image.std() < 2.4
     assert read_noise(1.0) == pytest.approx(0.8, abs=0.05)
 
 
 @pytest.mark.parametrize("gain", [1.0, 16.0])
-def test_a_black_frame_is_read_noise_only(gain: float) -> None:
+def test_black_frame_contains_read_noise_only(gain: float) -> None:
     effects = PERFECT.model_copy(update={"noise": 1.0})
     image = develop(_ramp(), Settings(8e-3, gain, gain), effects, 0.0, None, _rng())
     # What is below zero is cut off: a half of a Gaussian, whose mean is sigma / sqrt(2 pi).
@@ -104,7 +104,7 @@ def test_gamma_is_a_power_of_the_light(strength: float) -> None:
     assert image[0, 0] == 0 and image[0, -1] == 255
 
 
-def test_the_same_generator_gives_the_same_image() -> None:
+def test_noise_depends_on_the_random_generator_only() -> None:
     def image(frame: int) -> Bytes:
         return develop(_ramp(), Settings(), Effects(), 1.0, None, _rng(frame))
 

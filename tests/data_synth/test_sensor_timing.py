@@ -25,7 +25,7 @@ def _runs(mask: Bools) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def test_without_effects_stamps_are_exact_and_the_light_is_steady() -> None:
+def test_without_effects_stamps_are_exact_and_the_light_is_constant() -> None:
     timing = _timing(NOTHING, frames=100, fps=8.0)
     assert np.array_equal(timing.times_s, np.arange(100) / 8.0)
     for stamps, dropped in zip(timing.stamps_ns, timing.dropped, strict=True):
@@ -43,7 +43,7 @@ def test_there_are_stamps_and_losses_for_each_camera(cameras: int) -> None:
 
 
 @pytest.mark.parametrize("strength", [0.5, 1.0, 4.0])
-def test_jitter_has_its_deviation_and_pairs_share_most_of_it(strength: float) -> None:
+def test_jitter_has_its_standard_deviation_and_is_mostly_common_to_a_pair(strength: float) -> None:
     timing = _timing(NOTHING.model_copy(update={"jitter": strength}), frames=4000)
     true_ns = START_NS + np.round(timing.times_s * 1e9).astype(np.int64)
     left, right = (np.asarray(s - true_ns, dtype=float) for s in timing.stamps_ns)
@@ -55,7 +55,7 @@ def test_jitter_has_its_deviation_and_pairs_share_most_of_it(strength: float) ->
 
 
 @pytest.mark.parametrize(("strength", "fps"), [(1.0, 20.0), (50.0, 30.0), (50.0, 1000.0)])
-def test_stamps_always_increase(strength: float, fps: float) -> None:
+def test_stamps_are_strictly_increasing(strength: float, fps: float) -> None:
     for stamps in _timing(Effects(jitter=strength), frames=3000, fps=fps).stamps_ns:
         assert np.all(np.diff(stamps) > 0)
 
@@ -69,28 +69,28 @@ def test_frames_are_lost_by_both_cameras_or_by_one(strength: float) -> None:
     assert np.mean(left & ~right) == pytest.approx(0.005 * strength, rel=0.25)
 
 
-def test_the_first_frame_is_never_lost() -> None:
+def test_first_frame_is_never_lost() -> None:
     for seed in range(40):
         timing = _timing(Effects(drops=50), frames=5, seed=seed)
         assert not any(camera[0] for camera in timing.dropped)
 
 
 @pytest.mark.parametrize("count", [1, 5, 40])
-def test_blackout_is_of_exactly_that_many_frames_about_the_middle(count: int) -> None:
+def test_blackout_has_the_given_number_of_frames_about_the_middle(count: int) -> None:
     black = _timing(Effects(blackout=count), frames=101).black
     ((first, end),) = _runs(black)
     assert end - first == count
     assert abs((first + end - 1) / 2 - 50) <= 1
 
 
-def test_a_blackout_longer_than_the_recording_spares_the_first_frame() -> None:
+def test_blackout_longer_than_the_recording_excludes_the_first_frame() -> None:
     black = _timing(Effects(blackout=50), frames=20).black
     assert not black[0]
     assert black[1:].all()
 
 
 @pytest.mark.parametrize("strength", [0.5, 1.0, 2.0])
-def test_dark_intervals_have_their_depth_length_and_distance(strength: float) -> None:
+def test_dark_intervals_have_the_documented_depth_length_and_spacing(strength: float) -> None:
     effects = NOTHING.model_copy(update={"dark": strength})
     timing = _timing(effects, frames=12_000, fps=100.0)
     light = timing.illumination
@@ -121,7 +121,7 @@ def test_light_drifts_slowly_apart_from_one_or_two_steps(seed: int) -> None:
     assert 0.08 < np.abs(slow).max() < 1.1 * np.log(1.3)
 
 
-def test_the_same_seed_gives_the_same_and_one_effect_does_not_change_another() -> None:
+def test_timing_depends_on_the_seed_and_effects_are_independent() -> None:
     effects = Effects(drops=3, jitter=1, dark=1)
     first, again, other = _timing(effects), _timing(effects), _timing(effects, seed=4)
     for a, b, c in zip(first.stamps_ns, again.stamps_ns, other.stamps_ns, strict=True):

@@ -37,7 +37,7 @@ def _digests(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
-def test_same_seed_gives_same_bytes_and_another_seed_others(sequence: Path, tmp_path: Path) -> None:
+def test_bytes_of_a_recording_depend_on_the_seed_only(sequence: Path, tmp_path: Path) -> None:
     make_sequence(tmp_path / "again", _recipe())
     make_sequence(tmp_path / "other", _recipe("seed=1"))
     first, again, other = (_digests(p) for p in (sequence, tmp_path / "again", tmp_path / "other"))
@@ -192,7 +192,7 @@ def test_infeasible_settings_are_config_errors(tmp_path: Path, setting: str, mes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unknown_preset_names_the_nearest() -> None:
+def test_error_of_an_unknown_preset_suggests_the_nearest_name() -> None:
     with pytest.raises(ConfigError, match="no preset named 'kiti'; did you mean 'kitti'"):
         load_recipe("kiti")
 
@@ -209,7 +209,7 @@ def test_invalid_camera_file_is_a_calibration_error(tmp_path: Path) -> None:
         make_sequence(tmp_path / "out", _recipe(f"camera={camera}"))
 
 
-def test_a_cached_recording_is_made_once_for_each_recipe(tmp_path: Path) -> None:
+def test_cached_recording_is_made_once_for_each_recipe(tmp_path: Path) -> None:
     first = cached_sequence(_recipe(), tmp_path, "walk")
     made = (first / "groundtruth.tum").stat().st_mtime_ns
     assert cached_sequence(_recipe(), tmp_path, "walk") == first

@@ -95,7 +95,7 @@ def _same(first: World, second: World) -> bool:
 
 
 @pytest.mark.parametrize("name", INDOORS)
-def test_worlds_repeat_by_seed_and_differ_between_seeds(name: str) -> None:
+def test_world_depends_on_the_seed_only(name: str) -> None:
     first, again = _lit(name), _dark(name, SEED, 2.0)
     assert _same(first.world, again.world)
     assert np.array_equal(first.course.waypoints, again.course.waypoints)
@@ -122,7 +122,7 @@ def test_corners_are_as_many_as_in_real_images(scene: Scene, pool: ThreadPoolExe
     assert min(counts) > 80
 
 
-def test_corridor_is_bare_in_places_and_rich_in_others(pool: ThreadPoolExecutor) -> None:
+def test_corridor_has_views_with_few_and_with_many_corners(pool: ThreadPoolExecutor) -> None:
     views = _views(_lit("corridor"), pool, 28, turn=-np.pi / 2)
     counts = [_corners(view, 7) for view, _ in views]
     bare = sorted(counts)[2]
@@ -159,14 +159,14 @@ def test_number_of_movers_follows_the_setting(name: str) -> None:
     assert np.array_equal(np.unique(scene.world.movers.bodies), np.arange(len(names)))
 
 
-def test_nothing_moves_by_default() -> None:
+def test_there_are_no_movers_by_default() -> None:
     scene = _dark("corridor", SEED, 0.0)
     assert scene.bodies == ()
     assert len(scene.world.bounds) == len(scene.world.kinds)
 
 
 @pytest.mark.parametrize("name", INDOORS)
-def test_bodies_stand_on_the_ground_within_their_radius(name: str) -> None:
+def test_bodies_are_on_the_ground_and_within_their_radius(name: str) -> None:
     scene = _lit(name)
     world = scene.world
     halves = world.shapes[len(world.bounds) :, 3:6]

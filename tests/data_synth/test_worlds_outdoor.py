@@ -78,7 +78,7 @@ def _ingredients(
 
 
 @WORLDS
-def test_same_seed_makes_the_same_world_and_others_differ(
+def test_world_depends_on_the_seed_only(
     module: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, again = (_ingredients(module, 3, 0.0, monkeypatch) for _ in range(2))
@@ -108,7 +108,7 @@ def test_movers_setting_changes_only_the_number_of_movers(
 
 
 @pytest.mark.parametrize("name, heights_m", [("town", (1.0, 1.65, 2.2)), ("country", (0.8, 8, 25))])
-def test_the_course_is_free_at_its_full_width(
+def test_course_is_free_at_its_full_width(
     name: str, heights_m: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
     scene: Scene = request.getfixturevalue(name)
@@ -121,13 +121,15 @@ def test_the_course_is_free_at_its_full_width(
             assert clearance(scene.world, np.column_stack([xy, z])).min() > 0.3
 
 
-def test_the_course_of_the_street_begins_on_a_straight(town: Scene) -> None:
+def test_course_of_the_street_starts_with_a_straight(town: Scene) -> None:
     sides = np.linalg.norm(np.diff(town.course.waypoints, axis=0), axis=1)
     assert sides[0] > 50.0
 
 
 @pytest.mark.parametrize("name", ["town", "country"])
-def test_bodies_keep_off_the_course(name: str, request: pytest.FixtureRequest) -> None:
+def test_routes_of_bodies_keep_clear_of_the_course(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     scene: Scene = request.getfixturevalue(name)
     lane, _ = _along(scene.course.waypoints, 0.5)
     for body in scene.bodies:
@@ -136,7 +138,7 @@ def test_bodies_keep_off_the_course(name: str, request: pytest.FixtureRequest) -
         assert apart > 1.5 + 0.9, body.name  # beside a car's half width
 
 
-def test_street_has_corners_and_depths_of_a_street(
+def test_street_has_corners_and_depths_like_real_streets(
     town: Scene, threads: ThreadPoolExecutor
 ) -> None:
     points, ahead = _along(town.course.waypoints, 4.0)

@@ -28,7 +28,7 @@ def _encoding_threads() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name.startswith("encode")]
 
 
-def test_frames_come_in_order_and_whole() -> None:
+def test_encoded_frames_are_complete_and_in_order() -> None:
     shots = list(_shots(9, []))
     encoded = list(encoded_shots(shots, "png"))
     assert [shot.index for shot in encoded] == list(range(9))
@@ -42,7 +42,7 @@ def test_frames_come_in_order_and_whole() -> None:
     assert not _encoding_threads()
 
 
-def test_no_more_than_a_few_frames_are_taken_ahead() -> None:
+def test_at_most_a_few_frames_are_taken_in_advance() -> None:
     taken: list[int] = []
     for given, _ in enumerate(encoded_shots(_shots(20, taken), "png"), start=1):
         assert len(taken) == min(given + FRAMES_AHEAD, 20)
@@ -80,7 +80,7 @@ def test_lossless_codecs_are_exact_and_jpeg_is_close() -> None:
     assert 0 < np.abs(lossy.astype(int) - image).max() <= 4
 
 
-def test_black_images_are_small() -> None:
+def test_png_files_of_black_images_are_small() -> None:
     assert len(encode(np.zeros((480, 752), dtype=np.uint8), "png")) < 5000
 
 
@@ -92,7 +92,7 @@ def test_depth_as_float_is_exact() -> None:
     np.testing.assert_array_equal(again, depth)
 
 
-def test_depth_of_tum_has_5000_units_per_metre_and_0_for_too_far() -> None:
+def test_tum_depth_has_5000_units_per_metre_and_0_beyond_its_range() -> None:
     depth = np.array([[0.5, 1.00009, 13.107, 13.1072, 500.0, np.inf]], dtype=np.float32)
     again = cv2.imdecode(np.frombuffer(tum_depth_png(depth), np.uint8), cv2.IMREAD_UNCHANGED)
     assert again.dtype == np.uint16

@@ -33,7 +33,9 @@ def euroc(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
     return write_layout("euroc", tmp_path_factory.mktemp("euroc") / "a", recording), recording
 
 
-def test_euroc_frames_and_stamps_without_those_dropped(euroc: tuple[Path, Recording]) -> None:
+def test_euroc_has_all_frames_and_stamps_but_the_dropped_ones(
+    euroc: tuple[Path, Recording],
+) -> None:
     path, recording = euroc
     frames = read_frames(path)
     check_images(frames, recording)
@@ -73,7 +75,7 @@ def test_euroc_truth_of_cam0_is_at_its_frames(euroc: tuple[Path, Recording]) -> 
     np.testing.assert_allclose(truth.world_from_cam, expected, rtol=0, atol=1e-8)
 
 
-def test_euroc_inertial_sensor(euroc: tuple[Path, Recording]) -> None:
+def test_euroc_inertial_samples_and_noise_are_exact(euroc: tuple[Path, Recording]) -> None:
     path, recording = euroc
     imu = recording.imu
     assert imu is not None

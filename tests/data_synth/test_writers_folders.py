@@ -54,7 +54,7 @@ def test_layout_is_detected_and_opens(name: str, codec: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["euroc", "kitti", "folder"])
-def test_one_camera_without_depth_movers_or_imu(name: str, tmp_path: Path) -> None:
+def test_recording_of_one_camera_without_depth_movers_or_imu(name: str, tmp_path: Path) -> None:
     recording = make_recording(IDEAL, stereo=False, inertial=False, depth=False, drops=((),))
     path = write_layout(name, tmp_path / "a", replace(recording, movers=()))
     source = open_source(path)
@@ -65,7 +65,7 @@ def test_one_camera_without_depth_movers_or_imu(name: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", IN_FOLDERS)
-def test_a_full_disk_is_an_os_error_and_leaves_no_thread(
+def test_full_disk_is_an_os_error_and_ends_all_threads(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files: list[Path] = []
@@ -110,7 +110,7 @@ def test_kitti_starts_at_time_0_with_the_identity(tmp_path: Path) -> None:
     assert float(lines[1].split()[4]) == pytest.approx(-40.0 * 0.11, abs=1e-11)
 
 
-def test_kitti_movers_and_depth_are_in_its_own_world(tmp_path: Path) -> None:
+def test_kitti_has_depth_and_movers_relative_to_the_first_camera_pose(tmp_path: Path) -> None:
     recording = suited("kitti")
     path = write_layout("kitti", tmp_path / "a", recording)
     world_from_cam, mover = recording.cam0_truth.world_from_cam, recording.movers[0]
@@ -125,7 +125,7 @@ def test_kitti_movers_and_depth_are_in_its_own_world(tmp_path: Path) -> None:
 # TUM
 
 
-def test_tum_images_depth_and_truth(tmp_path: Path) -> None:
+def test_tum_images_depth_and_truth_are_exact(tmp_path: Path) -> None:
     recording = make_recording(stereo=False, drops=((0, 4),))
     path = write_layout("tum", tmp_path / "a", recording)
     source = open_source(path)
@@ -150,7 +150,7 @@ def test_tum_images_depth_and_truth(tmp_path: Path) -> None:
     np.testing.assert_allclose(depth[~far] / 5000, shot[~far], rtol=0, atol=1.001e-4)
 
 
-def test_tum_accelerometer(tmp_path: Path) -> None:
+def test_tum_accelerometer_samples_are_exact(tmp_path: Path) -> None:
     recording = make_recording(stereo=False)
     path = write_layout("tum", tmp_path / "a", recording)
     assert recording.imu is not None

@@ -78,7 +78,7 @@ def test_jpeg_images_are_close_to_those_rendered(dialect: Dialect, tmp_path: Pat
     assert np.abs(_pixels(messages[0][1], "jpeg") - ramp.astype(float)).max() <= 4.0
 
 
-def test_depth_goes_with_each_image_of_cam0(dialect: Dialect, tmp_path: Path) -> None:
+def test_each_image_of_cam0_has_a_depth_image(dialect: Dialect, tmp_path: Path) -> None:
     recording = make_recording()
     path = write(dialect, tmp_path / "a.mcap", recording)
     images, depths = (read(dialect, path, f"/cam0/{x}") for x in ("image_raw", "depth"))
@@ -192,7 +192,9 @@ def test_messages_are_in_order_of_time(dialect: Dialect, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("stereo", [False, True], ids=["mono", "stereo"])
-def test_without_inertial_sensor_and_depth(dialect: Dialect, stereo: bool, tmp_path: Path) -> None:
+def test_file_without_inertial_sensor_and_depth_has_no_such_topics(
+    dialect: Dialect, stereo: bool, tmp_path: Path
+) -> None:
     recording = make_recording(stereo=stereo, inertial=False, depth=False)
     path = write(dialect, tmp_path / "a.mcap", recording)
     with path.open("rb") as stream:
@@ -306,7 +308,7 @@ def test_full_disk_is_an_os_error(dialect: Dialect, tmp_path: Path) -> None:
     assert not [each for each in threading.enumerate() if each.name.startswith("encode")]
 
 
-def test_missing_shots_are_an_error(dialect: Dialect, tmp_path: Path) -> None:
+def test_missing_shot_is_an_error(dialect: Dialect, tmp_path: Path) -> None:
     recording = make_recording(drops=((), ()))
     few = (shot for shot in make_shots(recording) if shot.index < 4)
     with pytest.raises(RuntimeError, match="frame 4 was not rendered"):
