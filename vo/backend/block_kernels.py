@@ -1,6 +1,15 @@
-"""Compiled normal equations of poses by blocks of 6 x 6, the points eliminated.
+"""Compiled normal equations of poses with the points eliminated, in blocks of 6 x 6.
 
-Rows of a block, and of what it is made from, are padded to the 8 numbers of a vector register.
+For poses p, points l, Jacobians A = de/dp and B = de/dl, and whitened, weighted errors e, the
+normal equations of a bundle are block diagonal in the points, and the Schur complement is
+
+    H = sum A^T A - sum (A^T B) (B^T B)^-1 (B^T A),    g = sum A^T e - sum (A^T B) (B^T B)^-1 B^T e.
+
+One point is processed at a time, so that its Jacobians stay in the cache.
+
+Layout: everything is in flat float64 arrays, because views cost reference counts. A Jacobian of an
+observation by a pose is 3 rows (u, v, disparity), a block of H is 6 rows; each row is padded to the
+8 numbers of a vector register. Blocks on and above the diagonal are stored, row by row.
 """
 
 from __future__ import annotations
@@ -19,9 +28,9 @@ from vo.geometry.projection import (
 )
 
 _LANES = 8
-_UNSEEN = 1e-12  # information on a point in every direction, against all it has
+_REGULARISATION = 1e-12  # added to a point's normal matrix, relative to its trace
 
-# Of one observation or point: derivatives by a pose, by a point, and errors; of a pair: a block.
+# Sizes of a Jacobian by a pose, of one by a point, of errors, and of a block.
 _ROWS, _POINT, _ERRORS, _BLOCK = 3 * _LANES, 9, 3, 6 * _LANES
 
 _set_product = Intrinsic("vo.backend.intrinsics", "set_product")
@@ -47,7 +56,11 @@ def reduced(  # type: ignore[no-untyped-def]
     inverse_d,
     huber,
 ):
-    """Normal equations of the poses that may move, the points eliminated.
+    """Schur complement H (6 F, 6 F) and g (6 F,) of the F free poses.
+
+    Args (after points (M, 3), the fields of `PointViews` follow):
+        poses: (K, 3, 4) cam_from_world.
+        slot: (K,) number among the free poses, -1 if fixed.
 
     With `calibrates` six rows follow, of which the first are those of what the calibration leaves
     (`CalibrationResidual`): to the blocks it is one more pose, which all observations share.
@@ -56,15 +69,14 @@ def reduced(  # type: ignore[no-untyped-def]
     for k in slot:
         free = max(free, k + 1)
     size = free + 1 if calibrates else free
-    # By blocks of 6 x 6, those on and above the diagonal: a block's rows lie side by side.
     blocks, gradient = np.zeros(size * size * _BLOCK), np.zeros(size * _LANES)
-    most = 1
+    max_views = 1
     for m in range(len(starts) - 1):
-        most = max(most, starts[m + 1] - starts[m] + 1)
-    by_pose, by_rest = np.zeros(most * _ROWS), np.zeros(most * _ROWS)
-    by_point, error = np.zeros(most * _POINT), np.zeros(most * _ERRORS)
-    coupling, lifted, shared = np.zeros(most * _ROWS), np.zeros(_ROWS), np.zeros(_ROWS)
-    at = np.zeros(most, dtype=np.int64)
+        max_views = max(max_views, starts[m + 1] - starts[m] + 1)
+    by_pose, by_rest = np.zeros(max_views * _ROWS), np.zeros(max_views * _ROWS)
+    by_point, error = np.zeros(max_views * _POINT), np.zeros(max_views * _ERRORS)
+    coupling, lifted, shared = np.zeros(max_views * _ROWS), np.zeros(_ROWS), np.zeros(_ROWS)
+    at = np.zeros(max_views, dtype=np.int64)
     normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     flat_inverse = inverse.reshape(-1)
     views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
@@ -72,8 +84,8 @@ def reduced(  # type: ignore[no-untyped-def]
         first, count = starts[m], starts[m + 1] - starts[m]
         if count == 0:
             continue
-        # First all derivatives, then their products: a register of what was just written number
-        # by number would have to wait for it.
+        # All Jacobians are written before the products read them: a vector load soon after scalar
+        # stores to the same place would stall.
         _differentiate(
             points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
         )
@@ -104,7 +116,8 @@ def reduced(  # type: ignore[no-untyped-def]
                 coupling[_ROWS * tied + c] = shared[c]
             tied += 1
         _invert(normal, inverse)
-        # What poses and calibration lose because the point may move too; `at` grows.
+        # Subtract (A^T B) (B^T B)^-1 (B^T A) for all pairs of poses; `at` increases, so that they
+        # are on and above the diagonal. `coupling` holds B^T A (3 x 6) of each pose.
         for a in range(tied):
             _set_product(lifted, 0, flat_inverse, 0, 3, coupling, _ROWS * a)  # it is symmetric
             _subtract_row(gradient, _LANES * at[a], right, 0, 1, lifted, 0)
@@ -121,7 +134,12 @@ def reduced(  # type: ignore[no-untyped-def]
 def _differentiate(  # type: ignore[no-untyped-def]
     points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
 ):
-    """Fill derivatives and errors of a point's observations, weighted, and the point's share."""
+    """Linearise the observations of point m.
+
+    Fills, weighted by 1 / sigma and the root of Huber's weight: `by_pose` A, `by_point` B (3 x 3),
+    `by_rest` (derivatives by the calibration residual), `error` e; and of the point `normal` B^T B
+    and `right` B^T e. Observations from behind the camera are 0.
+    """
     poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
     p0, p1, p2 = points[m, 0], points[m, 1], points[m, 2]
     n00 = n01 = n02 = n11 = n12 = n22 = 0.0
@@ -135,7 +153,7 @@ def _differentiate(  # type: ignore[no-untyped-def]
             by_pose[j : j + _ROWS], by_rest[j : j + _ROWS] = 0.0, 0.0
             by_point[i : i + _POINT], error[e : e + _ERRORS] = 0.0, 0.0
             continue
-        s, near = inverse_sigma[n], 1.0 / z  # one division serves all
+        s, near = inverse_sigma[n], 1.0 / z  # the only division
         x, y = x * near, y * near
         u, v = pixel(intrinsics, x, y, 1.0)
         eu, ev = s * (u - xy[n, 0]), s * (v - xy[n, 1])
@@ -150,7 +168,7 @@ def _differentiate(  # type: ignore[no-untyped-def]
         if fb > 0.0:
             right_x = x - fb / intrinsics.fx * near
             by_rest[jd], by_rest[jd + 1] = t, t * right_x * right_x
-        else:  # taken where the point should be: what depends on the error itself would not average
+        else:  # at the predicted pixel, because noise of the measured one would not average out
             stretch = s * (x * x + y * y)
             by_rest[ju], by_rest[jv] = stretch * intrinsics.fx * x, stretch * intrinsics.fy * y
         in_cam = point_derivatives(s * intrinsics.fx, s * intrinsics.fy, t * fb, x, y, 1.0, near)
@@ -201,17 +219,17 @@ def _assembled(blocks, count):  # type: ignore[no-untyped-def]
 
 @compiled(**NO_REFCOUNT)
 def _invert(m, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a point's (3, 3) normal matrix.
+    """Inverse of a point's (3, 3) normal matrix, slightly regularised.
 
-    What no view tells of a point (its depth, without parallax) ties no poses together either: a
-    trace of information in every direction makes the matrix regular and changes nothing else.
+    A direction that is not determined (the depth, without parallax) does not couple poses either,
+    so that the regularisation has no other effect.
     """
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     if trace == 0.0:
         inverse[:] = 0.0
         return
     for p in range(3):
-        m[p, p] += _UNSEEN * trace
+        m[p, p] += _REGULARISATION * trace
     _divide(inverse, _cofactors(m, inverse))
 
 
@@ -227,7 +245,7 @@ def _invert_or_drop(m, inverse):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
-    """Fill those on and above the diagonal of a symmetric (3, 3); gives the determinant."""
+    """Fill cofactors on and above the diagonal of a symmetric (3, 3); gives the determinant."""
     c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
     c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
     c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
@@ -240,7 +258,7 @@ def _cofactors(m, cofactors):  # type: ignore[no-untyped-def]
 
 @compiled(**NO_REFCOUNT)
 def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
-    """Make an inverse of cofactors on and above the diagonal."""
+    """Turn cofactors on and above the diagonal into the inverse."""
     for p in range(3):
         for q in range(p, 3):
             inverse[p, q] /= determinant
@@ -251,14 +269,23 @@ def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
 def eliminated(  # type: ignore[no-untyped-def]
     poses, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
 ):
-    """See `information.pose_information`: (6 K, 6 K) of K poses, of observations side by side."""
+    """Information (6 K, 6 K) of K poses with points eliminated; see `information.pose_information`.
+
+    The errors of one point are correlated: with weight matrices W (n, n) of its pixels and D (n, n)
+    of its disparities, products A^T A become sums of A_a^T W_ab A_b over pairs of observations.
+    `lifted` holds W B, `coupling` B^T W A, and `solved` (B^T W B)^-1 B^T W A.
+    """
     blocks = np.zeros(poses * poses * _BLOCK)
-    most = 0
+    max_views = 0
     for m in range(len(starts) - 1):
-        most = max(most, starts[m + 1] - starts[m])
-    weight, weight_d = np.zeros((most, most)), np.zeros((most, most))
-    lifted, pose, weighted = np.zeros(most * _POINT), np.zeros(most * _ROWS), np.zeros(_ROWS)
-    coupling, solved = np.zeros(most * _ROWS), np.zeros(most * _ROWS)
+        max_views = max(max_views, starts[m + 1] - starts[m])
+    weight, weight_d = np.zeros((max_views, max_views)), np.zeros((max_views, max_views))
+    lifted, pose, weighted = (
+        np.zeros(max_views * _POINT),
+        np.zeros(max_views * _ROWS),
+        np.zeros(_ROWS),
+    )
+    coupling, solved = np.zeros(max_views * _ROWS), np.zeros(max_views * _ROWS)
     normal, inverse = np.zeros((3, 3)), np.zeros((3, 3))
     flat_inverse = inverse.reshape(-1)
     for m in range(len(starts) - 1):
@@ -274,7 +301,7 @@ def eliminated(  # type: ignore[no-untyped-def]
         _add_point_normal(by_point, first, count, weight, weight_d, lifted, normal)
         if not _invert_or_drop(normal, inverse):
             continue
-        for a in range(count):  # how it ties the point to its pose; that times the covariance
+        for a in range(count):
             _set_product(coupling, _ROWS * a, lifted, _POINT * a, 3, pose, _ROWS * a)
             _set_product(solved, _ROWS * a, flat_inverse, 0, 3, coupling, _ROWS * a)
         for a in range(count):
@@ -292,7 +319,10 @@ def eliminated(  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore[no-untyped-def]
-    """Inverse of white I + creep (keyframes since the first, of the earlier one), in place."""
+    """Inverse of the covariance white I + creep min(k_a, k_b), k in keyframes since the first.
+
+    It models patches that drift by a random walk while they are tracked.
+    """
     for a in range(n):
         for b in range(a, n):
             weight[a, b] = weight[b, a] = creep * (keyframe[first + a] - keyframe[first])
@@ -312,7 +342,7 @@ def _position_weights(keyframe, first, n, white, creep, weight):  # type: ignore
 
 @compiled(**NO_REFCOUNT)
 def _disparity_weights(by_point, first, n, disparity, bias, weight):  # type: ignore[no-untyped-def]
-    """Inverse of disparity I + bias 1 1^T over those that were measured (Sherman-Morrison)."""
+    """Inverse of the covariance disparity I + bias 1 1^T, of measured ones (Sherman-Morrison)."""
     measured = 0
     for a in range(n):
         measured += _is_measured(by_point, first + a)
@@ -332,7 +362,7 @@ def _is_measured(by_point, n):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _add_point_normal(by_point, first, n, weight, weight_d, lifted, normal):  # type: ignore[no-untyped-def]
-    """Fill `lifted`, the weights times the derivatives by the point, and their square."""
+    """Fill `lifted` with W B, and `normal` with B^T W B."""
     normal[:] = 0.0
     for a in range(n):
         for r in range(3):

@@ -1,4 +1,4 @@
-"""A window's observations, linearised at its solution."""
+"""Linearised observations of a window."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `
 
 
 class Linearised(NamedTuple):
-    """N observations, those of a point together and by keyframe, in standard deviations.
+    """N observations ordered by point, then keyframe, in standard deviations.
 
-    The tangent of a pose is (rx ry rz tx ty tz) in the camera's own frame; the rows of an
-    observation are u, v and disparity, which is all 0 where it was not measured.
+    The tangent xi = (rx ry rz tx ty tz) of a pose is that of world_from_cam @ exp(xi). The rows of
+    an observation are u, v and disparity; the last is 0 where disparity was not measured.
 
     Attributes:
-        poses: how many there are.
+        poses: number of poses K.
         starts: (M + 1,) first observation of each point.
         keyframe: (N,) pose of each observation.
         by_pose: (N, 3, 6) derivatives.
@@ -46,7 +46,7 @@ class Linearised(NamedTuple):
 
     @property
     def seen(self) -> Ints:
-        """(K,) observations that each pose has."""
+        """(K,) number of observations of each pose."""
         return np.bincount(self.keyframe, minlength=self.poses)
 
 
@@ -57,7 +57,10 @@ def linearise(
     point_ok: Bools,
     config: SmoothingConfig,
 ) -> Linearised:
-    """Linearise a window with Huber weights; points that are not ok have no observations."""
+    """Linearise a window at poses (K, 4, 4) and points (M, 3), with Huber weights.
+
+    Observations of points (M,) that are not ok, or are behind the camera, are left out.
+    """
     residual, depth = residuals(problem, world_from_cam, points)
     used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
     order = used[np.lexsort((problem.keyframe[used], problem.point[used]))]
@@ -85,6 +88,7 @@ def linearise(
 def _linearised(  # type: ignore[no-untyped-def]
     poses, points, order, keyframe, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
 ):
+    """`by_pose`, `by_point`, `error` of the observations in `order`; poses are world_from_cam."""
     count = len(order)
     by_pose, by_point = np.zeros((count, 3, 6)), np.zeros((count, 3, 3))
     error = np.zeros((count, 3))
@@ -93,7 +97,7 @@ def _linearised(  # type: ignore[no-untyped-def]
         j, m = keyframe[i], point[i]
         pose = poses[j]
         x, y, z = from_world(pose, points[m, 0], points[m, 1], points[m, 2])
-        s, near = weight[i] / sigma[i], 1.0 / z  # one division serves all
+        s, near = weight[i] / sigma[i], 1.0 / z  # the only division
         measured = fb > 0.0 and not np.isnan(disparity[i])
         t = weight[i] / sigma_d if measured else 0.0
         u, v = pixel(intrinsics, x, y, near)

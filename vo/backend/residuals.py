@@ -1,4 +1,4 @@
-"""How well a window's poses and points explain what was seen."""
+"""Residuals of a window's observations."""
 
 from __future__ import annotations
 
@@ -36,6 +36,7 @@ def residuals(
 def _residuals(  # type: ignore[no-untyped-def]
     poses, points, keyframe, point, xy, disparity, sigma, sigma_d, intrinsics, fb
 ):
+    """See `residuals`; poses are world_from_cam."""
     residual, depth = np.empty(len(xy)), np.empty(len(xy))
     for n in range(len(xy)):
         k, m = keyframe[n], point[n]

@@ -1,4 +1,4 @@
-"""FAST corners spread evenly over the image: a lower threshold in poor cells, the best of each."""
+"""FAST corners, evenly distributed over a grid, with a lower threshold in cells without any."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from vo.types import Bytes, Floats32
 
 _RING = 3  # radius of the ring of pixels that a corner is compared with
 _ON_RING = 16  # pixels on it
-_PER_CELL = 3.0  # corners that a cell should hold
+_PER_CELL = 3.0  # average number of corners per cell
 
 
 class FastGrid:
-    """Finds FAST corners in an image, at most `count`, spread over a grid of square cells.
+    """Detector of FAST-9 corners, distributed over a grid of square cells.
 
-    A corner has nine pixels in a row, of the ring around it, that all differ from it in the same
-    direction by more than the threshold, and by more than at any of its eight neighbours. Where a
-    cell has no corner at the normal threshold, it is searched again at the lower one, so
-    that shade and haze keep their corners. The best of every cell are taken first, then the
-    second best of every cell, and so on.
+    A corner has nine consecutive pixels on the ring around it that are all brighter, or all darker,
+    by more than the threshold, and a higher contrast than its eight neighbours. Cells without
+    corners at the normal threshold are searched at the lower one, so that dark and hazy regions
+    keep their corners. The best corner of every cell is chosen first, then the second best of
+    every cell, and so on.
 
     Source: Rosten, Drummond, "Machine learning for high-speed corner detection", ECCV 2006.
     """
@@ -32,9 +32,9 @@ class FastGrid:
         self._border = border
 
     def detect(self, image: Bytes, count: int) -> tuple[NDArray[np.int32], Floats32]:
-        """Pixels x, y (N, 2) and scores (N,) of corners of an (H, W) uint8 image.
+        """Pixels x, y (N, 2) and scores (N,) of at most `count` corners of an (H, W) uint8 image.
 
-        The score is the highest threshold at which it would still be a corner.
+        The score is the highest threshold at which the pixel is still a corner.
         """
         height, width = image.shape
         b = self._border
@@ -49,7 +49,11 @@ class FastGrid:
 
 @compiled
 def _contrasts(image):  # type: ignore[no-untyped-def]
-    """Contrast of the pixels of an image that have a whole ring around them."""
+    """Contrast (H - 6, W - 6) of the pixels with a complete ring; a corner's score is one less.
+
+    The seven rows that a ring spans are separate arrays, so that the loop over x has contiguous
+    loads only and becomes vector instructions.
+    """
     height, width = image.shape[0] - 2 * _RING, image.shape[1] - 2 * _RING
     contrast = np.empty((height, width), dtype=np.uint8)
     for y in range(height):
@@ -79,18 +83,18 @@ def _contrast(centre, ring):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, **NO_REFCOUNT)
-def _extreme_arc(even, odd, least, most):  # type: ignore[no-untyped-def]
+def _extreme_arc(even, odd, lower, higher):  # type: ignore[no-untyped-def]
     """Highest minimum of nine adjacent pixels of a ring, given by its even and odd pixels.
 
-    With `least` and `most` exchanged, the lowest maximum.
+    With `lower` and `higher` exchanged, the lowest maximum.
     """
-    two = least(odd, even[1:] + even[:1])
-    four = least(two, two[1:] + two[:1])
-    eight = least(four, four[2:] + four[:2])
-    nine = least(eight, most(even, odd[4:] + odd[:4]))  # with the pixel before or after
-    nine = most(nine, nine[4:] + nine[:4])
-    nine = most(nine, nine[2:] + nine[:2])
-    return most(nine, nine[1:] + nine[:1])[0]
+    two = lower(odd, even[1:] + even[:1])
+    four = lower(two, two[1:] + two[:1])
+    eight = lower(four, four[2:] + four[:2])
+    nine = lower(eight, higher(even, odd[4:] + odd[:4]))  # with the pixel before or after
+    nine = higher(nine, nine[4:] + nine[:4])
+    nine = higher(nine, nine[2:] + nine[:2])
+    return higher(nine, nine[1:] + nine[:1])[0]
 
 
 @compiled(forceinline=True, **NO_REFCOUNT)
@@ -113,18 +117,18 @@ def _higher(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
-    """Pixels and scores of `count` corners at most, those at the normal threshold first."""
+    """Pixels and scores of at most `count` corners."""
     height, width = contrast.shape
     columns = (width - 1) // size + 1
     cells = (height - 1) // size * columns + columns
     found = np.empty(height * width, dtype=np.int64)  # y * width + x; there cannot be more
     part = np.array([0, 0, height, width])
     n = _add_corners(contrast, part, threshold, found, np.int64(0))
-    is_poor = np.ones(cells, dtype=np.bool_)
+    is_empty = np.ones(cells, dtype=np.bool_)
     for i in range(n):
-        is_poor[found[i] // width // size * columns + found[i] % width // size] = False
+        is_empty[found[i] // width // size * columns + found[i] % width // size] = False
     for cell in range(cells):
-        if is_poor[cell]:
+        if is_empty[cell]:
             top, left = cell // columns * size, cell % columns * size
             part[0], part[1] = top, left
             part[2], part[3] = min(top + size, height), min(left + size, width)
@@ -147,24 +151,24 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
 
 @compiled
 def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untyped-def]
-    """Append y * width + x of the corners in a part of the image; gives how many there are now."""
+    """Append y * width + x of the corners in a part of the image; gives their new number."""
     top, left, bottom, right = part
     height, width = bottom - top, right - left
-    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)  # nothing beyond the part counts
+    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)  # pixels beyond the part are ignored
     for y in range(height):
         for x in range(width):
             framed[y + 1, x + 1] = contrast[top + y, left + x]
     is_corner = np.zeros((width + 7) // 8 * 8, dtype=np.uint8)
     eights = is_corner.view(np.uint64)
-    least, one, none = np.uint8(threshold), np.uint8(1), np.uint8(0)
+    minimum, one, none = np.uint8(threshold), np.uint8(1), np.uint8(0)
     for y in range(height):
         above, row, below = framed[y], framed[y + 1], framed[y + 2]
         for x in range(width):
             around = max(max(above[x], above[x + 1]), max(above[x + 2], row[x]))
             around = max(around, max(row[x + 2], max(below[x], max(below[x + 1], below[x + 2]))))
-            is_corner[x] = one if row[x + 1] > max(around, least) else none
+            is_corner[x] = one if row[x + 1] > max(around, minimum) else none
         for eight in range(len(eights)):
-            if eights[eight] == 0:  # as almost everywhere
+            if eights[eight] == 0:  # eight pixels at once; almost always
                 continue
             for x in range(8 * eight, 8 * eight + 8):
                 if is_corner[x]:
@@ -175,9 +179,9 @@ def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untype
 
 @compiled
 def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-def]
-    """Which are kept (N,): the best of every cell, then the second best, …, `count` at most.
+    """Mask (N,) of at most `count` corners, by rank within their cell, then by score.
 
-    Rank in the cell decides, then score; of equal corners the first is kept.
+    Of equal corners the first is kept.
     """
     n = len(scores)
     is_kept = np.ones(n, dtype=np.bool_)

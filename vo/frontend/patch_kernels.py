@@ -1,7 +1,16 @@
-"""Compiled alignment of patches, with rows of pixels padded to what vector registers hold.
+"""Compiled alignment of patches by inverse compositional Gauss-Newton steps.
 
-A padded row costs no more than a shorter one. `weight` is 1 on the patch and 0 on the padding, so
-that no sum sees it.
+The patch T of the reference is aligned with the target I by minimising the squared difference of
+both after subtracting their means and dividing by their standard deviations. Gradients are those
+of T, so the Hessian is computed once (Baker and Matthews, "Lucas-Kanade 20 Years On", 2004). With
+sums over the pixels of a patch:
+
+    hxx = sum gx gx, ...    variance = sum T T,    bx = sum gx T,    cx = sum gx I,
+    ex = gain cx - bx,    gain = sqrt(variance / variance of I),    step = H^-1 (ex, ey).
+
+Layout: buffers are (rows, size) float32; each holds a patch row by row, with rows padded to whole
+vector registers, where a padded row costs no more than a shorter one. `weight` is 1 on the patch
+and 0 on the padding. Pixels lie at `row * stride + column`.
 """
 
 from __future__ import annotations
@@ -12,20 +21,20 @@ from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.projection import MIN_DEPTH, by_cam_from_world, pixel, to_camera
 
 _LANES = 16
-# A patch with so small a correlation after so many steps is given up: of 27,000 in a street and a
-# hall 15 would have been found after all, and a sixth of all steps is saved.
-_HOPELESS_AFTER, _HOPELESS_SCORE = 3, 0.5
-# Squared last step in pixels that ends a search, and that is near enough when there are no more
-# steps. Taking what settles slowly raised mono's ATE on kitti07 by 8 % and lowered it on others
-# (docs/accuracy.md).
-_SETTLED, _NEARLY = 4e-6, 1e-4
+# A patch with a lower correlation after this many steps is rejected, which saves a sixth of all
+# steps; of 27,000 patches in a street and a hall, 15 would have converged later.
+_REJECT_AFTER, _REJECT_SCORE = 3, 0.5
+# Squared last step in pixels at convergence, and the maximum for patches that have not converged
+# in time to be usable. Accepting slower ones raised the mono ATE on kitti07 by 8 % and lowered it
+# on others (docs/accuracy.md).
+_CONVERGED, _NEARLY_CONVERGED = 4e-6, 1e-4
 
 
 @compiled
 def align(  # type: ignore[no-untyped-def]
     references, reference, reference_xy, inverses, targets, target, start_xy, half, iterations
 ):
-    """See `patch_alignment.align_between`; `inverses` may be empty, then nothing is stretched."""
+    """See `patch_alignment.align_between`; `inverses` may be empty, then patches are not warped."""
     count, side = len(reference_xy), 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work = _workspace(half, stride)
@@ -35,17 +44,17 @@ def align(  # type: ignore[no-untyped-def]
     converged, nearly = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     sigma = np.full(count, np.inf)
     patches = references, reference, reference_xy, inverses
-    looked_in = targets, target, start_xy
+    search = targets, target, start_xy
     found = xy, score, converged, nearly, sigma
-    _align_each(patches, looked_in, half, iterations, stride, work, pixels, found)
+    _align_each(patches, search, half, iterations, stride, work, pixels, found)
     return found
 
 
 @compiled(**NO_REFCOUNT)
-def _align_each(patches, looked_in, half, iterations, stride, work, pixels, found):  # type: ignore[no-untyped-def]
-    """Fill what was found; buffers are a workspace and whole numbers for a stretched patch."""
+def _align_each(patches, search, half, iterations, stride, work, pixels, found):  # type: ignore[no-untyped-def]
+    """Align each patch and fill `found`; `work` and `pixels` are buffers."""
     references, reference, reference_xy, inverses = patches
-    targets, target, start_xy = looked_in
+    targets, target, start_xy = search
     xy, score, converged, nearly, sigma = found
     count, side = len(reference_xy), 2 * half + 1
     for n in range(count):
@@ -62,26 +71,31 @@ def _align_each(patches, looked_in, half, iterations, stride, work, pixels, foun
         determinant = hxx * hyy - hxy * hxy
         flat = determinant < np.float32(1e-3) * (hxx + hyy) * (hxx + hyy)
         if flat or variance < np.float32(4.0 * side * side):
-            continue  # an edge or a blank wall: the position along it is not determined
+            continue  # edges and blank walls do not determine the position
         image = targets[target[n]]
         x, y = start_xy[n, 0], start_xy[n, 1]
         x, y, score[n], length = _search(image, x, y, half, stride, sums, iterations, work)
-        converged[n], nearly[n] = length < _SETTLED, length < _NEARLY
+        converged[n], nearly[n] = length < _CONVERGED, length < _NEARLY_CONVERGED
         xy[n, 0], xy[n, 1] = x, y
-        left_over = 2.0 * variance * max(1.0 - score[n], 0.0) / (side * side)
-        sigma[n] = np.sqrt(left_over * 0.5 * (hxx + hyy) / determinant)
+        # Squared residual of the normalised patches, 2 (1 - score) variance, per pixel.
+        noise = 2.0 * variance * max(1.0 - score[n], 0.0) / (side * side)
+        sigma[n] = np.sqrt(noise * 0.5 * (hxx + hyy) / determinant)
 
 
 @compiled
 def _workspace(half, stride):  # type: ignore[no-untyped-def]
-    """Padded patches (8, size): wide, template, gx, gy, rows, weight, across, down."""
+    """Buffers (8, size): wide, template, gx, gy, rows, weight, across, down.
+
+    `wide` is the patch with a margin of one pixel for gradients, `rows` rows of pixels after
+    horizontal interpolation, `across` and `down` the offsets of pixels from the centre.
+    """
     size = (2 * half + 5) * stride
     work = np.zeros((8, size), dtype=np.float32)
     for k in range(size):
         i, j = k // stride, k % stride
         if i <= 2 * half and j <= 2 * half:
             work[5, k] = 1.0
-        # Columns of the padding stay at the patch's edge, and with it inside of the image.
+        # Columns of the padding repeat the edge of the patch, which is inside of the image.
         work[6, k] = min(j, 2 * half + 2) - half - 1
         work[7, k] = i - half - 1
     return work
@@ -89,7 +103,7 @@ def _workspace(half, stride):  # type: ignore[no-untyped-def]
 
 @compiled(**NO_REFCOUNT)
 def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
-    """The patch, one pixel wider on each side; False if that is outside of the image."""
+    """Cut the wide patch by bilinear interpolation; False if it is not inside of the image."""
     height, width = image.shape
     flat = image.reshape(-1)
     left, top, side = x - half - 1, y - half - 1, 2 * half + 3
@@ -106,7 +120,7 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
 
 @compiled(**NO_REFCOUNT)
 def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: ignore[no-untyped-def]
-    """The same for the patch as it looks after the stretch."""
+    """The same for a warped patch; `inverse` (2, 2) maps its offsets to those of the image."""
     height, width = image.shape
     reach, left, top = half + 1, np.inf, np.inf
     for sy in (-reach, reach):
@@ -118,7 +132,7 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
             left, top = min(left, px), min(top, py)
     at = int(top) * width + int(left)
     x, y, size = x - int(left), y - int(top), (2 * half + 3) * stride
-    # Rounding must not lead beyond the last pixel where a patch is stretched over much of an image.
+    # Rounding must not lead beyond the last pixel where a patch covers much of an image.
     farthest = width - 2 - int(left), height - 2 - int(top)
     _stretch(image.reshape(-1)[at:], width, x, y, inverse, farthest, size, work, pixels)
     return True
@@ -126,10 +140,10 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
-    """Blend an even number of rows of pixels with their right neighbours, less `shift`.
+    """Fill `rows` with an even number of rows of pixels, interpolated horizontally, less `shift`.
 
-    Two rows at a time: then LLVM handles 16 numbers at a time, which is the length of a row. One
-    row at a time it would handle 32, and most rows would not be done in vector instructions.
+    Two rows per iteration: LLVM then processes 16 numbers at once, the length of a row. With one
+    row it would choose 32, and most rows would not use vector instructions.
     """
     rows, one, row = work[4], np.uintp(1), np.uintp(stride)
     for i in range(0, count, 2):
@@ -144,6 +158,7 @@ def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignor
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
+    """Fill `wide` with `rows`, interpolated vertically."""
     wide, rows = work[0], work[4]
     for k in range(np.uintp(size)):
         wide[k] = rows[k] + ay * (rows[k + np.uintp(stride)] - rows[k])
@@ -151,12 +166,13 @@ def _blend_columns(size, stride, ay, work):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type: ignore[no-untyped-def]
-    """Fill the wide patch from pixels that lie askew; three loops, so that two are vectors.
+    """Fill the wide patch by bilinear interpolation at warped positions.
 
-    The centre (x, y) is told from the top left corner of what is needed, so that single precision
-    holds places to 1e-5 px and none is negative but for rounding, which becomes 0.
+    Three loops, of which the first and the last are vectorised. The centre (x, y) is relative to
+    the top left corner of the required pixels: single precision then resolves 1e-5 px, and no
+    position is negative except by rounding, which conversion to integers makes 0.
     """
-    wide, share_x, share_y, across, down = work[0], work[2], work[3], work[6], work[7]
+    wide, part_x, part_y, across, down = work[0], work[2], work[3], work[6], work[7]
     place, above, below = pixels[0], pixels[1], pixels[2]
     count, row, one = np.uintp(size), np.int32(width), np.uintp(1)
     x, y = np.float32(x), np.float32(y)
@@ -167,7 +183,7 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
         px = x + xx * across[k] + xy * down[k]
         py = y + yx * across[k] + yy * down[k]
         x0, y0 = min(np.int32(px), right), min(np.int32(py), bottom)
-        share_x[k], share_y[k] = px - np.float32(x0), py - np.float32(y0)
+        part_x[k], part_y[k] = px - np.float32(x0), py - np.float32(y0)
         place[k] = y0 * row + x0
     for k in range(count):
         at = np.uintp(place[k])
@@ -177,13 +193,17 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
     for k in range(count):
         a, b = np.float32(above[k] & 255), np.float32(above[k] >> 8)
         c, d = np.float32(below[k] & 255), np.float32(below[k] >> 8)
-        top, low = a + share_x[k] * (b - a), c + share_x[k] * (d - c)
-        wide[k] = top + share_y[k] * (low - top)
+        top, low = a + part_x[k] * (b - a), c + part_x[k] * (d - c)
+        wide[k] = top + part_y[k] * (low - top)
 
 
 @compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
 def _template(side, stride, work):  # type: ignore[no-untyped-def]
-    """Template and gradients of the wide patch, their means taken off; their sums of products."""
+    """Fill template, gx and gy of the wide patch, without their means; gives the sums.
+
+    Returns:
+        Mean of the template, hxx, hxy, hyy, variance, bx, by.
+    """
     wide, template, gx, gy, weight = work[0], work[1], work[2], work[3], work[5]
     size, row, one = np.uintp(side * stride), np.uintp(stride), np.uintp(1)
     mean_t, mean_gx, mean_gy = np.float32(0), np.float32(0), np.float32(0)
@@ -197,7 +217,7 @@ def _template(side, stride, work):  # type: ignore[no-untyped-def]
         mean_gy += weight[k] * gy[k]
     area = np.float32(side * side)
     mean_t, mean_gx, mean_gy = mean_t / area, mean_gx / area, mean_gy / area
-    # Sums of single precision: they fill the vector registers twice as well.
+    # Single precision, of which a vector register holds twice as many numbers.
     hxx, hxy, hyy = np.float32(1e-6), np.float32(0), np.float32(1e-6)
     variance, bx, by = np.float32(1e-6), np.float32(0), np.float32(0)
     for k in range(size):
@@ -216,7 +236,7 @@ def _template(side, stride, work):  # type: ignore[no-untyped-def]
 
 @compiled(**NO_REFCOUNT)
 def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[no-untyped-def]
-    """Gauss-Newton steps from (x, y): where they end, correlation there, squared last step."""
+    """Gauss-Newton steps from (x, y); gives the final x, y, correlation and squared last step."""
     height, width = image.shape
     flat = image.reshape(-1)
     mean, hxx, hxy, hyy, variance, bx, by = sums
@@ -230,7 +250,8 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
         if at + side * width + stride >= len(flat):
             return x, y, -1.0, np.inf
         ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
-        # Grey levels less the mean of the step before: small numbers lose no digits in squares.
+        # Grey levels less the mean of the previous step: sums of squares of large numbers would
+        # lose digits in single precision.
         _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
         total, squares, cross, cx, cy = _compare(side * stride, stride, ay, work, work[1:4])
         change = total / area
@@ -244,18 +265,18 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
         y -= step_y
         score = cross / np.sqrt(variance * variance_now)
         length = step_x * step_x + step_y * step_y
-        if length < _SETTLED:
+        if length < _CONVERGED:
             break
-        if step + 1 >= _HOPELESS_AFTER and score < _HOPELESS_SCORE:
+        if step + 1 >= _REJECT_AFTER and score < _REJECT_SCORE:
             return x, y, score, np.inf
     return x, y, score, length
 
 
 @compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
 def _compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
-    """Sum and squares of the patch in the target, and its products with template and gradients.
+    """Sums of I, I I, T I, gx I and gy I; the rows of `patch` (3, size or more) are T, gx, gy.
 
-    These are the rows of `patch` (3, size or more).
+    I is interpolated vertically on the fly, so that it is never stored.
     """
     template, gx, gy, rows, weight = patch[0], patch[1], patch[2], work[4], work[5]
     total, squares = np.float32(0), np.float32(0)
@@ -273,7 +294,7 @@ def _compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
 
 @compiled
 def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
-    """Templates with their gradients (N, 3, size), and sums (N, 7), all 0 where there is none."""
+    """Templates with gradients (N, 3, size), and sums (N, 7), 0 where a patch is not usable."""
     side = 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work, size = _workspace(half, stride), side * stride
@@ -282,7 +303,7 @@ def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
     for n in range(len(xy)):
         if _cut(image, xy[n, 0], xy[n, 1], half, stride, work):
             found = _template(side, stride, work)
-            if found[4] >= np.float32(4.0 * side * side):  # else a blank wall
+            if found[4] >= np.float32(4.0 * side * side):  # else blank
                 for k in range(7):
                     sums[n, k] = found[k]
                 for m in range(3):
@@ -295,9 +316,15 @@ def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
 def step_together(  # type: ignore[no-untyped-def]
     templates, sums, image, points, pixel_from_ideal, intrinsics, t, half, noise
 ):
-    """Normal equations of one step of the camera that all patches take part in.
+    """Normal equations of one Gauss-Newton step of the camera, from all patches.
 
-    Returns H (6, 6), b (6,), what H is of a step of one pixel of every patch, and scores (N,).
+        H = sum w (da/dxi)^T (grad grad^T) da/dxi,    b = -sum w (da/dxi)^T grad e,
+
+    with a the image position of a patch, Cauchy's weight w and xi the tangent of exp(xi) @ t.
+
+    Returns:
+        H (6, 6), b (6,), the value of xi^T H xi for a step of one pixel of every patch, and scores
+        (N,), -1 for patches that are not visible.
     """
     side = 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
@@ -329,7 +356,7 @@ def step_together(  # type: ignore[no-untyped-def]
         gain = np.sqrt(variance / variance_now)
         ex, ey = gx * gain - bx, gy * gain - by
         score[n] = cross / np.sqrt(variance * variance_now)
-        # Cauchy: what is left of the patch, per pixel, against the noise.
+        # Cauchy's weight of the mean squared residual per pixel.
         weight = 1.0 / (noise * noise + 2.0 * variance * (1.0 - score[n]) / area)
         by_u, by_v = by_cam_from_world(intrinsics.fx, intrinsics.fy, x, y, iz)
         for m in range(6):
