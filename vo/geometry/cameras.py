@@ -1,4 +1,4 @@
-"""Camera models: from rays to pixels and back."""
+"""Camera models: projection of points to pixels, and rays of pixels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vo.types import Camera, Floats
 def project(camera: Camera, points: Floats) -> Floats:
     """Pixels (N, 2) of points (N, 3) in the camera's frame.
 
-    NaN where the lens model does not reach, and for points that are not in front of the camera.
+    NaN beyond the reach of the lens model, and for points that are not in front of the camera.
     """
     depth = np.where(points[:, 2:3] > 0, points[:, 2:3], np.nan)
     return distort(camera, points[:, :2] / depth)
@@ -20,7 +20,7 @@ def project(camera: Camera, points: Floats) -> Floats:
 def distort(camera: Camera, rays: Floats) -> Floats:
     """Pixels (N, 2) of normalised image points (N, 2) (x/z, y/z).
 
-    NaN where the lens model does not reach, so that a ray from far outside never falls into the
+    NaN beyond the reach of the lens model, so that a ray from far outside never falls into the
     image.
     """
     rays = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
@@ -32,7 +32,7 @@ def distort(camera: Camera, rays: Floats) -> Floats:
 def normalise(camera: Camera, pixels: Floats) -> Floats:
     """Normalised image points (N, 2) (x/z, y/z) of pixels (N, 2): the inverse of `distort`.
 
-    NaN for pixels that no ray in front of the camera reaches (the corners of a fisheye image).
+    NaN for pixels without a ray in front of the camera (the corners of a fisheye image).
     """
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     rays = np.asarray((pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy))

@@ -1,7 +1,7 @@
 """Lens models on normalised image points (x/z, y/z), and their inverses.
 
-A lens polynomial is only good up to where it stops growing: beyond, a ray further out would fall
-further in. Rays there, and points that no ray reaches, are NaN.
+A distortion polynomial is valid as far as it increases (its reach): beyond, rays at larger angles
+would fall nearer to the centre. Rays beyond, and points without a ray, are NaN.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _BISECTIONS = 60
 _ACCEPTED = 1e-9
 """Largest residual of an inverse in normalised units: a millionth of a pixel or less."""
 
-_WIDEST_RADIUS = 20.0
-"""tan of 87 degrees; a polynomial that still grows here is taken to grow on."""
+_MAX_RADIUS = 20.0
+"""tan of 87 degrees; a polynomial that increases up to here is taken to increase on."""
 
 
 def distort_rays(camera: Camera, rays: Floats) -> Floats:
-    """Where the lens moves normalised points (N, 2); NaN beyond its reach."""
+    """Distorted points (N, 2) of normalised points (N, 2); NaN beyond the reach of the lens."""
     match camera.distortion_model:
         case "equidistant":
             return _equidistant(camera, rays)
@@ -40,7 +40,7 @@ def distort_rays(camera: Camera, rays: Floats) -> Floats:
 
 
 def undistort_rays(camera: Camera, moved: Floats) -> Floats:
-    """The inverse of `distort_rays` on (N, 2); NaN where there is none."""
+    """Inverse of `distort_rays` on (N, 2); NaN where there is none."""
     match camera.distortion_model:
         case "equidistant":
             return _equidistant_inverse(camera, moved)
@@ -56,7 +56,7 @@ def undistort_rays(camera: Camera, moved: Floats) -> Floats:
 
 
 def centre_scale(camera: Camera) -> float:
-    """How much the lens magnifies what is on the optical axis, against a pinhole camera's 1."""
+    """Magnification on the optical axis relative to a pinhole camera."""
     if camera.distortion_model in ("double_sphere", "omni"):
         return 1.0 / (1.0 + camera.distortion[0])
     return 1.0
@@ -64,7 +64,7 @@ def centre_scale(camera: Camera) -> float:
 
 @lru_cache(maxsize=16)
 def angle_reach(coefficients: tuple[float, ...]) -> float:
-    """The largest angle from the axis at which an `equidistant` lens holds, at most pi/2."""
+    """Maximum valid angle from the axis of an `equidistant` lens, at most pi/2."""
     angles = np.linspace(0.0, np.pi / 2, 4001)
     _, slope = _angle_polynomial(coefficients, angles)
     folds = np.flatnonzero(slope <= 0)
@@ -73,8 +73,8 @@ def angle_reach(coefficients: tuple[float, ...]) -> float:
 
 @lru_cache(maxsize=16)
 def radial_reach(coefficients: tuple[float, ...]) -> float:
-    """The largest radius of points at which a `radtan` lens holds; infinity if at all."""
-    radii = np.linspace(0.0, _WIDEST_RADIUS, 20001)
+    """Maximum valid radius of normalised points of a `radtan` lens; infinite if unlimited."""
+    radii = np.linspace(0.0, _MAX_RADIUS, 20001)
     radial, slope = radtan_kernels.radial(_eight(coefficients), radii**2)
     # A rational model past its pole changes sign or jumps down.
     folds = np.flatnonzero(~(radial + 2.0 * radii**2 * slope > 0) | ~(radial > 0))
@@ -82,7 +82,7 @@ def radial_reach(coefficients: tuple[float, ...]) -> float:
 
 
 def _radtan(coefficients: tuple[float, ...], rays: Floats) -> Floats:
-    """Source: Brown, Decentering Distortion of Lenses, 1966; the rational form is OpenCV's."""
+    """Source: Brown, "Decentering Distortion of Lenses", 1966; the rational form is OpenCV's."""
     reach = radial_reach(coefficients)
     moved = radtan_kernels.distort(_eight(coefficients), np.ascontiguousarray(rays), reach)
     return np.asarray(moved)
@@ -96,14 +96,14 @@ def _radtan_inverse(coefficients: tuple[float, ...], moved: Floats) -> Floats:
 
 
 def _eight(coefficients: tuple[float, ...]) -> Floats:
-    """k1, k2, p1, p2, k3, k4, k5, k6; those that are not given are 0."""
+    """k1, k2, p1, p2, k3, k4, k5, k6, with zeros for missing ones."""
     return np.array((*coefficients, *[0.0] * 8)[:8])
 
 
 def _angle_polynomial(coefficients: tuple[float, ...], angle: Floats) -> tuple[Floats, Floats]:
-    """The moved radius of angles from the axis, and its derivative.
+    """Distorted radius of angles from the axis, and its derivative.
 
-    Source: Kannala and Brandt, A Generic Camera Model, 2006, eq. 6.
+    Source: Kannala and Brandt, "A Generic Camera Model", 2006, eq. 6.
     """
     k1, k2, k3, k4 = coefficients
     a2 = angle * angle
@@ -116,9 +116,9 @@ def _equidistant(camera: Camera, rays: Floats) -> Floats:
     radius = np.hypot(rays[:, 0], rays[:, 1])
     angle = np.arctan(radius)
     moved, _ = _angle_polynomial(camera.distortion, angle)
-    share = np.where(radius > 1e-9, moved / np.maximum(radius, 1e-300), 1.0)
-    share[angle > angle_reach(camera.distortion)] = np.nan
-    return np.asarray(rays * share[:, None])
+    ratio = np.where(radius > 1e-9, moved / np.maximum(radius, 1e-300), 1.0)
+    ratio[angle > angle_reach(camera.distortion)] = np.nan
+    return np.asarray(rays * ratio[:, None])
 
 
 def _equidistant_inverse(camera: Camera, moved: Floats) -> Floats:
@@ -145,7 +145,7 @@ def _equidistant_inverse(camera: Camera, moved: Floats) -> Floats:
 
 
 def _angle_by_bisection(coefficients: tuple[float, ...], radius: Floats) -> Floats:
-    """Angles whose moved radius is `radius` (N,); up to `angle_reach` it increases."""
+    """Angles of distorted radii (N,), which increase up to `angle_reach`."""
     low, high = np.zeros(len(radius)), np.full(len(radius), angle_reach(coefficients))
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

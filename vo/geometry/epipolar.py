@@ -1,4 +1,4 @@
-"""Two views of a scene: essential matrix and homography, with their symmetric errors."""
+"""Essential matrix and homography of two views, with their symmetric errors."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ import numpy as np
 from vo.geometry.transforms import make_transform, skew
 from vo.types import Bools, Floats
 
-# Depth in lengths of the translation up to which points have a say in the sign of the motion.
-# OpenCV's own 50 leaves none where the camera has moved little, and then any of the four wins.
-_FARTHEST = 1e6
+# Maximum depth, in lengths of the translation, of points used in the cheirality check. OpenCV's
+# default of 50 excludes all points after a small motion, and the choice of the motion is arbitrary.
+_MAX_DEPTH = 1e6
 
 
 def find_essential(
     first: Floats, second: Floats, matrix: Floats, threshold_px: float
 ) -> tuple[Floats, Bools] | None:
-    """Essential matrix of ideal pixels (N, 2) in two views, and its inliers; None if undetermined.
+    """Essential matrix of undistorted pixels (N, 2) in two views, and its inliers (N,).
 
-    Source: Nister 2004 (five points) inside OpenCV's USAC; plain RANSAC where that gives nothing.
+    None if it is not determined.
+
+    Source: Nister, "An efficient solution to the five-point relative pose problem", 2004, in
+        OpenCV's USAC, or plain RANSAC if that fails.
     """
     if len(first) < 8:
         return None
@@ -34,14 +37,14 @@ def find_essential(
 def recover_motion(
     essential: Floats, first: Floats, second: Floats, matrix: Floats, inlier: Bools
 ) -> Floats:
-    """second_from_first (4, 4), with a translation of length 1, that puts most points in front."""
+    """second_from_first (4, 4), of unit translation, with most points in front of both cameras."""
     mask = inlier.astype(np.uint8)[:, None].copy()
     _, rotation, translation, _, _ = cv2.recoverPose(
         essential,
         np.ascontiguousarray(first),
         np.ascontiguousarray(second),
         np.ascontiguousarray(matrix),
-        distanceThresh=_FARTHEST,
+        distanceThresh=_MAX_DEPTH,
         mask=mask,
     )
     return make_transform(rotation, translation)
@@ -62,9 +65,12 @@ def find_homography(
 
 
 def motions_of_homography(homography: Floats, matrix: Floats) -> list[Floats]:
-    """The up to four second_from_first (4, 4), of unit translation, that a homography allows.
+    """Decompose a homography into up to four second_from_first (4, 4) of unit translation.
 
-    Source: Malis and Vargas 2007, as in OpenCV. Without translation the list is empty.
+    Without translation the list is empty.
+
+    Source: Malis and Vargas, "Deeper understanding of the homography decomposition", 2007, as in
+        OpenCV.
     """
     _, rotations, translations, _ = cv2.decomposeHomographyMat(homography, matrix)
     motions = []
@@ -76,7 +82,7 @@ def motions_of_homography(homography: Floats, matrix: Floats) -> list[Floats]:
 
 
 def fundamental_from_motion(second_from_first: Floats, matrix: Floats) -> Floats:
-    """F with x_second^T F x_first = 0 for pixels."""
+    """Fundamental matrix F (3, 3), x_second^T F x_first = 0 for homogeneous pixels."""
     essential = skew(second_from_first[:3, 3]) @ second_from_first[:3, :3]
     inverse = np.linalg.inv(matrix)
     return np.asarray(inverse.T @ essential @ inverse)

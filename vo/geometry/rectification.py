@@ -1,9 +1,9 @@
-"""From recorded images to those that the odometry works on, and from its pixels back.
+"""Rectification: recorded images to the images of ideal pinhole cameras, and pixels back.
 
-Stereo pairs are rectified whole (rows correspond, no distortion), and so are images of a wide lens:
-patches keep their shape and pixels their precision there (a 195 degree lens by hand in a room with
-one camera: ATE 0.004 m instead of 0.020 m). Other images of a single camera stay as recorded; only
-the positions of features are undistorted, which is cheaper and keeps every pixel.
+Images of stereo pairs are remapped (rows correspond, no distortion), and so are those of wide
+lenses, where patches then keep their shape and pixels their precision (195 degree lens, hand-held
+in a room, mono: ATE 0.004 m instead of 0.020 m). Other images of a single camera stay as recorded;
+only positions of features are undistorted, which is cheaper and keeps every pixel.
 """
 
 from __future__ import annotations
@@ -23,37 +23,38 @@ from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.types import Bytes, Camera, Floats, Floats32, Rig
 
 _Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
-# A place outside every image, for what a lens does not see; OpenCV's maps hold 16 bits.
+# A pixel outside of every image, for rays that a lens does not see; OpenCV's maps have 16 bits.
 _OUTSIDE_PX = -10000.0
-# Neighbours in a map are less apart than this, unless one of them is outside.
+# Maximum distance of neighbours in a map, unless one of them is outside of the image.
 _TORN_PX = 100.0
-# The standard deviation of a disparity, 0.4 px, is then one of 1 cm in 2 m and of 6 cm in 5 m
-# (fx = 525): about what structured light and time of flight keep to.
+# Depth is converted to disparity at this baseline. The standard deviation of a disparity, 0.4 px,
+# then means 1 cm at 2 m and 6 cm at 5 m (fx = 525), about that of structured light and time of
+# flight.
 VIRTUAL_BASELINE_M = 0.3
-# Beyond this angle from the optical axis the ideal pinhole camera stretches pixels too far.
+# Beyond 75 degrees from the optical axis a pinhole camera stretches pixels too far.
 _MAX_RAY = np.tan(np.deg2rad(75.0))
 
 
 @dataclass(frozen=True, eq=False)
 class RectifiedRig:
-    """The ideal pinhole cameras that the odometry computes with.
+    """Ideal pinhole cameras, left and right with the same intrinsics, and the way to them.
 
     Attributes:
         fx: focal length along u in pixels.
         fy: focal length along v.
         cx: principal point, u.
         cy: principal point, v.
-        baseline_m: distance from the left to the right camera, 0 in mono; where depth is measured,
-            that to a right camera that is not there (`VIRTUAL_BASELINE_M`).
-        cam0_from_rectified: (4, 4) turns the rectified left camera into the recorded cam0.
-        lens: the distorted camera whose images are used as recorded, or None if there is nothing
-            to undo; with its error corrected.
-        maps: OpenCV's rectification maps of each camera, None for images that are used as is.
-        k1_error: k1 of that lens minus its calibrated value.
-        disparity_offset_px: what a slightly wrong calibration adds to every disparity.
-        disparity_curve_px: what it adds besides at one focal length from the image's middle, with
-            the square of the distance, left and right.
-        offset_is_yaw: whether the offset is there because the right camera looks sideways.
+        baseline_m: distance from the left to the right camera, 0 in mono, `VIRTUAL_BASELINE_M` for
+            cameras with depth.
+        cam0_from_rectified: (4, 4) rotation from the rectified left camera to the recorded cam0.
+        lens: the distorted camera, with its error corrected, whose images are used as recorded;
+            None without distortion.
+        maps: OpenCV's rectification maps of each camera, None for images used as recorded.
+        k1_error: corrected k1 of that lens minus its calibrated value.
+        disparity_offset_px: error of all disparities.
+        disparity_curve_px: further error of disparities, times the squared horizontal distance from
+            the principal point in focal lengths.
+        offset_is_yaw: whether the offset is due to a yaw of the right camera.
     """
 
     width: int
@@ -73,7 +74,7 @@ class RectifiedRig:
 
     @property
     def matrix(self) -> Floats:
-        """The (3, 3) camera matrix of both working cameras."""
+        """The (3, 3) camera matrix of both rectified cameras."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
@@ -83,80 +84,80 @@ class RectifiedRig:
 
     @property
     def is_stereo(self) -> bool:
-        """Whether there is a right camera, or depth that stands for it."""
+        """Whether there is a right camera, or depth in its place."""
         return self.baseline_m > 0.0
 
     def rectify(self, image: Bytes, side: int) -> Bytes:
-        """The working image of cam0 (side 0) or cam1 (side 1)."""
+        """Rectified image of cam0 (side 0) or cam1 (side 1)."""
         maps = self.maps[side]
         if maps is None:
             return image
         return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def rectify_depth(self, depth: Floats32) -> Floats32:
-        """Depth at the pixels of the working image: moved, never mixed, as edges are in it."""
+        """Depth at the pixels of the rectified image; nearest neighbour, because of edges."""
         if self.maps[0] is None:
             return depth
         nearest = cv2.remap(depth, self.maps[0][0], None, cv2.INTER_NEAREST)
         return np.asarray(nearest, dtype=np.float32)
 
     def with_right_corrected(self, errors: VerticalDisparity) -> RectifiedRig:
-        """The same rig whose right images are taken from where points are really seen."""
+        """The same rig with right images remapped to correct `errors`."""
         v, u = np.ogrid[: self.height, : self.width]
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         at_u = (u + errors.horizontal_px(x, y)).astype(np.float32)
         at_v = (v + errors.vertical_px(x, y)).astype(np.float32)
         if self.maps[1] is not None:
             recorded = cv2.convertMaps(*self.maps[1], cv2.CV_32FC1)
-            at_u, at_v = (_looked_up(side, at_u, at_v) for side in recorded)
+            at_u, at_v = (_interpolated(side, at_u, at_v) for side in recorded)
         return replace(self, maps=(self.maps[0], cv2.convertMaps(at_u, at_v, cv2.CV_16SC2)))
 
     def with_k1_error(self, k1: float) -> RectifiedRig:
-        """The same rig with a lens whose k1 is larger by so much than calibrated."""
-        return replace(self, lens=_bent(self.lens_or_pinhole, k1 - self.k1_error), k1_error=k1)
+        """The same rig with a lens whose k1 exceeds its calibrated value by `k1`."""
+        return replace(self, lens=_with_k1(self.lens_or_pinhole, k1 - self.k1_error), k1_error=k1)
 
     @property
     def lens_or_pinhole(self) -> Camera:
-        """The lens; one that distorts nothing where there is none."""
+        """The lens, or a `radtan` lens without distortion."""
         size = self.width, self.height
         ideal = Camera(*size, *self.intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
         return self.lens or ideal
 
     def disparity_error(self, right_u: Floats) -> Floats:
-        """What the calibration adds to disparities of points at columns (N,) on the right."""
+        """Errors (N,) of disparities at horizontal positions (N,) in the right image, in pixels."""
         x = (right_u - self.cx) / self.fx
         return np.asarray(self.disparity_offset_px + self.disparity_curve_px * x**2)
 
     def undistort(self, xy: Floats | Floats32) -> Floats:
-        """Ideal pinhole pixels (N, 2) of working-image pixels (N, 2); NaN far off the axis."""
+        """Undistorted pixels (N, 2) of rectified image pixels (N, 2); NaN beyond 75 degrees."""
         at = np.asarray(xy, dtype=np.float64)
         if self.lens is None:
             return at
         rays = cameras.normalise(self.lens, at)
-        if self.k1_error != 0.0:  # with which it may not reach as far
+        if self.k1_error != 0.0:  # the corrected lens may have a smaller reach
             beyond = np.isnan(rays).any(axis=1)
-            rays[beyond] = cameras.normalise(_bent(self.lens, -self.k1_error), at[beyond])
+            rays[beyond] = cameras.normalise(_with_k1(self.lens, -self.k1_error), at[beyond])
         rays[np.linalg.norm(rays, axis=1) > _MAX_RAY] = np.nan
         return np.asarray(rays * (self.fx, self.fy) + (self.cx, self.cy))
 
     def distort(self, xy: Floats) -> Floats:
-        """Working-image pixels (N, 2) of ideal pinhole pixels (N, 2)."""
+        """Rectified image pixels (N, 2) of undistorted pixels (N, 2)."""
         if self.lens is None:
             return xy
         return cameras.distort(self.lens, (xy - (self.cx, self.cy)) / (self.fx, self.fy))
 
     def project(self, points: Floats) -> Floats:
-        """Ideal pixels (N, 2) of points (N, 3) in the working camera's frame."""
+        """Undistorted pixels (N, 2) of points (N, 3) in the rectified camera's frame."""
         return np.asarray(points[:, :2] / points[:, 2:] * (self.fx, self.fy) + (self.cx, self.cy))
 
     def back_project(self, xy: Floats, depth: Floats) -> Floats:
-        """Points (N, 3) in the working camera's frame at ideal pixels (N, 2) and depths (N,)."""
+        """Points (N, 3) in the rectified camera's frame at undistorted pixels and depths (N,)."""
         rays = (xy - (self.cx, self.cy)) / (self.fx, self.fy)
         return np.column_stack([rays * depth[:, None], depth])
 
 
 def rectified_rig(rig: Rig) -> RectifiedRig:
-    """Choose the working cameras of a rig, and what it takes to get there.
+    """Choose rectified cameras for a rig, and compute their maps.
 
     Raises:
         CalibrationError: cam1 is not to the right of cam0.
@@ -181,8 +182,8 @@ def _single(c: Camera, baseline: float) -> RectifiedRig:
     return RectifiedRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), None, maps)
 
 
-def _bent(lens: Camera, k1: float) -> Camera:
-    """A `radtan` lens whose k1 is larger by so much."""
+def _with_k1(lens: Camera, k1: float) -> Camera:
+    """A `radtan` lens with `k1` added to its own."""
     first, *others = lens.distortion
     return replace(lens, distortion=(first + k1, *others))
 
@@ -227,12 +228,12 @@ def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> RectifiedRig:
 
 
 def _is_wide(camera: Camera) -> bool:
-    """Whether the lens is of a model that OpenCV's `stereoRectify` does not know."""
+    """Whether OpenCV's `stereoRectify` does not support the lens model."""
     return camera.distortion_model not in ("none", "radtan")
 
 
 def _central_focal(camera: Camera) -> tuple[float, float]:
-    """Focal lengths of the pinhole camera that shows what is on the axis at the same size."""
+    """Focal lengths of the pinhole camera with the same magnification on the axis."""
     scale = centre_scale(camera)
     return scale * camera.fx, scale * camera.fy
 
@@ -240,11 +241,16 @@ def _central_focal(camera: Camera) -> tuple[float, float]:
 def _wide_rectification(
     a: Camera, b: Camera, rotation: Floats, translation: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Rotate both cameras half-way, then x along the baseline (Fusiello et al., 2000).
+    """Rotate both cameras half-way towards each other, then align x with the baseline.
 
-    OpenCV's own fisheye version chooses focal lengths that cut the image to a small part; here
-    both working cameras keep the mean focal length (on the axis) and principal point of the
-    recorded ones: 100 to 120 degrees of a usual fisheye, of which nothing is shrunk.
+    OpenCV's fisheye version chooses focal lengths that crop the image to a small part. Here both
+    cameras get the mean focal length (on the axis) and principal point of the recorded ones: 100
+    to 120 degrees of a usual fisheye, nowhere reduced in size.
+
+    Returns:
+        Rotations (3, 3) of both cameras and projections (3, 4), as `cv2.stereoRectify`.
+
+    Source: Fusiello et al., "A compact algorithm for rectification of stereo pairs", 2000.
     """
     half, _ = cv2.Rodrigues(-0.5 * cv2.Rodrigues(rotation)[0])
     along = (half @ translation).reshape(3)
@@ -278,7 +284,7 @@ def _narrow_maps(
 def _wide_maps(
     camera: Camera, rotation: Floats, projection: Floats, size: tuple[int, int]
 ) -> _Maps:
-    """Where each working pixel is in the recorded image; outside of it what the lens cannot see."""
+    """Maps to the recorded image, outside of it for rays that the lens does not see."""
     v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)
     pixels = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)])
     rays = pixels @ np.linalg.inv(projection[:, :3]).T @ rotation
@@ -288,14 +294,14 @@ def _wide_maps(
     return first, second
 
 
-def _looked_up(values: Floats32, u: Floats32, v: Floats32) -> Floats32:
-    """Values of a map between its pixels, and outside of it what lies outside of every image."""
+def _interpolated(values: Floats32, u: Floats32, v: Floats32) -> Floats32:
+    """Values of a map at positions between its pixels; `_OUTSIDE_PX` where it has none."""
 
-    def looked_up(how: int) -> Floats32:
-        found = cv2.remap(values, u, v, how, None, cv2.BORDER_CONSTANT, _OUTSIDE_PX)
+    def remapped(interpolation: int) -> Floats32:
+        found = cv2.remap(values, u, v, interpolation, None, cv2.BORDER_CONSTANT, _OUTSIDE_PX)
         return np.asarray(found, dtype=np.float32)
 
-    between, nearest = looked_up(cv2.INTER_LINEAR), looked_up(cv2.INTER_NEAREST)
+    between, nearest = remapped(cv2.INTER_LINEAR), remapped(cv2.INTER_NEAREST)
     is_torn = np.abs(between - nearest) > _TORN_PX
     return np.where(is_torn, np.float32(_OUTSIDE_PX), between)
 

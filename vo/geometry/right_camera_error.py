@@ -1,4 +1,4 @@
-"""What errors of rows say of the right camera of a pair, and whether they are worth correcting."""
+"""Error of the right camera of a pair from its vertical disparity, and when to correct it."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from vo.geometry.vertical_disparity_model import (
 )
 from vo.types import Floats
 
-_SURE = 2.0  # standard deviations
-# Less is left alone: nothing is lost by it, and images that are used as recorded stay as they are.
-_WORTH_PX, _WORTH_WITH_SKEW_PX = 0.5, 2.0
+_SIGNIFICANT = 2.0  # standard deviations
+# Smaller errors do no harm, and without correction images that are used as recorded stay so.
+_MIN_PX, _MIN_WITH_SKEW_PX = 0.5, 2.0
 
 
 def is_worth_correcting(fitted: FittedVerticalDisparity, rig: RectifiedRig) -> bool:
-    """Whether errors at the corners of the image are large and surely there."""
+    """Whether errors at the corners of the image are large and significant."""
     x, y = _corners(rig)
-    sure = np.abs(fitted.errors.vertical_px(x, y)) > _SURE * vertical_disparity_sigma(fitted, x, y)
+    vertical = np.abs(fitted.errors.vertical_px(x, y))
+    significant = vertical > _SIGNIFICANT * vertical_disparity_sigma(fitted, x, y)
     without_skew = fitted.errors._replace(skew_px=0.0)
-    along = np.maximum(
+    no_skew = np.maximum(
         np.abs(without_skew.vertical_px(x, y)), np.abs(without_skew.horizontal_px(x, y))
     )
-    across = np.abs(fitted.errors.vertical_px(x, y))
-    return bool((sure & ((along > _WORTH_PX) | (across > _WORTH_WITH_SKEW_PX))).any())
+    return bool((significant & ((no_skew > _MIN_PX) | (vertical > _MIN_WITH_SKEW_PX))).any())
 
 
 def largest_change(one: VerticalDisparity, other: VerticalDisparity, rig: RectifiedRig) -> float:
-    """By how many pixels two corrections differ at the corners of the image, at most."""
+    """Maximum difference of two corrections at the corners of the image, in pixels."""
     x, y = _corners(rig)
-    rows = one.vertical_px(x, y) - other.vertical_px(x, y)
-    columns = one.horizontal_px(x, y) - other.horizontal_px(x, y)
-    return float(max(np.abs(rows).max(), np.abs(columns).max()))
+    vertical = one.vertical_px(x, y) - other.vertical_px(x, y)
+    horizontal = one.horizontal_px(x, y) - other.horizontal_px(x, y)
+    return float(max(np.abs(vertical).max(), np.abs(horizontal).max()))
 
 
 def right_camera_error(corrected: VerticalDisparity, rig: RectifiedRig) -> RightCameraError | None:
-    """The same in words of the right camera, and how it looks sideways, if that is known."""
+    """Corrected errors as angles and zoom of the right camera; None if nothing is corrected."""
     yaw_px = -rig.disparity_offset_px if rig.offset_is_yaw else 0.0
     if corrected == VerticalDisparity() and yaw_px == 0.0:
         return None
@@ -53,6 +53,6 @@ def right_camera_error(corrected: VerticalDisparity, rig: RectifiedRig) -> Right
 
 
 def _corners(rig: RectifiedRig) -> tuple[Floats, Floats]:
-    """Those of the image, in pixels from the principal point over focal length."""
+    """Normalised x and y of the image's corners."""
     u, v = np.array([(u, v) for u in (0, rig.width - 1) for v in (0, rig.height - 1)]).T
     return (u - rig.cx) / rig.fx, (v - rig.cy) / rig.fy

@@ -8,7 +8,8 @@ import numpy as np
 
 from vo.types import Floats
 
-_ROUNDED = 1e-8  # what a rotation is off by, of which one step leaves the square
+# Maximum error of a rotation for a single Newton step, which leaves its square.
+_MAX_ROUNDING = 1e-8
 
 
 def make_transform(rotation: Floats, translation: Floats) -> Floats:
@@ -21,7 +22,7 @@ def make_transform(rotation: Floats, translation: Floats) -> Floats:
 
 
 def whole_transforms(rows: Floats) -> Floats:
-    """(N, 4, 4) transforms of their first three rows (N, 3, 4)."""
+    """Append the row 0 0 0 1 to transforms (N, 3, 4)."""
     result = np.zeros((len(rows), 4, 4))
     result[:, :3] = rows
     result[:, 3, 3] = 1.0
@@ -30,7 +31,7 @@ def whole_transforms(rows: Floats) -> Floats:
 
 def inverse(a_from_b: Floats) -> Floats:
     """b_from_a of one (4, 4) or many (..., 4, 4) transforms."""
-    if a_from_b.ndim == 2:  # in two thirds of the time
+    if a_from_b.ndim == 2:  # two thirds of the time of the general case
         rotation = a_from_b[:3, :3].T
         return make_transform(rotation, -(rotation @ a_from_b[:3, 3]))
     result = np.zeros_like(a_from_b)
@@ -42,7 +43,7 @@ def inverse(a_from_b: Floats) -> Floats:
 
 
 def transform_points(a_from_b: Floats, points: Floats) -> Floats:
-    """Carry (N, 3) points from frame b to frame a."""
+    """Transform (N, 3) points from frame b to frame a."""
     return np.asarray(points @ a_from_b[:3, :3].T + a_from_b[:3, 3])
 
 
@@ -63,7 +64,7 @@ def so3_exp(rotvec: Floats) -> Floats:
 
 
 def so3_log(rotation: Floats) -> Floats:
-    """Rotation vector in radians of a (3, 3) rotation, its angle in [0, pi]."""
+    """Rotation vector in radians of a (3, 3) rotation, with an angle in [0, pi]."""
     quat = quat_xyzw_from_rotation(rotation)
     if quat[3] < 0:
         quat = -quat
@@ -102,26 +103,26 @@ def interpolate(first: Floats, second: Floats, share: float) -> Floats:
 
 
 def orthonormalised(transform: Floats) -> Floats:
-    """The same transform with its rotation made exactly orthonormal, the nearest there is.
+    """The same transform with the nearest orthonormal rotation.
 
-    What rounding has made of a rotation is mended by a step of Newton's, at a fifth of the time;
-    anything else goes through an SVD.
+    Errors of rounding are corrected by one step of Newton's method, in a fifth of the time of the
+    SVD that is used otherwise.
 
     Source: Higham, "Computing the polar decomposition", 1986, eq. 3.1.
     """
     matrix = transform[:3, :3]
-    # Half of the matrix and of its inverse transposed, whose rows are cross products.
+    # Mean of the matrix and its inverse transposed, whose rows are cross products.
     rows: list[list[float]] = matrix.tolist()
     inverse_rows = [_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])]
     determinant = sum(a * b for a, b in zip(rows[0], inverse_rows[0], strict=True))
-    if abs(determinant - 1.0) < _ROUNDED:
+    if abs(determinant - 1.0) < _MAX_ROUNDING:
         rotation = np.array(
             [
                 [0.5 * (a + b / determinant) for a, b in zip(row, other, strict=True)]
                 for row, other in zip(rows, inverse_rows, strict=True)
             ]
         )
-        if np.abs(rotation - matrix).max() < _ROUNDED:
+        if np.abs(rotation - matrix).max() < _MAX_ROUNDING:
             return make_transform(rotation, transform[:3, 3])
     u, _, vt = np.linalg.svd(matrix)
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
@@ -154,7 +155,7 @@ def quat_xyzw_from_rotation(rotation: Floats) -> Floats:
 
 
 def quat_xyzw_of_rows(m: list[list[float]]) -> list[float]:
-    """The same of rows of numbers, in which it takes a fraction of the time that arrays take."""
+    """The same of nested lists, much faster than arrays."""
     trace = m[0][0] + m[1][1] + m[2][2]
     candidates = (m[0][0], m[1][1], m[2][2], trace)
     i = candidates.index(max(candidates))
@@ -175,6 +176,7 @@ def quat_xyzw_of_rows(m: list[list[float]]) -> list[float]:
 
 
 def _left_jacobian(rotvec: Floats) -> Floats:
+    """Left Jacobian (3, 3) of SO(3)."""
     angle = float(np.linalg.norm(rotvec))
     k = skew(rotvec)
     if angle < 1e-6:

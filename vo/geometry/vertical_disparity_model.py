@@ -1,9 +1,8 @@
-"""By how much rows of a rectified pair differ, and what that says of the right camera.
+"""Vertical disparity of a rectified pair as a function of the errors of the right camera.
 
-In a rectified pair a point has the same row in both images. Where a camera was bumped, or its lens
-was focused after it had been calibrated, rows differ in a way that depends on the place in the
-image, and so do disparities, which cannot be seen: turned about its axis by w the right image
-has rows that are off by w x and disparities that are off by w y.
+In a rectified pair a point is in the same row of both images. If a camera was bumped, or its lens
+refocused after calibration, rows differ, depending on the position in the image. Disparities are
+wrong too, which cannot be observed: a roll by w adds w x to rows and w y to disparities.
 """
 
 from __future__ import annotations
@@ -15,27 +14,27 @@ import numpy as np
 from vo.geometry.quantiles import median
 from vo.types import Bools, Floats
 
-_ROUNDS = 20
-_NOISE_PX = 0.1  # rows are not known better than that, however well they fit
-# Neighbouring points err together: from frame to frame what is fitted to KITTI's cameras differs
-# by five times what independent points would leave.
-_TOGETHER = 25.0
-# Standard deviations of the terms before anything was seen. A narrow lens hardly tells zoom from
-# bend, and seldom has any.
-_USUAL_PX = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
+_ITERATIONS = 20
+_MIN_SIGMA_PX = 0.1  # of rows, however well they fit
+# Errors of neighbouring points are correlated: from frame to frame, fits to KITTI's cameras vary by
+# five times the standard deviation for independent points. Factor for variances.
+_CORRELATION = 25.0
+# Prior standard deviations of the terms. A narrow lens hardly separates zoom from bend, and rarely
+# has bend.
+_PRIOR_SIGMA_PX = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
 
 
 class VerticalDisparity(NamedTuple):
-    """The right image against what its calibration says; x, y are pixels over focal length.
+    """Errors of the right camera in pixels; x, y are normalised image coordinates.
 
     Attributes:
-        pitch_px: it looks up or down by this; rows differ by pitch (1 + y^2).
-        roll_px: it is turned about its axis; rows differ by roll x.
-        zoom_px: it is larger; rows differ by zoom y.
-        bend_px: its lens bends more; rows differ by bend y (x^2 + y^2).
-        skew_px: rows differ by skew x y. A camera that looks sideways does that, but also a lens
-            whose centre or tangential distortion is wrong, which errs otherwise along rows;
-            so nothing is concluded from it (KITTI's cameras have 6 to 9 px).
+        pitch_px: rotation up or down; vertical disparity pitch (1 + y^2).
+        roll_px: rotation about the optical axis; roll x.
+        zoom_px: error of the focal length; zoom y.
+        bend_px: error of the radial distortion; bend y (x^2 + y^2).
+        skew_px: skew x y. Yaw causes it, but so do errors of the principal point and of tangential
+            distortion, with other horizontal errors; so no horizontal error is derived from it
+            (KITTI's cameras have 6 to 9 px).
     """
 
     pitch_px: float = 0.0
@@ -45,49 +44,60 @@ class VerticalDisparity(NamedTuple):
     skew_px: float = 0.0
 
     def vertical_px(self, x: Floats, y: Floats) -> Floats:
-        """How much lower than expected a point is seen that should be at (x, y)."""
+        """Vertical displacement of points at (x, y) in the right image, positive downwards."""
         rows = self.pitch_px * (1.0 + y * y) + self.roll_px * x + self.zoom_px * y
         return np.asarray(rows + self.bend_px * y * (x * x + y * y) + self.skew_px * x * y)
 
     def horizontal_px(self, x: Floats, y: Floats) -> Floats:
-        """How much farther to the right, as far as rows tell."""
+        """Horizontal displacement, positive to the right, as far as it follows from rows."""
         columns = self.pitch_px * x * y - self.roll_px * y + self.zoom_px * x
         return np.asarray(columns + self.bend_px * x * (x * x + y * y))
 
 
 class FittedVerticalDisparity(NamedTuple):
-    """Errors of rows, and their covariance (5, 5)."""
+    """Fitted errors and their covariance (5, 5)."""
 
     errors: VerticalDisparity
     covariance: Floats
 
 
 class VerticalDisparityFit:
-    """Gathers what pairs say of errors of rows."""
+    """Robust least-squares fit of `VerticalDisparity` to the points of any number of pairs."""
 
     def __init__(self) -> None:
-        self._information = np.diag(_USUAL_PX**-2.0)
-        self._vector = np.zeros(len(_USUAL_PX))
+        self._information = np.diag(_PRIOR_SIGMA_PX**-2.0)
+        self._vector = np.zeros(len(_PRIOR_SIGMA_PX))
 
-    def add(self, x: Floats, y: Floats, rows_px: Floats) -> Bools:
-        """Take in a pair's points (N,), many of which may be wrong matches; which ones agree.
+    def add(self, x: Floats, y: Floats, vertical_px: Floats) -> Bools:
+        """Add the points of a pair, many of which may be wrong matches.
 
-        Iteratively reweighted least squares with Cauchy weights, from the median on.
+        Iteratively reweighted least squares with Cauchy weights, starting from the median.
+
+        Args:
+            x: (N,) normalised image coordinates.
+            y: (N,) the same.
+            vertical_px: (N,) row in the right image minus row in the left.
+
+        Returns:
+            Mask (N,) of points within three standard deviations of the fit.
         """
-        terms, usual = _terms(x, y), np.diag(_USUAL_PX**-2.0)
-        found = np.array([median(rows_px), 0.0, 0.0, 0.0, 0.0])
-        for _ in range(_ROUNDS):
-            left = rows_px - terms @ found
-            sigma = max(_NOISE_PX, 1.4826 * median(np.abs(left)))
-            weight = 1.0 / (_TOGETHER * sigma**2 * (1.0 + (left / (2.0 * sigma)) ** 2))
-            information, vector = (terms * weight[:, None]).T @ terms, terms.T @ (weight * rows_px)
-            found = np.linalg.solve(information + usual, vector)
+        terms, prior = _terms(x, y), np.diag(_PRIOR_SIGMA_PX**-2.0)
+        found = np.array([median(vertical_px), 0.0, 0.0, 0.0, 0.0])
+        for _ in range(_ITERATIONS):
+            residual = vertical_px - terms @ found
+            sigma = max(_MIN_SIGMA_PX, 1.4826 * median(np.abs(residual)))
+            weight = 1.0 / (_CORRELATION * sigma**2 * (1.0 + (residual / (2.0 * sigma)) ** 2))
+            information, vector = (
+                (terms * weight[:, None]).T @ terms,
+                terms.T @ (weight * vertical_px),
+            )
+            found = np.linalg.solve(information + prior, vector)
         self._information += information
         self._vector += vector
-        return np.asarray(np.abs(rows_px - terms @ found) <= 3.0 * sigma)
+        return np.asarray(np.abs(vertical_px - terms @ found) <= 3.0 * sigma)
 
     def result(self) -> FittedVerticalDisparity:
-        """What all pairs together say."""
+        """Fit to all pairs."""
         covariance = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
         return FittedVerticalDisparity(
             VerticalDisparity(*(covariance @ self._vector).tolist()), covariance
@@ -95,10 +105,11 @@ class VerticalDisparityFit:
 
 
 def vertical_disparity_sigma(fitted: FittedVerticalDisparity, x: Floats, y: Floats) -> Floats:
-    """Standard deviations of `rows_px` at some places."""
+    """Standard deviations (N,) of `vertical_px` at (x, y), each (N,)."""
     terms = _terms(x, y)
     return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", terms, fitted.covariance, terms)))
 
 
 def _terms(x: Floats, y: Floats) -> Floats:
+    """Derivatives (N, 5) of `vertical_px`."""
     return np.stack([1.0 + y * y, x, y, y * (x * x + y * y), x * y], axis=-1)
