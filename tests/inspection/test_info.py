@@ -84,7 +84,7 @@ def test_a_baseline_in_millimetres_is_reported(walk: Path) -> None:
         apart = data["T_BS"]["data"][row] - left[row]
         data["T_BS"]["data"][row] = left[row] + 1000.0 * apart
     sensor.write_text(yaml.safe_dump(data))
-    assert "divide by 1000" in finding(report_of(walk), "the baseline is").advice
+    assert "divide by 1000" in finding(report_of(walk), "which is implausible").advice
 
 
 def test_pitch_error_of_the_right_camera_is_measured(walk: Path) -> None:
