@@ -122,7 +122,7 @@ def _rays_within(camera: Camera, count: int = 500) -> Floats:
 
 
 @each_camera
-def test_distorting_a_normalised_pixel_gives_it_back(name: str) -> None:
+def test_distort_inverts_normalise(name: str) -> None:
     camera = CAMERAS[name]
     pixels = _image_grid(camera)
     rays = normalise(camera, pixels)
@@ -134,7 +134,7 @@ def test_distorting_a_normalised_pixel_gives_it_back(name: str) -> None:
 
 
 @each_camera
-def test_normalising_a_distorted_ray_gives_it_back(name: str) -> None:
+def test_normalise_inverts_distort(name: str) -> None:
     camera = CAMERAS[name]
     rays = _rays_within(camera)
     np.testing.assert_allclose(normalise(camera, distort(camera, rays)), rays, atol=1e-9, rtol=1e-9)
@@ -169,7 +169,7 @@ def test_any_plausible_radtan_lens_can_be_inverted(
     radius = min(0.9 * radial_reach(camera.distortion), 1.0)
     angle = np.linspace(0, 2 * np.pi, 40)
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    rays = np.concatenate([ring * radius * share for share in (0.0, 0.1, 0.5, 0.8, 1.0)])
+    rays = np.concatenate([ring * radius * ratio for ratio in (0.0, 0.1, 0.5, 0.8, 1.0)])
     np.testing.assert_allclose(normalise(camera, distort(camera, rays)), rays, atol=1e-8)
 
 
@@ -221,7 +221,7 @@ def test_projects_points_by_their_direction(name: str) -> None:
 
 
 @each_camera
-def test_no_points_are_no_points(name: str) -> None:
+def test_empty_arrays_keep_their_shapes(name: str) -> None:
     nothing = np.empty((0, 2))
     assert distort(CAMERAS[name], nothing).shape == (0, 2)
     assert normalise(CAMERAS[name], nothing).shape == (0, 2)
@@ -321,7 +321,7 @@ def test_pixels_behind_the_camera_have_no_ray(name: str) -> None:
     assert np.isfinite(project(camera, points)).all(axis=1).tolist() == front.tolist()
 
 
-def test_double_sphere_pixels_off_the_lens_have_no_ray() -> None:
+def test_double_sphere_pixels_outside_of_the_lens_have_no_ray() -> None:
     camera = CAMERAS["double_sphere"]
     # alpha above 1/2: nothing falls farther out than r^2 = 1 / (2 alpha - 1).
     limit = camera.fx / np.sqrt(2 * 0.5931177593944744 - 1)
@@ -351,20 +351,20 @@ def test_the_scale_on_the_axis(name: str) -> None:
     assert step[0, 0] / 1e-6 == pytest.approx(centre_scale(camera) * camera.fx, rel=1e-5)
 
 
-def test_equidistant_without_coefficients_still_bends() -> None:
+def test_equidistant_without_coefficients_is_not_a_pinhole() -> None:
     camera = Camera(100, 100, 50.0, 50.0, 50.0, 50.0, "equidistant", (0.0, 0.0, 0.0, 0.0))
     np.testing.assert_allclose(
         distort(camera, np.array([[1.0, 0.0]])), [[50.0 + 50.0 * np.pi / 4, 50.0]], atol=1e-12
     )
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.7, 0.9])
-def test_lenses_that_fold_are_inverted_up_to_the_fold(share: float) -> None:
+@pytest.mark.parametrize("ratio", [0.3, 0.5, 0.7, 0.9])
+def test_lenses_that_fold_are_inverted_up_to_the_fold(ratio: float) -> None:
     """First guesses lie at the fold, or beyond, where Newton's method alone goes astray."""
     rng = np.random.default_rng(4)
     for _ in range(200):
         lens = (rng.uniform(0.0, 0.3), rng.uniform(-0.1, -0.01), *rng.uniform(-1e-3, 1e-3, 2))
-        radius = share * radial_reach(lens)
+        radius = ratio * radial_reach(lens)
         bearing = rng.uniform(0.0, 2.0 * np.pi, 20)
         rays = radius * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         camera = Camera(800, 800, 500.0, 501.0, 400.0, 399.0, "radtan", lens)

@@ -81,7 +81,7 @@ def test_arrays_need_not_be_contiguous() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 4, 5, 7])
-def test_too_few_points_determine_nothing(count: int) -> None:
+def test_too_few_points_give_none(count: int) -> None:
     first, second = _views(_general(count))
     assert epipolar.find_essential(first, second, MATRIX, 1.0) is None
     assert epipolar.find_homography(first, second, 1.0) is None
@@ -129,7 +129,7 @@ def test_epipolar_errors_are_squared_distances_to_the_lines() -> None:
     np.testing.assert_allclose(in_first, [0.0, 9.0], atol=1e-9)
 
 
-def test_true_motion_and_plane_leave_no_errors() -> None:
+def test_errors_of_the_true_motion_and_plane_are_zero() -> None:
     first, second = _views(_on_plane(50))
     fundamental = epipolar.fundamental_from_motion(MOTION, MATRIX)
     inverse = np.linalg.inv(MATRIX)

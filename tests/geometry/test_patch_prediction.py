@@ -24,7 +24,7 @@ def _project(world_from_cam: Floats, points: Floats) -> Floats:
 def _predict(
     points: Floats, reference: Floats, target: Floats, normal: Floats | None = None
 ) -> PatchPrediction:
-    """Points whose patches the reference holds, in the target; they face it unless told."""
+    """Prediction in the target; without `normal` patches are parallel to the reference image."""
     count = len(points)
     return predict_patches(
         points,
@@ -41,7 +41,7 @@ def _points() -> Floats:
     return np.random.default_rng(0).uniform((-2, -2, 4), (2, 2, 9), (50, 3))
 
 
-def test_points_are_projected_and_their_size_follows_the_distance() -> None:
+def test_scale_is_the_ratio_of_distances() -> None:
     reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
     target = _pose((-0.05, 0.1, 0.3), (-0.4, 0.2, 0.5))
     points = _points()
@@ -52,7 +52,7 @@ def test_points_are_projected_and_their_size_follows_the_distance() -> None:
     np.testing.assert_allclose(seen.scale, then / now)
 
 
-def test_points_in_view_are_those_inside_the_corners_at_a_size_like_their_patch_s() -> None:
+def test_points_in_view_are_within_the_bounds_and_the_range_of_scales() -> None:
     reference = _pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     target = _pose((-0.05, 0.1, 0.3), (-0.4, 0.2, 3.0))
     points = np.random.default_rng(1).uniform((-6, -6, -6), (6, 6, 12), (500, 3))
@@ -75,7 +75,7 @@ def test_points_in_view_are_those_inside_the_corners_at_a_size_like_their_patch_
     assert (depth > 0).all()
 
 
-def test_the_stretch_takes_steps_back_on_a_wall_that_faces_the_reference() -> None:
+def test_the_warp_of_a_wall_parallel_to_the_reference_image() -> None:
     reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
     target = _pose((-0.05, 0.3, 0.3), (-0.9, 0.2, 0.5))
     points = _points()
@@ -89,7 +89,7 @@ def test_the_stretch_takes_steps_back_on_a_wall_that_faces_the_reference() -> No
         np.testing.assert_allclose(back, np.tile(step, (len(points), 1)), atol=2e-5)
 
 
-def test_the_stretch_takes_steps_back_on_a_slanted_wall() -> None:
+def test_the_warp_of_a_slanted_wall() -> None:
     """Along the wall, exactly to first order, whichever way it is inclined."""
     reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
     target = _pose((-0.05, 0.3, 0.3), (-0.9, 0.2, 0.5))
@@ -103,11 +103,11 @@ def test_the_stretch_takes_steps_back_on_a_slanted_wall() -> None:
         moved = reference[:3, 3] + directions * ((rays @ normal) / (directions @ normal))[:, None]
         there = _project(target, moved) - seen.xy
         back = np.einsum("nij,nj->ni", seen.reference_from_target, there)
-        # Steps of a pixel, which it is made of, are bent a little by the wall's slope.
+        # The finite difference over a pixel is not exact on a slanted wall.
         np.testing.assert_allclose(back, np.tile(step, (len(points), 1)), atol=3e-5)
 
 
-def test_the_slope_is_that_of_the_wall_as_the_target_sees_it() -> None:
+def test_the_slope_is_that_of_the_wall_in_the_target() -> None:
     reference = _pose((0.1, -0.2, 0.05), (0.3, 0.1, -0.2))
     target = _pose((-0.05, 0.3, 0.3), (-0.9, 0.2, 0.5))
     points, normal = _points(), np.array([0.5, -0.4, 1.0])
@@ -124,19 +124,19 @@ def test_the_slope_is_that_of_the_wall_as_the_target_sees_it() -> None:
         np.testing.assert_allclose(seen.slope[:, axis], expected, atol=1e-9)
 
 
-def test_nothing_is_predicted_behind_a_camera() -> None:
+def test_points_behind_a_camera_have_no_prediction() -> None:
     behind = _pose((0.0, np.pi, 0.0), (0.0, 0.0, 0.0))
     seen = _predict(_points(), np.eye(4), behind)
     assert np.isnan(seen.xy).all() and (seen.scale == 0.0).all()
 
 
-def test_what_is_seen_from_the_side_is_not_stretched() -> None:
+def test_patches_seen_edge_on_are_not_warped() -> None:
     aside = _pose((0.0, -np.pi / 2 + 0.01, 0.0), (6.0, 0.0, 6.0))
     seen = _predict(np.array([[0.0, 0.0, 6.0]]), np.eye(4), aside)
     np.testing.assert_array_equal(seen.reference_from_target[0], np.eye(2))
 
 
-def test_the_median_is_that_of_the_three_nearest() -> None:
+def test_the_median_of_the_three_nearest() -> None:
     rng = np.random.default_rng(1)
     xy, known_xy, known = rng.random((200, 2)), rng.random((40, 2)), rng.random(40)
     distance = np.linalg.norm(xy[:, None] - known_xy[None], axis=2)
@@ -144,7 +144,7 @@ def test_the_median_is_that_of_the_three_nearest() -> None:
     np.testing.assert_array_equal(median_of_nearest(xy, known_xy, known), expected)
 
 
-def test_of_equally_far_points_the_first_count() -> None:
+def test_of_equally_distant_points_the_first_count() -> None:
     square = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     values = np.array([5.0, 1.0, 3.0, 100.0])
     assert median_of_nearest(np.zeros((1, 2)), square, values).tolist() == [3.0]

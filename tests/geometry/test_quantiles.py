@@ -9,7 +9,7 @@ from vo.geometry.quantiles import median, percentiles
 
 
 @pytest.mark.parametrize("shape", [1, 2, 7, 100, (3, 4)])
-def test_they_are_those_of_numpy(shape: int | tuple[int, ...]) -> None:
+def test_quantiles_equal_those_of_numpy(shape: int | tuple[int, ...]) -> None:
     values = np.random.default_rng(0).normal(size=shape)
     assert median(values) == np.median(values)
     np.testing.assert_allclose(
@@ -19,7 +19,7 @@ def test_they_are_those_of_numpy(shape: int | tuple[int, ...]) -> None:
     )
 
 
-def test_they_take_lists_and_whole_numbers() -> None:
+def test_quantiles_of_lists_and_integers() -> None:
     assert median([3, 1, 2, 10]) == 2.5
     assert median(np.array([200, 250], np.uint8)) == 225.0
     assert percentiles(np.array([[0, 200], [100, 0]], np.uint8), (50,)) == [50.0]

@@ -46,26 +46,26 @@ def _centroid(image: Bytes, near: Floats, reach: int = 9) -> Floats:
     return np.array([np.sum(part * columns), np.sum(part * rows)]) / np.sum(part)
 
 
-def _points(working: RectifiedRig, depth: float) -> tuple[Floats, Floats]:
-    """Points at a depth in the working camera's frame, and their ideal pixels."""
+def _points(rectified: RectifiedRig, depth: float) -> tuple[Floats, Floats]:
+    """Points at a depth in the rectified camera's frame, and their undistorted pixels."""
     u, v = np.meshgrid(np.arange(140.0, WIDTH - 60, 60), np.arange(50.0, HEIGHT - 40, 60))
     xy = np.column_stack([u.ravel(), v.ravel()]) + (0.3, -0.4)
-    return working.back_project(xy, np.full(len(xy), depth)), xy
+    return rectified.back_project(xy, np.full(len(xy), depth)), xy
 
 
 # Rectified pairs
 
 
-def test_a_rectified_pair_passes_untouched() -> None:
-    working = rectified_rig(_ideal_pair(-0.12))
-    assert (working.fx, working.fy, working.cx, working.cy) == (420.0, 415.0, 318.0, 203.0)
-    assert (working.width, working.height) == (WIDTH, HEIGHT)
-    assert working.baseline_m == 0.12
-    assert working.is_stereo
-    np.testing.assert_array_equal(working.cam0_from_rectified, np.eye(4))
+def test_a_rectified_pair_is_not_changed() -> None:
+    rectified = rectified_rig(_ideal_pair(-0.12))
+    assert (rectified.fx, rectified.fy, rectified.cx, rectified.cy) == (420.0, 415.0, 318.0, 203.0)
+    assert (rectified.width, rectified.height) == (WIDTH, HEIGHT)
+    assert rectified.baseline_m == 0.12
+    assert rectified.is_stereo
+    np.testing.assert_array_equal(rectified.cam0_from_rectified, np.eye(4))
     image = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
     for side in (0, 1):
-        np.testing.assert_array_equal(working.rectify(image, side), image)
+        np.testing.assert_array_equal(rectified.rectify(image, side), image)
 
 
 @pytest.mark.parametrize("x", [0.12, 0.0])
@@ -76,7 +76,7 @@ def test_a_right_camera_that_is_not_to_the_right_is_an_error(x: float) -> None:
 
 @pytest.mark.parametrize("model", ["radtan", "equidistant"])
 @pytest.mark.parametrize("translation", [(0.11, 0.003, -0.004), (-0.01, 0.2, 0.0), (0, 0, 0)])
-def test_an_unrectified_pair_must_lie_left_to_right_as_well(
+def test_cam1_left_of_cam0_is_an_error_in_unrectified_pairs_too(
     model: DistortionModel, translation: tuple[float, float, float]
 ) -> None:
     coefficients = RADTAN if model == "radtan" else EQUIDISTANT
@@ -101,19 +101,19 @@ PAIRS = [
 
 @pytest.mark.parametrize(("model", "coefficients"), PAIRS)
 @pytest.mark.parametrize("depth", [1.5, 8.0])
-def test_rectified_points_share_their_row_and_show_their_depth(
+def test_rectified_points_are_in_the_same_row_with_the_disparity_of_their_depth(
     model: DistortionModel, coefficients: tuple[float, ...], depth: float
 ) -> None:
     rig = _pair(model, coefficients)
     assert rig.cam1 is not None and rig.cam1_from_cam0 is not None
-    working = rectified_rig(rig)
-    points, xy = _points(working, depth)
-    in_cam0 = transform_points(working.cam0_from_rectified, points)
+    rectified = rectified_rig(rig)
+    points, xy = _points(rectified, depth)
+    in_cam0 = transform_points(rectified.cam0_from_rectified, points)
     in_cam1 = transform_points(rig.cam1_from_cam0, in_cam0)
-    left = working.rectify(_dots(cameras.project(rig.cam0, in_cam0)), 0)
-    right = working.rectify(_dots(cameras.project(rig.cam1, in_cam1)), 1)
-    expected = xy - (working.fx * working.baseline_m / depth, 0.0)
-    assert left.shape == right.shape == (working.height, working.width)
+    left = rectified.rectify(_dots(cameras.project(rig.cam0, in_cam0)), 0)
+    right = rectified.rectify(_dots(cameras.project(rig.cam1, in_cam1)), 1)
+    expected = xy - (rectified.fx * rectified.baseline_m / depth, 0.0)
+    assert left.shape == right.shape == (rectified.height, rectified.width)
     found_left = np.array([_centroid(left, at) for at in xy])
     found_right = np.array([_centroid(right, at) for at in expected])
     np.testing.assert_allclose(found_left, xy, atol=0.1)
@@ -122,34 +122,34 @@ def test_rectified_points_share_their_row_and_show_their_depth(
 
 
 @pytest.mark.parametrize(("model", "coefficients"), PAIRS)
-def test_rectification_only_turns_cam0(
+def test_rectification_only_rotates_cam0(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
-    working = rectified_rig(_pair(model, coefficients))
-    cam0_from_rectified = working.cam0_from_rectified
+    rectified = rectified_rig(_pair(model, coefficients))
+    cam0_from_rectified = rectified.cam0_from_rectified
     np.testing.assert_allclose(cam0_from_rectified[:3, 3], 0.0, atol=1e-12)
-    assert working.baseline_m == pytest.approx(np.linalg.norm(CAM1_FROM_CAM0[:3, 3]), rel=1e-9)
-    # The right camera lies on the working camera's x axis, at the baseline.
+    assert rectified.baseline_m == pytest.approx(np.linalg.norm(CAM1_FROM_CAM0[:3, 3]), rel=1e-9)
+    # The right camera lies on the rectified camera's x axis, at the baseline.
     centre = transform_points(inverse(cam0_from_rectified), inverse(CAM1_FROM_CAM0)[None, :3, 3])
-    np.testing.assert_allclose(centre, [[working.baseline_m, 0.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(centre, [[rectified.baseline_m, 0.0, 0.0]], atol=1e-9)
 
 
 @pytest.mark.parametrize(("model", "coefficients"), PAIRS)
 def test_rectified_images_keep_a_useful_field_of_view(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
-    working = rectified_rig(_pair(model, coefficients))
+    rectified = rectified_rig(_pair(model, coefficients))
     white = np.full((HEIGHT, WIDTH), 255, np.uint8)
     for side in (0, 1):
-        assert np.mean(working.rectify(white, side) == 255) > 0.85
-    assert 0.7 < working.fx / PLAIN.fx < 1.4
+        assert np.mean(rectified.rectify(white, side) == 255) > 0.85
+    assert 0.7 < rectified.fx / PLAIN.fx < 1.4
 
 
-def test_rectified_stereo_pixels_are_ideal_already() -> None:
-    working = rectified_rig(_pair("radtan", RADTAN))
+def test_rectified_stereo_pixels_have_no_distortion() -> None:
+    rectified = rectified_rig(_pair("radtan", RADTAN))
     xy = np.random.default_rng(0).uniform((0, 0), (WIDTH, HEIGHT), (50, 2))
-    np.testing.assert_array_equal(working.undistort(xy), xy)
-    np.testing.assert_array_equal(working.distort(xy), xy)
+    np.testing.assert_array_equal(rectified.undistort(xy), xy)
+    np.testing.assert_array_equal(rectified.distort(xy), xy)
 
 
 # A single camera
@@ -157,36 +157,36 @@ def test_rectified_stereo_pixels_are_ideal_already() -> None:
 NARROW, WIDE = PAIRS[1:4], PAIRS[4:]
 
 
-def test_a_plain_single_camera_passes_untouched() -> None:
-    working = rectified_rig(Rig(PLAIN))
-    assert not working.is_stereo and working.baseline_m == 0.0
+def test_a_single_camera_without_distortion_is_not_changed() -> None:
+    rectified = rectified_rig(Rig(PLAIN))
+    assert not rectified.is_stereo and rectified.baseline_m == 0.0
     xy = np.random.default_rng(0).uniform((0, 0), (WIDTH, HEIGHT), (50, 2))
-    np.testing.assert_array_equal(working.undistort(xy), xy)
+    np.testing.assert_array_equal(rectified.undistort(xy), xy)
 
 
 @pytest.mark.parametrize(("model", "coefficients"), NARROW)
-def test_mono_pixels_survive_the_way_to_ideal_and_back(
+def test_mono_pixels_are_undistorted_and_distorted_again(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
     camera = replace(PLAIN, distortion_model=model, distortion=coefficients)
-    working = rectified_rig(Rig(camera))
+    rectified = rectified_rig(Rig(camera))
     xy = np.random.default_rng(0).uniform((0, 0), (WIDTH - 1, HEIGHT - 1), (500, 2))
-    ideal = working.undistort(xy)
+    ideal = rectified.undistort(xy)
     assert np.isfinite(ideal).all()
     assert np.linalg.norm(ideal - xy, axis=1).max() > 3.0
-    np.testing.assert_allclose(working.distort(ideal), xy, atol=1e-6)
+    np.testing.assert_allclose(rectified.distort(ideal), xy, atol=1e-6)
 
 
 @pytest.mark.parametrize(("model", "coefficients"), NARROW)
-def test_ideal_pixels_are_those_of_a_pinhole(
+def test_undistorted_pixels_are_those_of_a_pinhole(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
     camera = replace(PLAIN, distortion_model=model, distortion=coefficients)
-    working = rectified_rig(Rig(camera))
+    rectified = rectified_rig(Rig(camera))
     points = np.random.default_rng(0).uniform((-2, -1, 4), (2, 1, 9), (100, 3))
-    ideal = working.undistort(cameras.project(camera, points))
-    np.testing.assert_allclose(ideal, working.project(points), atol=1e-6)
-    np.testing.assert_allclose(working.back_project(ideal, points[:, 2]), points, atol=1e-6)
+    ideal = rectified.undistort(cameras.project(camera, points))
+    np.testing.assert_allclose(ideal, rectified.project(points), atol=1e-6)
+    np.testing.assert_allclose(rectified.back_project(ideal, points[:, 2]), points, atol=1e-6)
 
 
 @pytest.mark.parametrize(("model", "coefficients"), WIDE)
@@ -194,56 +194,56 @@ def test_a_single_wide_camera_is_rectified(
     model: DistortionModel, coefficients: tuple[float, ...]
 ) -> None:
     camera = replace(PLAIN, distortion_model=model, distortion=coefficients)
-    working = rectified_rig(Rig(camera))
-    assert not working.is_stereo
-    np.testing.assert_array_equal(working.cam0_from_rectified, np.eye(4))
-    points, xy = _points(working, 2.0)
-    image = working.rectify(_dots(cameras.project(camera, points)), 0)
+    rectified = rectified_rig(Rig(camera))
+    assert not rectified.is_stereo
+    np.testing.assert_array_equal(rectified.cam0_from_rectified, np.eye(4))
+    points, xy = _points(rectified, 2.0)
+    image = rectified.rectify(_dots(cameras.project(camera, points)), 0)
     np.testing.assert_allclose([_centroid(image, at) for at in xy], xy, atol=0.1)
-    np.testing.assert_array_equal(working.undistort(xy), xy)
+    np.testing.assert_array_equal(rectified.undistort(xy), xy)
     # What is on the axis keeps its size.
     steps = cameras.distort(camera, np.array([[0.0, 0.0], [0.01, 0.0]]))
-    assert working.fx == pytest.approx((steps[1, 0] - steps[0, 0]) / 0.01, rel=1e-3)
+    assert rectified.fx == pytest.approx((steps[1, 0] - steps[0, 0]) / 0.01, rel=1e-3)
 
 
 def test_a_pair_of_different_lenses_is_rectified() -> None:
     spheres = replace(PLAIN, distortion_model="double_sphere", distortion=(-0.17, 0.59))
     radtan = replace(PLAIN, distortion_model="radtan", distortion=RADTAN)
     rig = Rig(spheres, radtan, CAM1_FROM_CAM0)
-    working = rectified_rig(rig)
-    points, xy = _points(working, 3.0)
-    in_cam0 = transform_points(working.cam0_from_rectified, points)
-    left = working.rectify(_dots(cameras.project(spheres, in_cam0)), 0)
+    rectified = rectified_rig(rig)
+    points, xy = _points(rectified, 3.0)
+    in_cam0 = transform_points(rectified.cam0_from_rectified, points)
+    left = rectified.rectify(_dots(cameras.project(spheres, in_cam0)), 0)
     in_cam1 = transform_points(CAM1_FROM_CAM0, in_cam0)
-    right = working.rectify(_dots(cameras.project(radtan, in_cam1)), 1)
-    expected = xy - (working.fx * working.baseline_m / 3.0, 0.0)
+    right = rectified.rectify(_dots(cameras.project(radtan, in_cam1)), 1)
+    expected = xy - (rectified.fx * rectified.baseline_m / 3.0, 0.0)
     np.testing.assert_allclose([_centroid(left, at) for at in xy], xy, atol=0.15)
     np.testing.assert_allclose([_centroid(right, at) for at in expected], expected, atol=0.15)
 
 
-def test_what_a_wide_lens_does_not_see_is_black() -> None:
-    # The working image is wider (128 degrees) than what this polynomial reaches (103 degrees).
+def test_pixels_beyond_the_field_of_view_are_black() -> None:
+    # The rectified image is wider (128 degrees) than what this polynomial reaches (103 degrees).
     lens = Camera(640, 640, 160.0, 160.0, 320.0, 320.0, "equidistant", (-0.35, -0.05, 0.0, 0.0))
-    working = rectified_rig(Rig(lens, lens, make_transform(np.eye(3), [-0.1, 0.0, 0.0])))
-    white = working.rectify(np.full((640, 640), 255, np.uint8), 0)
-    rays = np.abs(np.arange(640) - 320.0) / working.fx
+    rectified = rectified_rig(Rig(lens, lens, make_transform(np.eye(3), [-0.1, 0.0, 0.0])))
+    white = rectified.rectify(np.full((640, 640), 255, np.uint8), 0)
+    rays = np.abs(np.arange(640) - 320.0) / rectified.fx
     seen = np.isfinite(cameras.distort(lens, np.column_stack([rays, np.zeros(640)]))).all(axis=1)
     assert 0.3 < seen.mean() < 0.9
     np.testing.assert_array_equal(white[320] > 127, seen)
 
 
 def test_mono_images_stay_as_recorded() -> None:
-    working = rectified_rig(Rig(replace(PLAIN, distortion_model="radtan", distortion=RADTAN)))
+    rectified = rectified_rig(Rig(replace(PLAIN, distortion_model="radtan", distortion=RADTAN)))
     image = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
-    np.testing.assert_array_equal(working.rectify(image, 0), image)
+    np.testing.assert_array_equal(rectified.rectify(image, 0), image)
 
 
-def test_pixels_that_no_useful_ray_reaches_are_nan() -> None:
+def test_pixels_beyond_75_degrees_are_nan() -> None:
     wide = Camera(640, 640, 190.0, 190.0, 320.0, 320.0, "radtan", (1e-12, 0.0, 0.0, 0.0))
-    working = rectified_rig(Rig(wide))
+    rectified = rectified_rig(Rig(wide))
     angle = np.deg2rad([0.0, 60.0, 74.0, 76.0, 86.0])
     xy = np.column_stack([320.0 + 190.0 * np.tan(angle), np.full(5, 320.0)])
-    finite = np.isfinite(working.undistort(xy)).all(axis=1)
+    finite = np.isfinite(rectified.undistort(xy)).all(axis=1)
     assert finite.tolist() == [True, True, True, False, False]
 
 
@@ -258,36 +258,36 @@ def test_rays_beyond_the_reach_of_the_lens_model_never_fall_into_the_image() -> 
 
 
 @pytest.mark.parametrize("coefficients", [RADTAN, ()])
-def test_a_lens_error_is_one_of_k1(coefficients: tuple[float, ...]) -> None:
+def test_a_k1_error_is_added_to_the_lens(coefficients: tuple[float, ...]) -> None:
     model: DistortionModel = "radtan" if coefficients else "none"
     k1, *others = coefficients or (0.0, 0.0, 0.0, 0.0)
     seen = replace(PLAIN, distortion_model="radtan", distortion=(k1 + 0.01, *others))
-    working = rectified_rig(Rig(replace(PLAIN, distortion_model=model, distortion=coefficients)))
-    corrected = working.with_k1_error(0.02).with_k1_error(0.01)
-    ideal = _points(working, 3.0)[1]
+    rectified = rectified_rig(Rig(replace(PLAIN, distortion_model=model, distortion=coefficients)))
+    corrected = rectified.with_k1_error(0.02).with_k1_error(0.01)
+    ideal = _points(rectified, 3.0)[1]
     at = cameras.distort(seen, (ideal - (PLAIN.cx, PLAIN.cy)) / (PLAIN.fx, PLAIN.fy))
     np.testing.assert_allclose(corrected.distort(ideal), at, atol=1e-9)
     np.testing.assert_allclose(corrected.undistort(at), ideal, atol=1e-6)
     assert corrected.k1_error == 0.01
     np.testing.assert_allclose(
-        corrected.with_k1_error(0.0).undistort(at), working.undistort(at), atol=1e-9
+        corrected.with_k1_error(0.0).undistort(at), rectified.undistort(at), atol=1e-9
     )
 
 
-def test_images_of_a_wide_lens_are_corrected_as_they_are_worked_on() -> None:
+def test_a_k1_error_of_a_wide_lens_is_that_of_the_rectified_image() -> None:
     wide = replace(PLAIN, distortion_model="equidistant", distortion=EQUIDISTANT)
-    working = rectified_rig(Rig(wide)).with_k1_error(0.01)
-    assert working.lens is not None
-    assert working.lens.distortion == (0.01, 0.0, 0.0, 0.0)
-    assert working.lens.fx == working.fx
+    rectified = rectified_rig(Rig(wide)).with_k1_error(0.01)
+    assert rectified.lens is not None
+    assert rectified.lens.distortion == (0.01, 0.0, 0.0, 0.0)
+    assert rectified.lens.fx == rectified.fx
 
 
-def test_a_corrected_lens_that_folds_earlier_loses_no_feature() -> None:
+def test_a_corrected_lens_with_a_smaller_reach_loses_no_feature() -> None:
     folded = replace(PLAIN, distortion_model="radtan", distortion=(-0.28, 0.0, 0.0, 0.0))
-    working = rectified_rig(Rig(folded))
-    corrected = working.with_k1_error(-0.05)
+    rectified = rectified_rig(Rig(folded))
+    corrected = rectified.with_k1_error(-0.05)
     radius = np.linspace(0.0, 0.75, 200) * PLAIN.fx
     xy = np.column_stack([PLAIN.cx + radius, np.full(200, PLAIN.cy)])
-    before, after = working.undistort(xy), corrected.undistort(xy)
+    before, after = rectified.undistort(xy), corrected.undistort(xy)
     assert np.isnan(before).any() and not np.isnan(before).all()
     np.testing.assert_array_equal(np.isnan(after), np.isnan(before))

@@ -35,7 +35,7 @@ def test_rigid_motion_has_scale_one_and_exact_rotation(seed: int) -> None:
 
 
 @given(seed=SEEDS)
-def test_never_gives_a_reflection(seed: int) -> None:
+def test_the_rotation_is_never_a_reflection(seed: int) -> None:
     rng = np.random.default_rng(seed)
     source = rng.normal(size=(10, 3))
     found = umeyama(source, source * (1.0, 1.0, -1.0), with_scale=True)
@@ -44,7 +44,7 @@ def test_never_gives_a_reflection(seed: int) -> None:
 
 
 @given(seed=SEEDS)
-def test_points_on_a_plane_or_a_line_work(seed: int) -> None:
+def test_points_may_be_coplanar_or_collinear(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rotation = so3_exp(rng.normal(size=3))
     for dimensions in (1, 2):
@@ -67,18 +67,18 @@ def test_poses_keep_their_rotations_proper() -> None:
     np.testing.assert_allclose(moved[:, :3, 3], 4.0 * source, atol=1e-12)
 
 
-def test_refuses_fewer_than_three_points() -> None:
+def test_rejects_fewer_than_three_points() -> None:
     with pytest.raises(ValueError, match="2 points, at least 3"):
         umeyama(np.zeros((2, 3)), np.zeros((2, 3)), with_scale=True)
 
 
-def test_refuses_points_in_one_place() -> None:
+def test_rejects_points_in_one_place() -> None:
     here, there = np.full((9, 3), 1234.1), np.random.default_rng(0).normal(size=(9, 3))
     for source, target in ((here, there), (there, here)):
         with pytest.raises(ValueError, match="one place"):
             umeyama(source, target, with_scale=False)
 
 
-def test_refuses_shapes_that_differ() -> None:
+def test_rejects_different_shapes() -> None:
     with pytest.raises(ValueError, match=r"\(4, 3\) and \(5, 3\)"):
         umeyama(np.zeros((4, 3)), np.zeros((5, 3)), with_scale=True)

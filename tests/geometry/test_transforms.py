@@ -24,12 +24,12 @@ _transforms = _tangents.map(tf.se3_exp)
 
 
 @given(_tangents)
-def test_se3_log_undoes_exp(tangent: Floats) -> None:
+def test_se3_log_inverts_exp(tangent: Floats) -> None:
     np.testing.assert_allclose(tf.se3_log(tf.se3_exp(tangent)), tangent, atol=1e-9)
 
 
 @given(_transforms)
-def test_se3_exp_undoes_log(transform: Floats) -> None:
+def test_se3_exp_inverts_log(transform: Floats) -> None:
     np.testing.assert_allclose(tf.se3_exp(tf.se3_log(transform)), transform, atol=1e-9)
 
 
@@ -52,7 +52,7 @@ def test_log_of_half_turns_keeps_angle_and_axis(
 
 
 @given(st.tuples(_unit, _unit, _unit, _unit).map(np.array))
-def test_quaternions_survive_the_rotation(quat: Floats) -> None:
+def test_quaternions_of_their_rotations_are_equal(quat: Floats) -> None:
     if np.linalg.norm(quat) < 1e-3:
         return
     quat = quat / np.linalg.norm(quat)
@@ -75,14 +75,14 @@ def test_many_quaternions_at_once_and_of_any_length() -> None:
 
 
 @given(_transforms, st.builds(lambda r, t: np.concatenate([r, t]), _rotvecs, _vectors))
-def test_adjoint_carries_tangents_between_frames(a_from_b: Floats, tangent: Floats) -> None:
+def test_adjoint_transforms_tangents_between_frames(a_from_b: Floats, tangent: Floats) -> None:
     carried = tf.se3_exp(tf.adjoint(a_from_b) @ tangent)
     expected = a_from_b @ tf.se3_exp(tangent) @ tf.inverse(a_from_b)
     np.testing.assert_allclose(carried, expected, atol=1e-8)
 
 
 @given(_transforms)
-def test_inverse_undoes(transform: Floats) -> None:
+def test_inverse_times_transform_is_identity(transform: Floats) -> None:
     np.testing.assert_allclose(tf.inverse(transform) @ transform, np.eye(4), atol=1e-9)
 
 
@@ -98,12 +98,12 @@ def test_adjacent_names_cancel() -> None:
 
 
 @given(_transforms, _transforms)
-def test_interpolation_meets_both_ends(first: Floats, second: Floats) -> None:
+def test_interpolation_begins_and_ends_at_the_poses(first: Floats, second: Floats) -> None:
     np.testing.assert_allclose(tf.interpolate(first, second, 0.0), first, atol=1e-8)
     np.testing.assert_allclose(tf.interpolate(first, second, 1.0), second, atol=1e-7)
 
 
-def test_interpolation_is_even() -> None:
+def test_interpolation_has_constant_velocity() -> None:
     second = tf.make_transform(tf.so3_exp(np.array([0, 0.4, 0])), np.zeros(3))
     quarter = tf.interpolate(np.eye(4), second, 0.25)
     assert tf.rotation_angle(quarter[:3, :3]) == pytest.approx(0.1, abs=1e-12)
@@ -119,7 +119,7 @@ def test_orthonormalised_gives_the_nearest_rotation(size: float) -> None:
         np.testing.assert_allclose(tf.orthonormalised(near)[:3, :3], u @ vt, atol=1e-14)
 
 
-def test_orthonormalised_mends_rounded_rotations() -> None:
+def test_orthonormalised_corrects_rounding() -> None:
     exact = tf.se3_exp(np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0]))
     mended = tf.orthonormalised(np.round(exact, 4))
     np.testing.assert_allclose(mended[:3, :3] @ mended[:3, :3].T, np.eye(3), atol=1e-14)

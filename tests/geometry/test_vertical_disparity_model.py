@@ -23,13 +23,13 @@ def _places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _fitted(x: Floats, y: Floats, rows_px: Floats) -> tuple[FittedVerticalDisparity, Bools]:
+def _fitted(x: Floats, y: Floats, vertical_px: Floats) -> tuple[FittedVerticalDisparity, Bools]:
     fit = VerticalDisparityFit()
-    agrees = fit.add(x, y, rows_px)
+    agrees = fit.add(x, y, vertical_px)
     return fit.result(), agrees
 
 
-def test_errors_are_found_again() -> None:
+def test_errors_are_recovered() -> None:
     x, y = _places(2000)
     fitted, agrees = _fitted(x, y, FOUND.vertical_px(x, y))
     # What is usual pulls a little, bend most.
@@ -49,7 +49,7 @@ def test_a_third_of_wrong_matches_changes_little() -> None:
     assert agrees[:300].mean() < 0.1
 
 
-def test_less_is_known_where_there_are_no_points() -> None:
+def test_uncertainty_is_higher_where_there_are_no_points() -> None:
     x, y = _places(300)
     left = x < 0.0
     fitted, _ = _fitted(x[left], y[left], FOUND.vertical_px(x[left], y[left]))
@@ -59,7 +59,7 @@ def test_less_is_known_where_there_are_no_points() -> None:
     assert on_right > 3.0 * on_left > 0.0
 
 
-def test_what_one_half_of_the_image_leaves_open_the_other_one_tells() -> None:
+def test_a_second_pair_with_points_elsewhere_reduces_the_uncertainty() -> None:
     x, y = _places(600)
     fit, corner = VerticalDisparityFit(), (np.array([0.8]), np.array([0.4]))
     fit.add(x[x < 0], y[x < 0], FOUND.vertical_px(x[x < 0], y[x < 0]))
@@ -97,7 +97,7 @@ def test_the_errors_are_those_of_a_camera_that_was_moved(
     np.testing.assert_allclose(moved[:, 0], errors.horizontal_px(x, y), atol=2e-3)
 
 
-def test_a_camera_that_looks_sideways_skews_the_rows() -> None:
+def test_yaw_of_the_camera_skews_the_rows() -> None:
     x, y = _places(50)
     seen = _turned((0.0, 1.0, 0.0))(np.column_stack([x, y, np.ones(len(x))]))
     moved = FOCAL * (seen[:, :2] / seen[:, 2:] - np.column_stack([x, y]))

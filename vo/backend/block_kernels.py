@@ -62,8 +62,8 @@ def reduced(  # type: ignore[no-untyped-def]
         poses: (K, 3, 4) cam_from_world.
         slot: (K,) number among the free poses, -1 if fixed.
 
-    With `calibrates` six rows follow, of which the first are those of what the calibration leaves
-    (`CalibrationResidual`): to the blocks it is one more pose, which all observations share.
+    With `calibrates` six rows are appended, the first of them for the `CalibrationResidual`: the
+    blocks treat it as one more pose that all observations have in common.
     """
     free = 0
     for k in slot:

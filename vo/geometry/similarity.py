@@ -21,8 +21,8 @@ class Similarity:
         scale: positive; 1 for a rigid motion.
         rotation: (3, 3), proper.
         translation: (3,) in the target's units.
-        is_on_line: whether the aligned points are collinear, which leaves the rotation about their
-            line undetermined.
+        is_on_line: whether the aligned points are collinear, so that the rotation about their line
+            is not determined.
     """
 
     scale: float

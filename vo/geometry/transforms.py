@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.types import Floats
 
-# Maximum error of a rotation for a single Newton step, which leaves its square.
+# Maximum error of a rotation that a single Newton step corrects; its square remains.
 _MAX_ROUNDING = 1e-8
 
 
@@ -97,9 +97,9 @@ def adjoint(a_from_b: Floats) -> Floats:
     return result
 
 
-def interpolate(first: Floats, second: Floats, share: float) -> Floats:
-    """The pose at `share` (0 is first, 1 is second) on the SE(3) geodesic between two poses."""
-    return np.asarray(first @ se3_exp(share * se3_log(inverse(first) @ second)))
+def interpolate(first: Floats, second: Floats, fraction: float) -> Floats:
+    """The pose at `fraction` (0 is first, 1 is second) on the SE(3) geodesic between two poses."""
+    return np.asarray(first @ se3_exp(fraction * se3_log(inverse(first) @ second)))
 
 
 def orthonormalised(transform: Floats) -> Floats:
