@@ -26,7 +26,7 @@ FLOORS = (
     {"vo.mapping"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
-    {"vo.map_optimiser", "vo.snapshot"},
+    {"vo.map_updater", "vo.snapshot"},
     {"vo.stages"},
     {"vo.odometry"},
 )
@@ -62,7 +62,9 @@ ALLOWED = {
     "vo.run_session": GROUND
     | OUTER
     | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts"},
-    "vo.run": GROUND | OUTER | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session"},
+    "vo.run": GROUND
+    | OUTER
+    | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session", "vo.stages"},
     "vo.cli": GROUND
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}

@@ -68,16 +68,16 @@ class Odometry:
         self._forecast = stages.forecast
         self._map = stages.local_map
         self._mapper = stages.mapper
-        self._optimiser = stages.optimiser
+        self._updater = stages.updater
         self._trajectory = stages.trajectory
         self._config = config
         self._state = State.STARTING
         self._segment = 0
         self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
         self._corrected = VerticalDisparity()  # vertical disparities corrected in right images
-        self._expects_keyframe = True  # as the next frame
+        self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
         self._result: FrameResult | None = None  # of the newest frame
-        self._has_moved = False  # whether it has added or moved keyframes
+        self._has_moved = False  # whether the newest frame has added or moved keyframes
 
     def track(self, frame: Frame) -> Estimate:
         """Process the next frame."""
@@ -90,11 +90,12 @@ class Odometry:
 
     def finish(self) -> Mapping[str, float]:
         """Apply the last result of the optimizer; the time by stage that it took."""
-        self._optimiser.apply()
+        self._updater.apply()
         return self.stopwatch.take()
 
     def close(self) -> None:
-        """End threads and processes; no frame can follow."""
+        """Hand the map to the keyframe store, and end threads and processes."""
+        self._map.clear()
         self._window_optimizer.close()
         self._preprocessor.close()
 
@@ -119,7 +120,7 @@ class Odometry:
         frame = self._preprocess(pending)
         result = self._track(frame)
         if len(self._lost) > self._config.tracking.recover_frames:
-            for each in self._start_segment():
+            for each in self._start_segment():  # a new map may hold the frames that were lost
                 result = self._track(each)
         is_tracking = self._state is State.TRACKING
         self._preprocessor.is_eager = self._forecast.expects_all or not is_tracking
@@ -128,20 +129,21 @@ class Odometry:
     @timed("features")
     def _preprocess(self, pending: LazyFuture[PreprocessedFrame]) -> PreprocessedFrame:
         frame = pending.result()
-        self._optimiser.vertical_disparity = frame.vertical_disparity
+        self._updater.vertical_disparity = frame.vertical_disparity
         if self._expects_keyframe or self._state is not State.TRACKING:
             frame.start_features()
         if frame.corrected != self._corrected:
-            self._optimiser.correct_vertical_disparity(self._corrected, frame.corrected)
+            self._updater.correct_vertical_disparity(self._corrected, frame.corrected)
             self._corrected = frame.corrected
         return frame
 
     def _track(self, frame: PreprocessedFrame) -> FrameResult:
         """Track one frame, make it a keyframe if the map needs one, and extend the map."""
         before, last_from_cam = self._tracker.last, None
-        if self._state is State.TRACKING:  # while the window is optimised
+        if self._state is State.TRACKING:
+            # The window is optimised at the same time: the result does not depend on it.
             last_from_cam = self._tracker.align_to_last(frame)
-        self._optimiser.next_frame()
+        self._updater.next_frame()
         if self._state is State.STARTING:
             return self._start(frame)
         is_lost = self._state is State.LOST
@@ -171,11 +173,11 @@ class Odometry:
         frame.start_features()
         keyframe = self._mapper.add_keyframe(frame, tracked, self._segment)
         if self._map.rig.is_stereo:  # the window is optimised while the map grows
-            self._optimiser.add_keyframe(keyframe)
+            self._updater.add_keyframe(keyframe)
             self._mapper.extend(keyframe, frame)
         else:  # new landmarks of a single camera must be optimised before they are used
             self._mapper.extend(keyframe, frame)
-            self._optimiser.add_keyframe(keyframe)
+            self._updater.add_keyframe(keyframe)
         return keyframe
 
     @timed("start")
@@ -190,18 +192,21 @@ class Odometry:
             return FrameResult(frame, failure=keyframe)
         before = self._tracker.last
         self._state, self._lost = State.TRACKING, []
-        self._optimiser.add_keyframe(keyframe)
+        self._updater.add_keyframe(keyframe)
         tracked = as_tracked_frame(self._map, keyframe)
         self._tracker.restart(frame, tracked)
         return FrameResult(frame, tracked, keyframe, before)
 
     def _start_mono(self, frame: PreprocessedFrame, pose: Floats) -> Keyframe | Failure:
-        """The second of two keyframes that make a map; frames between them are tracked in it."""
+        """The second of two keyframes that make a map.
+
+        The frames between them had no map yet; they are tracked now, for the smoothed path.
+        """
         pair = self._monocular_initializer.attempt(frame)
         if isinstance(pair, Failure):
             return pair
         first, second = self._monocular_initializer.create_map(pair, pose, self._segment)
-        self._optimiser.optimise_first_pair(first)
+        self._updater.optimise_first_pair(first)
         for waiting in self._monocular_initializer.waiting:
             tracked = self._tracker.track_anywhere(waiting)
             if tracked is not None:
@@ -211,7 +216,7 @@ class Odometry:
 
     def _start_segment(self) -> list[PreprocessedFrame]:
         """Give up the map; the lost frames, to be tracked in a new one."""
-        self._optimiser.apply()
+        self._updater.apply()
         frames, self._lost = self._lost, []
         self._tracker.forget_last_frame()
         self._monocular_initializer.restart()

@@ -21,6 +21,7 @@ from vo.results.summary import Summary
 from vo.run_session import Request, RunSession
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, Recording
+from vo.stages import BUILT_IN, Components
 from vo.trajectory.store import InterpolatedFrames
 from vo.types import Mode
 
@@ -43,6 +44,7 @@ class RunOptions(TypedDict, total=False):
         viewer: URL of a rerun viewer to stream to.
         recorder: recorder to use instead of `rrd` and `viewer`.
         exports: files for other programs.
+        components: parts of the odometry to use instead of the built-in ones.
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
         optimizer_process: that of `vo.backend.launch`, if it was started already.
@@ -62,6 +64,7 @@ class RunOptions(TypedDict, total=False):
     viewer: str | None
     recorder: Recorder | None
     exports: Exports | None
+    components: Components
     progress: Progress | None
     profile_since: float | None
     optimizer_process: Popen[bytes] | None
@@ -100,10 +103,11 @@ def run(
     request = _request(source, stream, config, options)
     every = config.tracking.every
     frames = stream.frames(request.start, request.end, request.stride * every)
+    components = options.get("components", BUILT_IN)
     process = options.get("optimizer_process")
     with (
         locked_folder(Path(output)),
-        closing(Odometry(stream.rig, config, optimizer_process=process)) as odometry,
+        closing(Odometry(stream.rig, config, components, process)) as odometry,
     ):
         if every > 1 and isinstance(stream, Recording):
             interpolated = InterpolatedFrames(stream.stamps_ns, request.stride, every)

@@ -15,7 +15,7 @@ from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.preprocessing import FramePreprocessor
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
-from vo.map_optimiser import MapOptimiser
+from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
 from vo.mapping.local_map import LocalMap
 from vo.mapping.local_mapper import LocalMapper
@@ -54,7 +54,7 @@ BUILT_IN = Components()
 
 
 class Stages(NamedTuple):
-    """The stages, in the order in which a frame passes them."""
+    """All parts of an odometry."""
 
     preprocessor: FramePreprocessor
     tracker: Tracker
@@ -64,7 +64,7 @@ class Stages(NamedTuple):
     forecast: KeyframeForecast
     local_map: LocalMap
     mapper: LocalMapper
-    optimiser: MapOptimiser
+    updater: MapUpdater
     window_optimizer: WindowOptimizer
     trajectory: TrajectoryBuilder
 
@@ -123,7 +123,7 @@ def make_stages(
         KeyframeForecast(policy),
         local_map,
         mapper,
-        MapOptimiser(local_map, mapper, tracker, window, refiner, trajectory, stopwatch),
+        MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch),
         optimizer,
         trajectory,
     )

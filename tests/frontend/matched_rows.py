@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.config import MatchingConfig
-from vo.frontend.contracts import FeatureSet, SearchRegion, Segments, Windows
+from vo.frontend.contracts import Circles, EpipolarSegments, FeatureSet, SearchRegion
 from vo.frontend.matching import NO_MATCH, HammingMatcher
 from vo.types import Bytes, Floats, Floats32, Ints
 
@@ -32,7 +32,7 @@ def match_windows(
 ) -> Ints:
     """Inside circles around the query's positions."""
     features = _features(query, query_octave, query_xy), _features(train, train_octave, train_xy)
-    return _rows(*features, Windows(radius_px), max_distance, ratio)
+    return _rows(*features, Circles(radius_px), max_distance, ratio)
 
 
 def match_segments(
@@ -50,7 +50,7 @@ def match_segments(
 ) -> Ints:
     """Near segments."""
     features = _features(query, query_octave), _features(train, train_octave, train_xy)
-    return _rows(*features, Segments(start, end, tolerance_px), max_distance, ratio)
+    return _rows(*features, EpipolarSegments(start, end, tolerance_px), max_distance, ratio)
 
 
 def _features(

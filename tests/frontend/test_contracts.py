@@ -12,12 +12,12 @@ import pytest
 
 from vo.config import MatchingConfig, load_config
 from vo.frontend.contracts import (
+    Circles,
     DescriptorFormat,
+    EpipolarSegments,
     FeatureSet,
     Matches,
     SearchRegion,
-    Segments,
-    Windows,
 )
 from vo.frontend.matching import HammingMatcher
 from vo.geometry.similarity import umeyama
@@ -88,11 +88,11 @@ def _allowed(query: FeatureSet, train: FeatureSet, region: SearchRegion) -> Bool
     if region is None:
         return np.ones((len(query), len(train)), dtype=bool)
     assert train.xy is not None
-    if isinstance(region, Windows):
+    if isinstance(region, Circles):
         assert query.xy is not None
         away = np.linalg.norm(query.xy[:, None] - train.xy[None], axis=2)
         return np.asarray(away <= region.radius_px[:, None])
-    assert isinstance(region, Segments)
+    assert isinstance(region, EpipolarSegments)
     along = region.end - region.start
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     offset = train.xy[None] - region.start[:, None]

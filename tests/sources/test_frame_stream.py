@@ -11,10 +11,12 @@ import pytest
 
 from vo.config import load_config
 from vo.errors import ConfigError, SourceError
+from vo.mapping.keyframe_store import MemoryKeyframeStore
 from vo.run import run
 from vo.sources.images import ImageKind
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, Recording
+from vo.stages import Components
 from vo.types import Estimate, Frame, Rig, Skipped, Trajectory
 
 FAST = load_config("fast")
@@ -114,3 +116,12 @@ def test_frames_of_a_stream_cannot_be_left_out_and_interpolated(
 ) -> None:
     with pytest.raises(ConfigError, match="tracking.every is 2; a stream needs 1"):
         run(camera(synthetic_stereo), tmp_path, config=load_config("fast", ["tracking.every=2"]))
+
+
+def test_a_run_uses_the_components_that_it_is_given(synthetic_stereo: Path, tmp_path: Path) -> None:
+    store = MemoryKeyframeStore()
+    components = Components(keyframe_store=store)
+    config = load_config("fast", ["keyframes.min_parallax_deg=0.2"])
+    summary = run(synthetic_stereo, tmp_path, config=config, end=FRAMES, components=components)
+    assert summary.keyframes > 1
+    assert [k.id for k in store.keyframes] == list(range(summary.keyframes))

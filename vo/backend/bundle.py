@@ -81,7 +81,7 @@ class Bundle:
         return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)
 
     def _at(self, world_from_cam: Floats) -> _Optimum:
-        """Optimal points; cached, since optimisers evaluate cost and derivatives separately."""
+        """Optimal points; cached, since optimizers evaluate cost and derivatives separately."""
         if self._latest is None or not np.array_equal(world_from_cam, self._latest.world_from_cam):
             # Points must not be coarser than the poses, whose steps are judged by the cost.
             tolerance = 0.1 * self._config.relative_error_tolerance

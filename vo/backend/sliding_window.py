@@ -23,7 +23,8 @@ from vo.mapping.local_map import LocalMap
 from vo.stopwatch import Stopwatch, timed
 from vo.types import Bools, Floats, Ints
 
-# Frames after which a result is applied, unless a keyframe comes before. The number is fixed, so
+# A result is applied when the next keyframe is made, or else once this many further frames have
+# been tracked and the next one has come. The number is fixed, so
 # that the path does not depend on the speed of the optimizer. With one camera the landmarks' depths
 # depend on the poses, and the result is needed earlier.
 _LATENCY_STEREO, _LATENCY_MONO = 2, 1
@@ -37,7 +38,7 @@ class Window:
         problem: the problem.
         keyframes: of each of its poses, the newest last.
         landmarks: (M,) ids of its points.
-        calibration_weight: number of windows that its calibration residual stands for.
+        calibration_weight: weight of its calibration residual, 0 if it is not estimated.
     """
 
     problem: WindowProblem
@@ -60,9 +61,8 @@ class WindowUpdate:
     moved: list[Keyframe]
     calibration_residual: CalibrationResidual | None
 
-    @property
-    def motion(self) -> Floats:
-        """(4, 4) motion of the window's newest keyframe in the world until now."""
+    def motion_until_now(self) -> Floats:
+        """(4, 4) motion of the window's newest keyframe in the world since the submission."""
         newest = self.window.keyframes[-1]
         return np.asarray(newest.world_from_cam @ inverse(self.window.problem.world_from_cam[-1]))
 
@@ -143,7 +143,7 @@ class SlidingWindow:
         self._pending, self._frames_since = window, 0
 
     def _window(self, free: int, calibration_weight: int) -> Window | None:
-        """The newest `free` keyframes, with fixed ones before them; None of a single keyframe."""
+        """The newest `free` keyframes, with fixed ones before them; None if there is only one."""
         keyframes = tuple(self._map.keyframes)
         if len(keyframes) < 2:
             return None

@@ -81,8 +81,8 @@ class FeatureSet:
     """What a matcher needs to know of features; rows belong together.
 
     Attributes:
-        xy: (N, 2) pixels, of a query the predicted positions; None where the search region or
-            its absence makes them unnecessary.
+        xy: (N, 2) pixels; of a query the predicted positions, None without a prediction (the
+            landmarks of several keyframes have no common image).
         octave: (N,) int32.
         angle: (N,) radians, NaN without orientation.
         descriptor: (N, width).
@@ -109,7 +109,7 @@ def feature_set(
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class Circles:
     """Search region: circles around the predicted positions of the query.
 
     Attributes:
@@ -120,7 +120,7 @@ class Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class EpipolarSegments:
     """Search region: neighbourhoods of epipolar segments.
 
     Attributes:
@@ -134,7 +134,7 @@ class Segments:
     tolerance_px: Floats
 
 
-SearchRegion = Windows | Segments | None
+SearchRegion = Circles | EpipolarSegments | None
 
 
 class Matches(NamedTuple):
@@ -143,7 +143,7 @@ class Matches(NamedTuple):
     Attributes:
         query: (n,) increasing rows of the query set.
         train: (n,) rows of the train set, each at most once.
-        score: (n,) distance of the descriptors, lower is better.
+        score: (n,) distance of the descriptors; lower is better.
     """
 
     query: Ints

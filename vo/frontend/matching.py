@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.config import MatchingConfig
 from vo.frontend.contracts import (
+    Circles,
     DescriptorFormat,
     FeatureSet,
     Matches,
     SearchRegion,
-    Windows,
 )
 from vo.types import Bools, Descriptors, Floats32, Ints
 
@@ -107,7 +107,7 @@ class HammingMatcher:
             return nearest, distance
         train_xy = np.ascontiguousarray(train.xy, dtype=np.float64)
         order, starts, columns, rows, origin = _grid(train_xy, _CELL_PX)
-        if isinstance(region, Windows):
+        if isinstance(region, Circles):
             nearest, distance = _best_in_windows(
                 np.ascontiguousarray(query.xy, dtype=np.float64),
                 query.octave,

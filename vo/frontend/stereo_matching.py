@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from vo.config import StereoConfig
-from vo.frontend.contracts import FeatureExtractor, Matcher, Segments, feature_set
+from vo.frontend.contracts import EpipolarSegments, FeatureExtractor, Matcher, feature_set
 from vo.frontend.depth import disparity_from_depth
 from vo.frontend.lazy_future import finished
 from vo.frontend.patch_alignment import PatchAligner, patches_of
@@ -81,7 +81,7 @@ class StereoMatcher:
         image1, right = frame.right[0], frame.right[1].result()
         width = frame.image0.shape[1]
         max_offset = self._config.max_row_offset_px
-        region = Segments(
+        region = EpipolarSegments(
             xy - (self._config.max_disparity_ratio * width, 0.0),
             xy + (max_offset, 0.0),
             max_offset * self._scale_factor ** right.octave.astype(np.float64),

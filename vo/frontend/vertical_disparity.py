@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import StereoConfig
-from vo.frontend.contracts import Matcher, Segments, feature_set
+from vo.frontend.contracts import EpipolarSegments, Matcher, feature_set
 from vo.frontend.patch_alignment import PatchAligner, patches_of
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.right_camera_error import is_worth_correcting, largest_change
@@ -118,7 +118,7 @@ class VerticalDisparityCorrection:
         height, width = left.image.shape
         xy = left.keypoints.xy.astype(np.float64)
         reach = _MAX_OFFSET_RATIO * height
-        region = Segments(
+        region = EpipolarSegments(
             xy - (self._config.max_disparity_ratio * width, 0.0),
             xy + (reach, 0.0),
             np.full(len(right.keypoints), reach),

@@ -36,7 +36,7 @@ class StoredLandmarks(NamedTuple):
 
 
 class KeyframeStore(Protocol):
-    """Receives the keyframes that leave the local map, in the order of their ids."""
+    """Receives keyframes, in the order of their ids, when they leave the map or at `close`."""
 
     def add(self, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
         """Take over a keyframe and copies of the landmarks that it observes."""

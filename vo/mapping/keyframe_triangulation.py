@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import MappingConfig
-from vo.frontend.contracts import Segments, feature_set
+from vo.frontend.contracts import EpipolarSegments, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.patch_alignment import Alignment, Patches, patches_of
 from vo.geometry.epipolar_segments import epipolar_segments
@@ -165,7 +165,7 @@ class KeyframeTriangulator:
         matches = self._matcher.match(
             feature_set(older.keypoints, query),
             feature_set(newer.keypoints, train, newer.undistorted_xy[train]),
-            Segments(start, end, tolerance_px=1.5 * size),
+            EpipolarSegments(start, end, tolerance_px=1.5 * size),
         )
         query, train = query[matches.query], train[matches.train]
         if len(query) == 0:

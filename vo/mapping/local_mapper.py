@@ -112,7 +112,7 @@ class LocalMapper:
         else:
             self._keyframe_triangulator.add_landmarks(keyframe, frame.image0)
         self.estimate_normals(keyframe, only_new=True)
-        self._fuse_into_neighbours(keyframe)
+        self._observe_in_earlier(keyframe)
 
     def estimate_normals(self, keyframe: Keyframe, *, only_new: bool = False) -> None:
         """Estimate the surface normals of a keyframe's landmarks from neighbouring landmarks."""
@@ -154,7 +154,7 @@ class LocalMapper:
         mask[rows[changed]] = True
         local_map.set_reference(keyframe, mask)
 
-    def _fuse_into_neighbours(self, keyframe: Keyframe) -> None:
+    def _observe_in_earlier(self, keyframe: Keyframe) -> None:
         """Find the newest landmarks in earlier keyframes, which do not observe them yet."""
         local_map = self._map
         new = np.flatnonzero((local_map.last_seen == keyframe.id) & (local_map.found <= 1))

@@ -25,7 +25,8 @@ class Change(NamedTuple):
 
     Attributes:
         tracked: landmarks tracked now.
-        last_tracked: landmarks of the last keyframe, at most as many as can be tracked.
+        last_tracked: landmarks of the last keyframe, limited in rich scenes, where not all of them
+            can be tracked.
         parallax_rad: median angle between the rays to landmarks, now and at the last keyframe.
         elapsed_s: time since the last keyframe.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.config import StartConfig
 from vo.failures import Failure, FailureReason
-from vo.frontend.contracts import Matches, Windows, feature_set
+from vo.frontend.contracts import Circles, Matches, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.matching import with_common_rotation
 from vo.frontend.patch_alignment import patches_of
@@ -171,7 +171,7 @@ class MonocularInitializer:
         a, b, matcher = reference.keypoints, frame.keypoints, self._frontend.matcher
         radius_px = np.full(len(a), self._radius_ratio * self._map.rig.width)
         query, train = feature_set(a, xy=self._expected_xy), feature_set(b)
-        matches = matcher.match(query, train, Windows(radius_px), check_rotation=False)
+        matches = matcher.match(query, train, Circles(radius_px), check_rotation=False)
         if len(matches.query) < self._config.min_matches:
             return matcher.match(query, train)
         return with_common_rotation(matches, query, train)

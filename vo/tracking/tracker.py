@@ -1,6 +1,6 @@
 """Tracking: the pose of a frame in the map.
 
-A first pose comes from sparse image alignment, from descriptors near the predicted pose or
+An initial pose comes from sparse image alignment, from descriptors near the predicted pose or
 anywhere, or from an essential matrix. It is refined on the patches of all landmarks in view.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import StartConfig, TrackingConfig
-from vo.frontend.contracts import FeatureSet, Windows, feature_set
+from vo.frontend.contracts import Circles, FeatureSet, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import inverse
@@ -37,11 +37,11 @@ _RADII_LOST = (3.0, 8.0)
 _MIN_SPARSE_RATIO = 0.5
 
 
-class _FirstPose(NamedTuple):
-    """A pose to refine, and the number of inliers from which no other one is tried."""
+class _InitialPose(NamedTuple):
+    """A pose to refine, and the number of inliers from which no other pose is tried."""
 
     world_from_cam: Floats
-    enough: float = 0.0
+    sufficient_inliers: float = 0.0
 
 
 class Tracker:
@@ -96,7 +96,7 @@ class Tracker:
         self.last = last_frame(frame, tracked)
 
     def forget_last_frame(self) -> None:
-        """Begin a new segment."""
+        """Forget the last frame, before a new segment."""
         self.last = None
 
     def move(self, motion: Floats) -> None:
@@ -119,7 +119,9 @@ class Tracker:
     def track(
         self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool = False
     ) -> TrackedFrame | None:
-        """The frame's pose with most inliers of those tried; None if too few landmarks agree.
+        """The first initial pose that refinement confirms; None if too few landmarks agree.
+
+        One from sparse image alignment with few inliers competes with the next one.
 
         Args:
             frame: the frame.
@@ -127,38 +129,38 @@ class Tracker:
             is_lost: whether the frame before was not tracked.
         """
         best: TrackedFrame | None = None
-        for first in self._first_poses(frame, last_from_cam, is_lost=is_lost):
-            tracked = self.refine(frame, first.world_from_cam)
+        for initial in self._initial_poses(frame, last_from_cam, is_lost=is_lost):
+            tracked = self.refine(frame, initial.world_from_cam)
             if best is None or (tracked is not None and tracked.inliers >= best.inliers):
                 best = tracked
-            if best is not None and best.inliers >= first.enough:
+            if best is not None and best.inliers >= initial.sufficient_inliers:
                 return best
         return best
 
-    def _first_poses(
+    def _initial_poses(
         self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool
-    ) -> Iterator[_FirstPose]:
+    ) -> Iterator[_InitialPose]:
         """Poses to refine, the most accurate and cheapest first."""
         if self.last is not None and last_from_cam is not None:
             enough = _MIN_SPARSE_RATIO * int(self.last.inlier.sum())
-            yield _FirstPose(self._motion.last @ last_from_cam, enough)
+            yield _InitialPose(self._motion.last @ last_from_cam, enough)
         predicted = self._motion.predict(frame.stamp_ns)
         pose = self.track_by_projection(frame, predicted, _RADII)
         if pose is not None:
-            yield _FirstPose(pose)
+            yield _InitialPose(pose)
         if is_lost:  # the camera may have stopped as well as gone on
             pose = self.track_by_projection(frame, self._motion.last, _RADII_LOST)
             if pose is not None:
-                yield _FirstPose(pose)
+                yield _InitialPose(pose)
         else:
-            yield _FirstPose(predicted)
+            yield _InitialPose(predicted)
         pose = self.relocalize(frame)
         if pose is not None:
-            yield _FirstPose(pose)
+            yield _InitialPose(pose)
         if not self._map.rig.is_stereo and self.last is not None:
             pose = self._essential_matrix.estimate(self.last, self._motion.last, frame)
             if pose is not None:
-                yield _FirstPose(pose)
+                yield _InitialPose(pose)
 
     def track_by_projection(
         self, frame: PreprocessedFrame, predicted: Floats, radii: tuple[float, ...] = _RADII
@@ -170,7 +172,7 @@ class Tracker:
         query = replace(self._features_of(rows), xy=visible.image_xy, octave=octave)
         radius_px = self._config.search_ratio * self._map.rig.width
         for factor in radii:
-            region = Windows(np.full(len(rows), factor * radius_px))
+            region = Circles(np.full(len(rows), factor * radius_px))
             matches = self._matcher.match(query, feature_set(frame.keypoints), region)
             pose = self._pose(frame, rows[matches.query], matches.train)
             if pose is not None:
@@ -213,8 +215,8 @@ class Tracker:
 
     def _features_of(self, rows: Ints) -> FeatureSet:
         """Landmarks by row as features to match."""
-        world = self._map
-        return FeatureSet(None, world.octave[rows], world.angle[rows], world.descriptor[rows])
+        m = self._map
+        return FeatureSet(None, m.octave[rows], m.angle[rows], m.descriptor[rows])
 
     def _pose(self, frame: PreprocessedFrame, rows: Ints, features: Ints) -> Floats | None:
         """world_from_cam from landmarks (n,) matched with features (n,)."""

@@ -13,8 +13,8 @@ from vo.tracking.tracker import Tracker
 from vo.trajectory.builder import TrajectoryBuilder
 
 
-class MapOptimiser:
-    """Optimises the newest keyframes after each new one, beside tracking.
+class MapUpdater:
+    """Submits windows after new keyframes and applies their results, beside tracking.
 
     Attributes:
         vertical_disparity: as estimated so far, None if it is unknown.
@@ -23,10 +23,10 @@ class MapOptimiser:
     Args:
         local_map: the map.
         mapper: removes bad landmarks.
-        tracker: follows the newest keyframe.
+        tracker: is moved with the newest keyframe.
         window: optimises the newest keyframes.
         refiner: estimates corrections of the calibration.
-        trajectory: follows all keyframes.
+        trajectory: stores the poses of all keyframes.
         stopwatch: measures the stages.
     """
 
@@ -64,7 +64,7 @@ class MapOptimiser:
         """Optimise the two keyframes of a new map of a single camera."""
         self._trajectory.add_keyframe(first)
         self._submit()
-        self._follow(self._window.apply())
+        self._store_moved(self._window.apply())
 
     @timed("window")
     def apply(self) -> None:
@@ -72,24 +72,28 @@ class MapOptimiser:
         update = self._window.apply()
         if update is None:
             return
-        self._follow(update)
+        # Corrections move keyframes once more: the tracker is moved last, by all of it.
+        self._store_moved(update)
         self._refine_calibration(update)
         self._mapper.cull()
         self._mapper.estimate_normals(self._map.keyframes[-1])
-        self._tracker.move(update.motion)
+        self._tracker.move(update.motion_until_now())
 
     @timed("window")
     def correct_vertical_disparity(self, before: VerticalDisparity, now: VerticalDisparity) -> None:
-        """Follow a new correction of right images in the disparities measured before."""
+        """Apply a new correction of right images to disparities measured before, and optimise.
+
+        The motion model is not moved: its next prediction starts from the old pose.
+        """
         self.apply()
         self._map.correct_vertical_disparity(before, now)
-        self._follow(self._window.optimise_map())
+        self._store_moved(self._window.optimise_map())
 
     def _submit(self) -> None:
         weight = self._refiner.window_weight(self._window.submitted)
         self._window.submit(calibration_weight=weight)
 
-    def _follow(self, update: WindowUpdate | None) -> None:
+    def _store_moved(self, update: WindowUpdate | None) -> None:
         if update is not None:
             self._trajectory.update(update.moved)
 
@@ -106,4 +110,4 @@ class MapOptimiser:
             self._map.correct_disparities(offset_px, curve_px, is_yaw=is_yaw)
         else:
             self._map.correct_radial_distortion(correction.k1)
-        self._follow(self._window.optimise_map())
+        self._store_moved(self._window.optimise_map())
