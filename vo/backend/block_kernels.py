@@ -41,35 +41,24 @@ _subtract_row = Intrinsic("vo.backend.intrinsics", "subtract_row")
 
 
 @compiled(fastmath={"contract"})
-def reduced(  # type: ignore[no-untyped-def]
-    points,
-    poses,
-    slot,
-    calibrates,
-    starts,
-    keyframe,
-    xy,
-    disparity,
-    inverse_sigma,
-    intrinsics,
-    fb,
-    inverse_d,
-    huber,
-):
+def reduced(points, poses, slot, calibrates, views):  # type: ignore[no-untyped-def]
     """Schur complement H (6 F, 6 F) and g (6 F,) of the F free poses.
 
-    Args (after points (M, 3), the fields of `PointViews` follow):
+    Args:
+        points: (M, 3) in the world.
         poses: (K, 3, 4) cam_from_world.
         slot: (K,) number among the free poses, -1 if fixed.
-
-    With `calibrates` six rows are appended, the first of them for the `CalibrationResidual`: the
-    blocks treat it as one more pose that all observations have in common.
+        calibrates: whether six rows are appended, the first of them for the
+            `CalibrationResidual`: the blocks treat it as one more pose that all observations have
+            in common.
+        views: the observations, a `PointViews`.
     """
     free = 0
     for k in slot:
         free = max(free, k + 1)
     size = free + 1 if calibrates else free
     blocks, gradient = np.zeros(size * size * _BLOCK), np.zeros(size * _LANES)
+    starts, keyframe = views.starts, views.camera
     max_views = 1
     for m in range(len(starts) - 1):
         max_views = max(max_views, starts[m + 1] - starts[m] + 1)
@@ -79,7 +68,6 @@ def reduced(  # type: ignore[no-untyped-def]
     at = np.zeros(max_views, dtype=np.int64)
     normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     flat_inverse = inverse.reshape(-1)
-    views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
     for m in range(len(starts) - 1):
         first, count = starts[m], starts[m + 1] - starts[m]
         if count == 0:
@@ -87,7 +75,7 @@ def reduced(  # type: ignore[no-untyped-def]
         # All Jacobians are written before the products read them: a vector load soon after scalar
         # stores to the same place would stall.
         _differentiate(
-            points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
+            points, poses, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
         )
         shared[:] = 0.0
         tied = 0
@@ -132,7 +120,7 @@ def reduced(  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
 def _differentiate(  # type: ignore[no-untyped-def]
-    points, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
+    points, poses, m, first, count, views, by_pose, by_point, by_rest, error, normal, right
 ):
     """Linearise the observations of point m.
 
@@ -140,7 +128,7 @@ def _differentiate(  # type: ignore[no-untyped-def]
     `by_rest` (derivatives by the calibration residual), `error` e; and of the point `normal` B^T B
     and `right` B^T e. Observations from behind the camera are 0.
     """
-    poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
+    _, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
     p0, p1, p2 = points[m, 0], points[m, 1], points[m, 2]
     n00 = n01 = n02 = n11 = n12 = n22 = 0.0
     r0 = r1 = r2 = 0.0

@@ -75,7 +75,7 @@ class Bundle:
         self._points = at.points
         poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
         hessian, gradient = block_kernels.reduced(
-            at.points, poses, self._slot, with_calibration, *self._views
+            at.points, poses, self._slot, with_calibration, self._views
         )
         size = 6 * (self._slot.max() + 1) + (self.calibration_size if with_calibration else 0)
         return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)

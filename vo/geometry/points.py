@@ -110,7 +110,7 @@ def best_points(
     """
     moved = points.copy()
     poses = np.ascontiguousarray(cam_from_world[:, :3])
-    return moved, float(_refined(moved, poses, steps, tolerance, *views))
+    return moved, float(_refined(moved, poses, steps, tolerance, views))
 
 
 @compiled
@@ -132,30 +132,16 @@ def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath={"contract"})
-def _refined(  # type: ignore[no-untyped-def]
-    points,
-    poses,
-    steps,
-    tolerance,
-    starts,
-    keyframe,
-    xy,
-    disparity,
-    inverse_sigma,
-    intrinsics,
-    fb,
-    inverse_d,
-    huber,
-):
+def _refined(points, poses, steps, tolerance, views):  # type: ignore[no-untyped-def]
     """Move every point to the minimum of its cost, in place; gives the sum of the costs."""
-    views = (poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber)
+    starts, disparity, fb = views.starts, views.disparity, views.focal_baseline
     total = 0.0
     for m in range(len(starts) - 1):
         first, last = starts[m], starts[m + 1]
         if last == first:
             continue
         at = points[m, 0], points[m, 1], points[m, 2]
-        cost, normal, right = _point_normal(at, first, last, views)
+        cost, normal, right = _point_normal(at, first, last, poses, views)
         if not np.isfinite(cost):
             total += _COST_BEHIND
             continue
@@ -167,7 +153,7 @@ def _refined(  # type: ignore[no-untyped-def]
             solvable, trial = _stepped(at, normal, right, damping)
             if not solvable:
                 break
-            lower, trial_normal, trial_right = _point_normal(trial, first, last, views)
+            lower, trial_normal, trial_right = _point_normal(trial, first, last, poses, views)
             if not lower < cost:
                 damping *= _DAMPING_FACTOR
                 continue
@@ -182,7 +168,7 @@ def _refined(  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
-def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
+def _point_normal(at, first, last, poses, views):  # type: ignore[no-untyped-def]
     """Cost, normal matrix and gradient of a point, over its observations first to last - 1.
 
         cost = sum rho(|e|),    normal = sum w J^T J,    gradient = sum w J^T e,
@@ -191,12 +177,12 @@ def _point_normal(at, first, last, views):  # type: ignore[no-untyped-def]
     Huber's rho and w. The matrix is returned as xx, yy, zz, xy, xz, yz. Scalars throughout, which
     stay in registers. The cost is infinite if the point is behind one of the cameras.
     """
-    poses, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
+    _, camera, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
     cost = 0.0
     n00 = n11 = n22 = n10 = n20 = n21 = 0.0
     r0 = r1 = r2 = 0.0
     for a in range(first, last):
-        pose = poses[keyframe[a]]
+        pose = poses[camera[a]]
         x, y, z = to_camera(pose, at[0], at[1], at[2])
         if z < MIN_DEPTH:
             return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
