@@ -13,7 +13,6 @@ import typer
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 MAX_WIDTH = 100
-UNWRAPPED = ("docs/architecture.md",)  # being rewritten
 
 
 def _name(page: Path) -> str:
@@ -56,7 +55,7 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert broken == []
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if _name(p) not in UNWRAPPED], ids=_name)
+@pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_prose_is_wrapped(page: Path) -> None:
     long = []
     for line, code in _lines(page):

@@ -9,7 +9,7 @@ from vo.geometry.right_camera_error import right_camera_error
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 
 
-def calibration_errors(rig: RectifiedRig, corrected: VerticalDisparity) -> CalibrationErrors:
+def corrected_errors(rig: RectifiedRig, corrected: VerticalDisparity) -> CalibrationErrors:
     """The errors that are corrected in a rig, and in its right images."""
     k1 = rig.k1_error
     return CalibrationErrors(
