@@ -113,3 +113,12 @@ def test_a_failed_start_is_only_a_warning(synthetic_stereo: Path, tmp_path: Path
     assert errors.startswith("warning: optimising in this process, no other can be started")
     assert len(modules_at_starts(tmp_path)) == 2
     assert_all_ended(tmp_path, 1)
+
+
+def test_an_old_name_of_a_setting_gets_one_warning_line(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    words = ("--set", "mapping.look_back=3", "--end", "2", "--quiet")
+    status, errors = run(tmp_path, synthetic_stereo, *words)
+    renamed = "mapping.look_back is now mapping.fuse_keyframes"
+    assert (status, errors) == (0, f"warning: settings in default have been renamed: {renamed}\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,9 @@ def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Pope
     from vo.config import load_config
     from vo.scheduling import available_cores
 
+    # Warnings about settings come before the console of the other ones is loaded.
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(logging.Formatter("warning: %(message)s"))
     config = load_config(settings.config, settings.all_overrides)
     child = stack.enter_context(child_started_early(config.threads or available_cores()))
     return config, child
