@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from vo.config import MatchingConfig
 from vo.frontend.contracts import Circles, EpipolarSegments, FeatureSet, SearchRegion
-from vo.frontend.matching import NO_MATCH, HammingMatcher
+from vo.frontend.hamming_kernels import NO_MATCH
+from vo.frontend.matching import HammingMatcher
 from vo.types import Bytes, Floats, Floats32, Ints
 
 Ints32 = NDArray[np.int32]

@@ -7,7 +7,7 @@ import pytest
 from matched_rows import match_segments
 from numpy.typing import NDArray
 
-from vo.frontend.matching import NO_MATCH
+from vo.frontend.hamming_kernels import NO_MATCH
 from vo.types import Bytes, Floats, Ints
 
 Ints32 = NDArray[np.int32]

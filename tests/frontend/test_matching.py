@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from matched_rows import match_everywhere, match_segments, match_windows
 
-from vo.frontend.matching import NO_MATCH, agree_in_rotation
+from vo.frontend.hamming_kernels import NO_MATCH
+from vo.frontend.matching import agree_in_rotation
 from vo.types import Bytes, Floats, Ints
 
 
