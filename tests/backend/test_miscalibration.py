@@ -131,12 +131,12 @@ def test_the_first_pose_s_missing_disparities_are_no_problem() -> None:
     assert found.value == pytest.approx(0.5, abs=0.08)
 
 
-def test_a_window_that_is_not_asked_says_nothing_and_is_adjusted_the_same() -> None:
+def test_without_a_calibration_residual_the_solution_is_the_same() -> None:
     problem = _shifted(0.5, 0).problem
-    asked = solve(problem, CONFIG)
+    with_residual = solve(problem, CONFIG)
     found = solve(replace(problem, estimates_calibration=False), CONFIG)
-    assert asked.calibration_residual is not None
+    assert with_residual.calibration_residual is not None
     assert found.calibration_residual is None
-    np.testing.assert_array_equal(found.world_from_cam, asked.world_from_cam)
-    np.testing.assert_array_equal(found.points, asked.points)
-    np.testing.assert_array_equal(found.information, asked.information)
+    np.testing.assert_array_equal(found.world_from_cam, with_residual.world_from_cam)
+    np.testing.assert_array_equal(found.points, with_residual.points)
+    np.testing.assert_array_equal(found.information, with_residual.information)
