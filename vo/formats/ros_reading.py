@@ -54,20 +54,6 @@ def ros1_codec(schema: str, definition: bytes) -> Codec | None:
     return _codec(name, lambda data: store.deserialize_ros1(data, name), _peek_ros1)
 
 
-def message_from_ros(record: Any, name: str) -> ReadMessage:
-    """Convert a message deserialised by `rosbags`.
-
-    Args:
-        record: the deserialised message, with an attribute for each field.
-        name: its type, one of `KNOWN_NAMES`, such as `sensor_msgs/msg/Image`.
-
-    Raises:
-        CalibrationError: it is an implausible camera.
-    """
-    _, convert = _CONVERTERS[name]
-    return convert(record)
-
-
 def _codec(name: str, parse: Callable[[bytes], Any], peek: Callable[[bytes], int]) -> Codec:
     kind, convert = _CONVERTERS[name]
 
