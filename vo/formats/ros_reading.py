@@ -220,4 +220,3 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "geometry_msgs/msg/TransformStamped": (PoseMessage, _transform_as_pose),
     "nav_msgs/msg/Odometry": (PoseMessage, _pose),
 }
-KNOWN_NAMES = frozenset(_CONVERTERS)
