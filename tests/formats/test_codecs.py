@@ -153,9 +153,20 @@ def _json_content(message: Message) -> dict[str, Any]:
     return {"transforms": [{**stamp, **frames, "translation": position, "rotation": rotation}]}
 
 
+def _without_definition(message: Message, text: bytes = b"") -> Encoded:
+    """A message of ROS 2 as in bags before Iron, which contain no definitions."""
+    codec = find_codec("cdr", ROS2.schema(type(message)).name, "", text)
+    assert codec is not None
+    return codec, ROS2.encode(message)
+
+
 ENCODERS: dict[str, Callable[[Message], Encoded]] = {
     "ros1": _as_ros1,
     "ros2": lambda message: _ours(message, ROS2),
+    "ros2 without definition": _without_definition,
+    "ros2 without nested types": lambda message: _without_definition(
+        message, b"std_msgs/Header header\n"
+    ),
     "protobuf": lambda message: _ours(message, FOXGLOVE),
     "json": _as_json,
 }

@@ -10,6 +10,8 @@ import layouts
 import numpy as np
 import pytest
 from bag_logs import Packed1, write_bag1, write_bag2
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from vo.errors import SourceError, VoError
@@ -49,6 +51,37 @@ def test_ros2_sqlite_with_each_compression(
 ) -> None:
     write_bag2(tmp_path / "bag", layouts.log_messages(codec), StoragePlugin.SQLITE3, compression)
     check_whole(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_ros2_without_message_definitions(tmp_path: Path, plugin: StoragePlugin) -> None:
+    """The layout of Foxy, Galactic and Humble."""
+    bag = write_bag2(tmp_path / "bag", layouts.log_messages("mono8"), plugin)
+    for file in bag.glob("*.db3"):
+        with sqlite3.connect(file) as database:
+            database.execute("DROP TABLE message_definitions")
+            database.execute("UPDATE schema SET schema_version = 3, ros_distro = 'humble'")
+    for file in bag.glob("*.mcap"):
+        _remove_definitions(file)
+    check_whole(bag)
+
+
+def _remove_definitions(path: Path) -> None:
+    """Write an MCAP file again, with schemas that have only a name."""
+    with path.open("rb") as old, path.with_suffix(".new").open("wb") as new:
+        writer = McapWriter(new)
+        writer.start("ros2")
+        channels: dict[str, int] = {}
+        for schema, channel, message in make_reader(old).iter_messages():
+            assert schema is not None
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, "", b"")
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(
+                channels[channel.topic], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()
+    path.with_suffix(".new").rename(path)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg
 from rosbags.typesys import get_typestore as load_store
 from rosbags.typesys.store import Typestore
@@ -28,6 +29,17 @@ from vo.formats.messages import (
 )
 
 _NS_PER_S = 1_000_000_000
+_OTHER_DEFINITIONS = {
+    "foxglove_msgs/msg/CompressedImage": (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format"
+    ),
+    "foxglove_msgs/msg/CompressedVideo": (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format"
+    ),
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
+}
+"""Definitions of supported types that rosbags does not have in every distribution."""
 
 
 def ros2_codec(schema: str, schema_encoding: str, definition: bytes) -> Codec | None:
@@ -36,7 +48,8 @@ def ros2_codec(schema: str, schema_encoding: str, definition: bytes) -> Codec | 
     Args:
         schema: name of the type, such as `sensor_msgs/msg/Image`.
         schema_encoding: `ros2msg`, `ros2idl` or empty.
-        definition: text of the definition; that of ROS 2 Humble is used if it cannot be read.
+        definition: text of the definition; that of ROS 2 Humble is used if it is empty, as in bags
+            before ROS 2 Iron, or cannot be read.
     """
     name = _full_name(schema)
     if name not in _CONVERTERS:
@@ -87,11 +100,36 @@ def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typ
         types = get_types_from_idl(text) if is_idl else get_types_from_msg(text, name)
         store = load_store(Stores.EMPTY)
         store.register(types)
-        if name in store.fielddefs:
+        # All supported types have fields; an empty text is parsed to a type without any.
+        if types[name][1] and _is_complete(store, name):
             return store
     except (TypesysError, UnicodeDecodeError, KeyError, ValueError):
         pass
-    return load_store(fallback)
+    store = load_store(fallback)
+    if name not in store.fielddefs and name in _OTHER_DEFINITIONS:
+        store.register(get_types_from_msg(_OTHER_DEFINITIONS[name], name))
+    return store
+
+
+def _is_complete(store: Typestore, name: str) -> bool:
+    """Whether all types in a type are defined."""
+    waiting, seen = [name], set[str]()
+    while waiting:
+        each = waiting.pop()
+        if each not in store.fielddefs:
+            return False
+        seen.add(each)
+        inside = (_named_type(description) for _, description in store.fielddefs[each][1])
+        waiting += [other for other in inside if other is not None and other not in seen]
+    return True
+
+
+def _named_type(description: Any) -> str | None:
+    """The message type of a field, also of its elements; None for numbers and texts."""
+    kind, content = description
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return _named_type(content[0])
+    return str(content) if kind is Nodetype.NAME else None
 
 
 def _peek_cdr(head: bytes) -> int:
