@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import bisect
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import av
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
-from av.video.stream import VideoStream
 
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.listing import Shot
+from vo.sources.video_index import VideoIndex, read_index, video_stream
 from vo.types import Bytes, Mode
 
-_log = logging.getLogger(__name__)
 _THREADS = 2
-
-
-class _Index(NamedTuple):
-    """Times of all frames, in nanoseconds and in ticks, and of the key frames, in ticks."""
-
-    stamps_ns: list[int]
-    ticks: list[int]
-    keys: list[int]
 
 
 def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
@@ -40,7 +28,7 @@ def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         SourceError: the file cannot be opened or has no frames.
         CalibrationError: the calibration is missing or invalid.
     """
-    index = _list_frames(path)
+    index = read_index(path)
     decoder = _Decoder(path, index)
     shots = [
         Shot(stamp, _StoredFrame(decoder, i), f"frame {i} of {path}")
@@ -77,11 +65,11 @@ class _StoredFrame:
 class _Decoder:
     """Decodes frames sequentially, and seeks only if that saves decoding."""
 
-    def __init__(self, path: Path, index: _Index) -> None:
+    def __init__(self, path: Path, index: VideoIndex) -> None:
         self.path = path
         self._index = index
         self._container: InputContainer | None = None
-        self._frames: Iterator[VideoFrame] = iter(())
+        self._frames: Iterator[tuple[int | None, VideoFrame]] = iter(())
         self._position: int | None = None  # ticks of the last decoded frame
         self._last_frame: VideoFrame | None = None
 
@@ -95,15 +83,16 @@ class _Decoder:
         try:
             self._seek(target)
             frame = self._last_frame
-            while frame is None or frame.pts is None or frame.pts < target:
-                frame = self._last_frame = next(self._frames)
-                self._position = frame.pts if frame.pts is not None else self._position
+            while frame is None or self._position is None or self._position < target:
+                position, frame = next(self._frames)
+                self._last_frame = frame
+                self._position = position if position is not None else self._position
         except StopIteration:
             raise SourceError(f"frame {index} of {self.path} is missing: the video ends") from None
         except (av.FFmpegError, OSError) as error:
             self.close()
             raise SourceError(f"frame {index} of {self.path} is damaged: {error}") from error
-        if frame.pts != target:
+        if self._position != target:
             raise SourceError(f"frame {index} of {self.path} is damaged")
         # Phones store upright images rotated, with the angle in the metadata.
         upright = np.rot90(frame_pixels(frame, colour), round(frame.rotation / 90))
@@ -125,66 +114,15 @@ class _Decoder:
             return
         if self._container is None:
             self._container = av.open(str(self.path))
-            _video_stream(self.path, self._container).codec_context.thread_count = _THREADS
-            _video_stream(self.path, self._container).thread_type = "AUTO"
-        stream = _video_stream(self.path, self._container)
-        self._container.seek(key, stream=stream)
+            video_stream(self.path, self._container).codec_context.thread_count = _THREADS
+            video_stream(self.path, self._container).thread_type = "AUTO"
+        stream = video_stream(self.path, self._container)
+        self._index.seek(self._container, stream, key)
         self._last_frame, self._position = None, None
-        self._frames = _decoded(self._container, stream)
+        self._frames = self._index.decoded(self._container, stream)
 
 
 def frame_pixels(frame: VideoFrame, colour: bool) -> Bytes:
     """A decoded frame as (H, W) grey, or as (H, W, 3) BGR with `colour` if it has colour."""
     is_grey = not colour or frame.format.name.startswith("gray")
     return np.ascontiguousarray(frame.to_ndarray(format="gray" if is_grey else "bgr24"))
-
-
-def _decoded(container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
-    """Decode the frames from the current position, without corrupt ones."""
-    for packet in container.demux(stream):
-        try:
-            frames = packet.decode()
-        except av.InvalidDataError:
-            continue
-        yield from (frame for frame in frames if not frame.is_corrupt)
-
-
-def _list_frames(path: Path) -> _Index:
-    """List the times of all frames, without decoding."""
-    ticks: set[int] = set()
-    keys: set[int] = set()
-    try:
-        with av.open(str(path)) as container:
-            stream = _video_stream(path, container)
-            unit = stream.time_base
-            try:
-                for packet in container.demux(stream):
-                    time = packet.pts if packet.pts is not None else packet.dts
-                    if time is None or not packet.size or packet.is_discard:
-                        continue
-                    ticks.add(time)
-                    if packet.is_keyframe:
-                        keys.add(time)
-            except av.FFmpegError as error:
-                _log.warning("%s is damaged after %d frames: %s", path, len(ticks), error)
-    except (av.FFmpegError, OSError) as error:
-        raise SourceError(
-            f"{path} cannot be opened as a video: {error.strerror or error}; a truncated MP4 file "
-            "cannot be recovered, because its index is written at the end"
-        ) from error
-    if not ticks or unit is None:
-        raise SourceError(f"{path} has no video frames")
-    ordered = sorted(ticks)
-    to_ns = partial(_nanoseconds, numerator=unit.numerator, denominator=unit.denominator)
-    return _Index([to_ns(time) for time in ordered], ordered, sorted(keys))
-
-
-def _nanoseconds(ticks: int, numerator: int, denominator: int) -> int:
-    """Convert ticks to nanoseconds, rounded to nearest, in integer arithmetic."""
-    return (2 * ticks * numerator * 1_000_000_000 + denominator) // (2 * denominator)
-
-
-def _video_stream(path: Path, container: InputContainer) -> VideoStream:
-    if not container.streams.video:
-        raise SourceError(f"{path} has no video stream")
-    return container.streams.video[0]
