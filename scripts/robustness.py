@@ -1,0 +1,196 @@
+"""Runs `vo run` on recordings with faults, and compares with the clean ones.
+
+Prints a row for each situation: the error of the path, that of the clean recording, the share of
+frames with a pose, the longest step relative to the clean one, and what the run said. The exit
+status is 1 if a path is wrong and the run says that it can be trusted, or if the clean recordings
+give a false alarm. A path is wrong if its ATE exceeds 3 times that of the clean recording, and
+2 mm + 0.05 % of the path.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+from robustness_cases import CLIPS, Case, cases
+from robustness_clips import Clip, Clips, true_poses, write_euroc
+from robustness_run import Outcome, max_ate_m, run
+from robustness_table import CleanRow, Row, clean_line, document, line
+
+from vo.sources.registry import open_source
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "robustness.md"
+MODES = ("stereo", "mono")
+TUM_CALIBRATION = """\
+cam0:
+  resolution: [640, 480]
+  intrinsics: [535.4, 539.2, 320.1, 247.6]
+"""
+
+
+def main() -> None:
+    """Run, print the rows, and write the requested files."""
+    options = _options()
+    chosen = [c for c in cases(options.vo) if _is_chosen(c, options)]
+    if options.list:
+        print("\n".join(case.name for case in chosen))
+        return
+    clips = Clips(options.data, options.cache)
+    rows: dict[str, Row] = {}
+    clean: list[CleanRow] = []
+    with tempfile.TemporaryDirectory(prefix="vo-robustness-") as name:
+        bench = _Bench(options.vo, clips, Path(name), options.keep)
+        for case in sorted(chosen, key=lambda c: CLIPS.index(c.clip)):  # each is read once
+            row = bench.row(case)
+            if row is not None:
+                rows[case.name] = row
+                print(line(row), flush=True)
+        for each in _clean_rows(options, Path(name)):
+            clean.append(each)
+            print(clean_line(each), flush=True)
+    if not rows and not clean:
+        raise SystemExit("error: nothing to run; check --data and --only")
+    in_order = [rows[case.name] for case in chosen if case.name in rows]
+    _write(options, in_order, clean)
+    wrong = [row for row in in_order if row.is_wrong_and_trusted]
+    alarms = [row for row in clean if row.false_alarms]
+    print(f"{len(rows)} rows, {len(wrong)} wrong and trusted; ", end="")
+    print(f"{len(clean)} clean runs, {len(alarms)} with false alarms")
+    if wrong or alarms:
+        raise SystemExit(1)
+
+
+class _Bench:
+    """Makes recordings, and runs the command on them."""
+
+    def __init__(self, vo: Path, clips: Clips, work: Path, keep: Path | None) -> None:
+        self._vo, self._clips, self._work, self._keep = vo, clips, work, keep
+        self._clean: dict[str, Outcome] = {}
+
+    def row(self, case: Case) -> Row | None:
+        clip = self._clips.get(case.clip)
+        if clip is None:
+            _say(f"{case.name}: the recording does not exist, skipped")
+            return None
+        clean = self._clean_outcome(case.clip, clip)
+        faulty = case.fault(clip)
+        with tempfile.TemporaryDirectory(dir=self._work) as folder:
+            kept = self._keep / _file_name(case.name) if self._keep else Path(folder) / "case"
+            recording = case.write(faulty, kept / "recording")
+            outcome = run(self._vo, recording, faulty.truth, kept / "out")
+        limit = max_ate_m(clean, faulty.truth)
+        names = (case.situation, case.variant, case.clip)
+        return Row(*names, outcome, clean, limit, case.is_visible)
+
+    def _clean_outcome(self, name: str, clip: Clip) -> Outcome:
+        if name not in self._clean:
+            with tempfile.TemporaryDirectory(dir=self._work) as folder:
+                recording = write_euroc(clip, Path(folder) / "clean")
+                self._clean[name] = run(self._vo, recording, clip.truth, Path(folder) / "out")
+        return self._clean[name]
+
+
+def _clean_rows(options: argparse.Namespace, work: Path) -> Iterator[CleanRow]:
+    """Runs on recordings as they are: the real ones, then the synthetic suite."""
+    calibration = work / "tum.yaml"
+    calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
+    for name, folder_of in _clean_recordings(options):
+        for mode in MODES:
+            title = f"clean, {name}, {mode}"
+            if options.no_clean or options.only not in title:
+                continue
+            arguments: tuple[str, ...] = ("--mode", mode)
+            if name.startswith("tum_"):
+                arguments += ("--calibration", str(calibration))
+            with tempfile.TemporaryDirectory(dir=work) as output:
+                outcome = _clean_run(options.vo, folder_of(), Path(output), arguments)
+            if outcome is not None:
+                yield CleanRow(title, outcome)
+
+
+def _clean_recordings(options: argparse.Namespace) -> Iterator[tuple[str, Callable[[], Path]]]:
+    """Names, and functions that give the folder; those of the suite are made where missing."""
+    from data_synth.cache import cached_sequence
+    from data_synth.recipe import load_recipe, recipe_folder
+
+    for folder in sorted(options.data.glob("*_*")):
+        if folder.name != "eval_reference":
+            yield folder.name, partial(Path, folder)
+    if not options.quick:
+        for file in sorted((recipe_folder() / "suite").glob("*.yaml")):
+            recipe = load_recipe(file)
+            yield file.stem, partial(cached_sequence, recipe, options.cache, file.stem)
+
+
+def _clean_run(vo: Path, folder: Path, output: Path, arguments: tuple[str, ...]) -> Outcome | None:
+    """The outcome, None where the recording has no right camera."""
+    calibration = Path(arguments[-1]) if "--calibration" in arguments else None
+    source = open_source(folder, calibration=calibration)
+    if "stereo" in arguments and not source.rig.is_stereo:
+        return None
+    assert source.ground_truth is not None
+    truth = true_poses(source.ground_truth, source.stamps_ns)
+    return run(vo, folder, truth, output / "out", arguments)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="scripts/robustness",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--only", default="", metavar="TEXT", help="only rows whose name contains this")
+    add("--list", action="store_true", help="print the names of the rows, and exit")
+    add("--quick", action="store_true", help="one strength of each situation, no synthetic suite")
+    add("--no-clean", action="store_true", help="without the runs that count false alarms")
+    add("--json", type=Path, metavar="FILE", help="write every figure into this file")
+    add("--markdown", type=Path, metavar="FILE", nargs="?", const=PAGE, help="write the tables; "
+        "without a file into docs/robustness.md")  # fmt: skip
+    add("--keep", type=Path, metavar="DIR", help="keep recordings and results here")
+    add("--vo", type=Path, default=Path(sys.executable).with_name("vo"), help="command to test")
+    add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="real recordings")
+    add("--cache", type=Path, default=ROOT / "out" / "synth", help="synthetic recordings")
+    options = parser.parse_args()
+    if options.markdown == PAGE and (options.only or options.quick or options.no_clean):
+        parser.error("docs/robustness.md needs all rows: leave out --only, --quick, --no-clean")
+    return options
+
+
+def _is_chosen(case: Case, options: argparse.Namespace) -> bool:
+    return options.only in case.name and (case.is_quick or not options.quick)
+
+
+def _write(options: argparse.Namespace, rows: list[Row], clean: list[CleanRow]) -> None:
+    if options.json:
+        report = {
+            "rows": [row.to_dict() for row in rows],
+            "clean": [{"name": c.name, **vars(c.outcome)} for c in clean],
+        }
+        options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if options.markdown == PAGE:
+        page = PAGE.read_text(encoding="utf-8")
+        begin, end = "<!-- table: begin -->", "<!-- table: end -->"
+        before, rest = page.split(begin)
+        text = f"{before}{begin}\n\n{document(rows, clean)}\n\n{end}{rest.split(end)[1]}"
+        PAGE.write_text(text, encoding="utf-8")
+    elif options.markdown:
+        options.markdown.write_text(document(rows, clean) + "\n", encoding="utf-8")
+
+
+def _file_name(name: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in name)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()
