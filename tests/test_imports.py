@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BASE = {
     f"vo.{name}"
     for name in (
-        *("errors", "types", "failures", "calibration_errors"),
+        *("errors", "types", "failures", "faults", "calibration_errors"),
         *("config", "settings", "scheduling", "stopwatch"),
     )
 }

@@ -241,6 +241,7 @@ class Odometry:
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
             median_disparity_px=None if tracked is None else tracked.median_disparity_px,
+            faults=frame.faults + result.faults,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,
             stage_ms=self.stopwatch.take(),

@@ -114,6 +114,7 @@ class RunSession:
         self._recorder = recorder
         self._progress = progress
         self._statistics = RunStatistics()
+        self._statistics.faults.add(stream.faults)
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.failures import Failure
+from vo.faults import Fault
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
@@ -38,6 +39,7 @@ class FrameResult(NamedTuple):
         keyframe: the keyframe that it became, or None.
         before: the tracked frame before it, or None.
         failure: why it has no pose.
+        faults: faults that tracking has found.
     """
 
     frame: PreprocessedFrame
@@ -45,6 +47,7 @@ class FrameResult(NamedTuple):
     keyframe: Keyframe | None = None
     before: LastFrame | None = None
     failure: Failure | None = None
+    faults: tuple[Fault, ...] = ()
 
     @property
     def world_from_cam(self) -> Floats | None:

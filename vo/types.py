@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.failures import Failure
+from vo.faults import Fault
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -364,6 +365,7 @@ class Estimate:
         stage_ms: wall time by stage in milliseconds.
         disparity_offset_px: bias of disparities that is corrected now.
         median_disparity_px: median over the inliers, None without disparities.
+        faults: faults of the recording that were found in the frame.
     """
 
     frame_index: int
@@ -381,3 +383,4 @@ class Estimate:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     disparity_offset_px: float = 0.0
     median_disparity_px: float | None = None
+    faults: tuple[Fault, ...] = ()

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from vo.cli.advice import advice, verdict
+from vo.cli.advice import advice, verdict_sentence
 from vo.config import load_config
+from vo.faults import FaultKind
+from vo.results.fault_log import FaultRecord
 from vo.results.frames_without_pose import FrameRange
 from vo.results.summary import Summary
 from vo.run import run
@@ -21,16 +23,16 @@ def good(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Su
 
 
 def test_a_good_run_needs_no_advice(good: Summary) -> None:
-    assert verdict(good) == ("good", "complete: all 6 frames have a pose")
+    assert good.verdict == ("good", "complete", True)
+    assert verdict_sentence(good) == "complete: all 6 frames have a pose"
     assert advice(good) == []
 
 
 def test_lost_frames_are_listed_with_advice(good: Summary) -> None:
     ranges = (FrameRange(2, 3, 2, "lost", "too few"), FrameRange(5, 5, 1, "lost", "too few"))
     lost = replace(good, tracked=3, lost=3, without_pose=ranges, segments=good.segments * 2)
-    grade, sentence = verdict(lost)
-    assert grade == "caution"
-    assert sentence == (
+    assert lost.verdict.grade == "caution"
+    assert verdict_sentence(lost) == (
         "with gaps: 3 of 6 frames have a pose (50.0%), in 2 segments that are not connected"
     )
     lines = advice(lost)
@@ -40,7 +42,8 @@ def test_lost_frames_are_listed_with_advice(good: Summary) -> None:
 
 def test_a_run_without_tracked_frames_is_bad_and_gets_advice(good: Summary) -> None:
     nothing = replace(good, tracked=0, starting=6, segments=(), median_inliers=None)
-    assert verdict(nothing) == ("bad", "no path: none of the 6 frames has a pose")
+    assert nothing.verdict == ("bad", "no path", False)
+    assert verdict_sentence(nothing) == "no path: none of the 6 frames has a pose"
     assert "check the calibration" in advice(nothing)[0]
     assert "--mode mono" in advice(nothing)[1]
     mono = replace(nothing, facts=replace(nothing.facts, mode="mono"))
@@ -49,9 +52,24 @@ def test_a_run_without_tracked_frames_is_bad_and_gets_advice(good: Summary) -> N
 
 def test_a_run_with_few_inliers_is_not_good(good: Summary) -> None:
     poor = replace(good, median_inliers=22.0)
-    assert verdict(poor).grade == "caution"
+    assert poor.verdict == ("caution", "unreliable", False)
     assert "few inlier landmarks" in advice(poor)[0]
 
 
 def test_verdict_on_an_interrupted_run(good: Summary) -> None:
-    assert verdict(replace(good, status="interrupted")).sentence.startswith("interrupted: ")
+    assert verdict_sentence(replace(good, status="interrupted")).startswith("interrupted: ")
+
+
+def test_a_fault_that_is_not_handled_makes_a_run_untrusted(good: Summary) -> None:
+    kind = FaultKind.REPEATED_IMAGES
+    handled = replace(good, faults=(FaultRecord(kind, True, 2, 3, 4, 0.0),))
+    assert handled.verdict == ("good", "complete, with warnings", True)
+    assert handled.warnings == (
+        "images repeat the one before while the camera moves, and get no pose: frames 3 to 4; "
+        "check the camera driver",
+    )
+    wrong = replace(good, faults=(FaultRecord(kind, False, 2, 3, 5, 0.0),))
+    assert wrong.verdict == ("bad", "not to be trusted", False)
+    assert verdict_sentence(wrong) == "not to be trusted: all 6 frames have a pose"
+    assert "2 of the frames 3 to 5" in wrong.warnings[0]
+    assert replace(wrong, status="interrupted").verdict.word == "interrupted, not to be trusted"

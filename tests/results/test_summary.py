@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError
 from vo.failures import Failure, FailureReason, ImageDefect
+from vo.faults import Fault, FaultKind
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
 from vo.results.run_statistics import RunStatistics
 from vo.results.summary import RunFacts, RunState, Summary, summarise
@@ -31,6 +32,7 @@ def estimate(
     state: State = State.TRACKING,
     failure: Failure | None = None,
     ids: Sequence[int] | None = None,
+    faults: Sequence[Fault] = (),
 ) -> Estimate:
     return Estimate(
         frame_index=frame,
@@ -45,6 +47,7 @@ def estimate(
         inliers=90,
         keyframes=(),
         landmark_ids=None if ids is None else np.array(ids, np.int64),
+        faults=tuple(faults),
     )
 
 
@@ -201,11 +204,13 @@ def test_stages_have_median_and_95th_percentile() -> None:
 
 
 def test_every_key_is_documented_and_plain() -> None:
-    summary = summary_of([estimate(0), estimate(1, State.LOST, few_matches(3))], path_of([0]))
+    fault = Fault(FaultKind.TWO_MOTIONS)
+    frames = [estimate(0, faults=[fault]), estimate(1, State.LOST, few_matches(3))]
+    summary = summary_of(frames, path_of([0]))
     keys = summary.to_dict()
     assert json.loads(json.dumps(keys, allow_nan=False)) == keys
     documented = set(re.findall(r"`(\w+)`", DOCS.read_text(encoding="utf-8")))
-    nested = {k for name in ("without_pose", "segments") for k in keys[name][0]}
+    nested = {k for name in ("without_pose", "segments", "faults") for k in keys[name][0]}
     assert (set(keys) | nested) <= documented
     assert keys["frames_per_s"] == 1.0
     assert keys["versions"]["gtsam"][0].isdigit()

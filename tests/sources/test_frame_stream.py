@@ -11,6 +11,7 @@ import pytest
 
 from vo.config import load_config
 from vo.errors import ConfigError, SourceError
+from vo.faults import Fault
 from vo.mapping.keyframe_store import MemoryKeyframeStore
 from vo.run import run
 from vo.sources.images import ImageKind
@@ -32,6 +33,7 @@ class Camera:
         self.ground_truth: Trajectory | None = None
         self.skipped: list[Skipped] = []
         self.unpaired = 0
+        self.faults: list[Fault] = []
         self._frames = frames
 
     def frames(

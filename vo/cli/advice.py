@@ -1,17 +1,12 @@
-"""Verdict on a run, and advice for runs with problems."""
+"""The verdict on a run as a sentence, and advice for runs with problems."""
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
-
 from vo.failures import ImageDefect
 from vo.results.summary import Summary
+from vo.results.verdict import MIN_INLIERS
 
-Grade = Literal["good", "caution", "bad"]
-
-_MIN_INLIERS = 50
 _MAX_RANGES = 3
-_MIN_TRACKED = 0.5  # of all frames
 _MAX_STARTING = 0.1  # of all frames
 _CAUSES = {
     ImageDefect.BLACK: "exposure too short, lens cap on, lights off?",
@@ -20,35 +15,17 @@ _CAUSES = {
 }
 
 
-class Verdict(NamedTuple):
-    """Quality of a run, and one sentence about it."""
-
-    grade: Grade
-    sentence: str
-
-
-def verdict(summary: Summary) -> Verdict:
-    """Grade a run by its worst problem."""
+def verdict_sentence(summary: Summary) -> str:
+    """The verdict on a run, with the number of frames that it is about."""
     frames, tracked = summary.frames, summary.tracked
+    word = summary.verdict.word
     if not tracked:
-        return Verdict("bad", f"no path: none of the {frames} frames has a pose")
-    is_complete = tracked + summary.interpolated >= frames
-    have = f"all {frames} frames have a pose" if is_complete else f"{tracked} of {frames} frames do"
+        return f"{word}: none of the {frames} frames has a pose"
     segments = len(summary.segments)
     apart = f", in {segments} segments that are not connected" if segments > 1 else ""
-    if summary.status != "finished":
-        return Verdict("bad", f"{summary.status}: {have}{apart}")
-    if not is_complete:
-        ratio = tracked / frames
-        have = f"{tracked} of {frames} frames have a pose ({ratio:.1%})"
-        if ratio < _MIN_TRACKED:
-            return Verdict("bad", f"mostly lost: {have}{apart}")
-        return Verdict("caution", f"with gaps: {have}{apart}")
-    if segments > 1 or _is_poor(summary):
-        return Verdict("caution", f"complete, but unreliable: {have}{apart}")
-    if summary.warnings:
-        return Verdict("good", f"complete, with warnings: {have}")
-    return Verdict("good", f"complete: {have}")
+    if tracked + summary.interpolated >= frames:
+        return f"{word}: all {frames} frames have a pose{apart}"
+    return f"{word}: {tracked} of {frames} frames have a pose ({tracked / frames:.1%}){apart}"
 
 
 def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
@@ -88,7 +65,7 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
 
 
 def _is_poor(summary: Summary) -> bool:
-    return bool(summary.tracked) and (summary.median_inliers or 0.0) < _MIN_INLIERS
+    return bool(summary.tracked) and (summary.median_inliers or 0.0) < MIN_INLIERS
 
 
 def _lost_ranges(summary: Summary) -> str:

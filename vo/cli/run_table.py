@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from vo.cli.advice import advice, verdict
+from vo.cli.advice import advice, verdict_sentence
 from vo.results.profile import Profile
 from vo.results.summary import Summary
 
@@ -20,8 +20,8 @@ def print_summary(
 ) -> None:
     """Print the verdict on a run, figures, warnings, advice and next commands."""
     console = console or Console(highlight=False)
-    grade, sentence = verdict(summary)
-    console.print(f"[bold]{'result':<10} {_COLOURS[grade]}{escape(sentence)}[/][/]", soft_wrap=True)
+    colour, sentence = _COLOURS[summary.verdict.grade], verdict_sentence(summary)
+    console.print(f"[bold]{'result':<10} {colour}{escape(sentence)}[/][/]", soft_wrap=True)
     for name, value in _facts(summary, output, rrd):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
     lines = [("[yellow]warning:[/]", warning) for warning in summary.warnings]

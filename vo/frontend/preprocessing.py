@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vo.faults import Fault
 from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
 from vo.frontend.lazy_future import LazyFuture, finished
@@ -34,6 +35,7 @@ class PreprocessedFrame:
         path: the file that holds the image of camera 0 as recorded, or None.
         vertical_disparity: that of recorded pairs as estimated until this frame, or None.
         corrected: the part of them that is corrected in images[1].
+        faults: faults that the images show.
     """
 
     index: int
@@ -45,6 +47,7 @@ class PreprocessedFrame:
     path: Path | None = None
     vertical_disparity: VerticalDisparity | None = None
     corrected: VerticalDisparity = VerticalDisparity()
+    faults: tuple[Fault, ...] = ()
 
     @property
     def image0(self) -> Bytes:

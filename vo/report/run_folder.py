@@ -124,12 +124,19 @@ def _summary(path: Path) -> dict[str, Any]:
         raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
     if not isinstance(summary, dict) or "schema_version" not in summary:
         raise SourceError(f"{path} is not the summary of a run; use the --output of a `vo run`")
+    faults = summary.setdefault("faults", [])  # older runs have none
+    if not isinstance(faults, list) or not all(map(_is_fault, faults)):
+        raise SourceError(f"{path}: 'faults' is {faults}; run `vo run` again")
     for kind, names in _REQUIRED.items():
         for name in names:
             found = summary.get(name, "missing")
             if name not in summary or not isinstance(found, kind):
                 raise SourceError(f"{path}: '{name}' is {found}; run `vo run` again")
     return summary
+
+
+def _is_fault(value: object) -> bool:
+    return isinstance(value, dict) and isinstance(value.get("is_handled"), bool)
 
 
 def _text(path: Path) -> str:

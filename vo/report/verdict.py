@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from vo.evaluation.report import Evaluation
 from vo.report.entry import Entry
 from vo.report.quantities import duration, length, number, percentage
-
-Grade = Literal["good", "caution", "bad"]
+from vo.results.verdict import Grade, VerdictFacts, assess
 
 _ALIGNED = {
     "none": "not aligned",
@@ -17,7 +16,6 @@ _ALIGNED = {
     "scale": "aligned by scale",
 }
 _KITTI_M = 100.0
-_MOSTLY = 0.5
 
 
 class KeyFigure(NamedTuple):
@@ -28,15 +26,15 @@ class KeyFigure(NamedTuple):
     meaning: str
 
 
-class Verdict(NamedTuple):
-    """Assessment of a run."""
+class Assessment(NamedTuple):
+    """The verdict on a run, explained."""
 
     grade: Grade
     word: str
     sentences: tuple[str, ...]
 
 
-def verdict(entry: Entry) -> Verdict:
+def verdict(entry: Entry) -> Assessment:
     """Assess a run by its coverage, end and warnings."""
     summary = entry.run.summary
     frames, tracked = summary["frames"], summary["tracked"]
@@ -45,17 +43,18 @@ def verdict(entry: Entry) -> Verdict:
         sentences.append(_accuracy(entry.evaluation, is_whole=len(summary["segments"]) < 2))
     elif tracked:
         sentences.append("There is no ground truth: the accuracy of the path is unknown.")
-    if not tracked:
-        return Verdict("bad", "no path", tuple(sentences))
-    if summary["status"] != "finished":
-        return Verdict("bad", str(summary["status"]), tuple(sentences))
-    if tracked < _MOSTLY * frames:
-        return Verdict("bad", "mostly lost", tuple(sentences))
-    if tracked < frames:
-        return Verdict("caution", "with gaps", tuple(sentences))
-    if summary["warnings"]:
-        return Verdict("caution", "complete, with warnings", tuple(sentences))
-    return Verdict("good", "complete", tuple(sentences))
+    assessed = assess(
+        VerdictFacts(
+            summary["status"],
+            frames,
+            tracked + summary.get("interpolated", 0),
+            len(summary["segments"]),
+            summary["median_inliers"],
+            has_open_fault=not all(each["is_handled"] for each in summary["faults"]),
+            has_warnings=bool(summary["warnings"]),
+        )
+    )
+    return Assessment(assessed.grade, assessed.word, tuple(sentences))
 
 
 def _coverage(entry: Entry) -> str:

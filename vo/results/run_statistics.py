@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.failures import Failure
 from vo.geometry.quantiles import median, percentiles
+from vo.results.fault_log import FaultLog
 from vo.types import Estimate, State
 
 
@@ -34,12 +35,14 @@ class RunStatistics:
         frames: numbers of the processed frames, in time order.
         without_pose: frames without a causal pose, by number.
         landmarks: number of landmarks that have been in the map so far.
+        faults: faults of the recording, by kind.
     """
 
     def __init__(self) -> None:
         self.frames = array("q")
         self.without_pose: dict[int, MissingPose] = {}
         self.landmarks = 0
+        self.faults = FaultLog()
         self._highest_landmark = -1
         self._inliers = array("i")
         self._disparities_px = array("f")
@@ -48,6 +51,7 @@ class RunStatistics:
     def add(self, estimate: Estimate) -> None:
         """Add a frame."""
         self.frames.append(estimate.frame_index)
+        self.faults.add(estimate.faults, estimate.frame_index)
         if estimate.world_from_cam0 is None:
             self.without_pose[estimate.frame_index] = MissingPose(estimate.state, estimate.failure)
         else:

@@ -10,9 +10,12 @@ import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.results.environment import peak_rss_mb, versions
+from vo.results.fault_log import FaultRecord
+from vo.results.fault_warnings import fault_warnings
 from vo.results.frames_without_pose import FrameRange, ranges_without_pose
 from vo.results.profile import Profile
 from vo.results.run_statistics import RunStatistics, StageTime
+from vo.results.verdict import MIN_INLIERS, Verdict, VerdictFacts, assess
 from vo.results.warnings import (
     calibration_warnings,
     far_scene_warnings,
@@ -24,7 +27,6 @@ Status = Literal["finished", "interrupted", "failed"]
 
 SCHEMA_VERSION = 1
 
-_FEW_INLIERS = 50  # a smaller median is reported as poor tracking
 _LONG_START = 0.1  # fraction of the frames before the first map that is reported
 
 
@@ -123,6 +125,7 @@ class Summary:
     disparity_curve_px: float = 0.0
     right_camera: RightCameraError | None = None
     lens_error: LensError | None = None
+    faults: tuple[FaultRecord, ...] = ()
     profile: Profile | None = None
 
     @property
@@ -134,6 +137,21 @@ class Summary:
     def frames_per_s(self) -> float:
         """Processed frames per second of wall time."""
         return self.frames / self.wall_s if self.wall_s > 0 else 0.0
+
+    @property
+    def verdict(self) -> Verdict:
+        """How complete the path is, and whether it can be trusted."""
+        return assess(
+            VerdictFacts(
+                self.status,
+                self.frames,
+                self.tracked + self.interpolated,
+                len(self.segments),
+                self.median_inliers,
+                not all(record.is_handled for record in self.faults),
+                bool(self.warnings),
+            )
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -153,6 +171,7 @@ class Summary:
             "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),
             "skipped": [asdict(s) for s in self.skipped],
+            "faults": [record.to_dict() for record in self.faults],
             "without_pose": [_range_fields(r) for r in self.without_pose],
             "segments": [s._asdict() for s in self.segments],
             "stages": {name: _rounded(times) for name, times in stages.items()},
@@ -161,6 +180,8 @@ class Summary:
             "length_unit": self.length_unit,
             "frames_per_s": round(self.frames_per_s, 3),
             "warnings": list(self.warnings),
+            "verdict": self.verdict.word,
+            "trusted": self.verdict.is_trusted,
         }
 
 
@@ -201,6 +222,7 @@ def summarise(state: RunState) -> Summary:
         disparity_curve_px=round(state.calibration.disparity_curve_px, 4),
         right_camera=state.calibration.right_camera,
         lens_error=state.calibration.lens_error,
+        faults=statistics.faults.records(),
         profile=state.profile,
     )
 
@@ -246,6 +268,7 @@ def _rounded(values: StageTime | RightCameraError | LensError, digits: int = 3) 
 
 def _warnings(summary: Summary) -> list[str]:
     return [
+        *fault_warnings(summary.faults),
         *_tracking_warnings(summary),
         *calibration_warnings(
             summary.right_camera,
@@ -273,7 +296,7 @@ def _tracking_warnings(summary: Summary) -> list[str]:
         warnings.append(f"{len(summary.skipped)} frames skipped: their images cannot be used")
     if summary.unpaired:
         warnings.append(f"{summary.unpaired} frames used without their right or depth image")
-    if summary.tracked and inliers < _FEW_INLIERS:
+    if summary.tracked and inliers < MIN_INLIERS:
         warnings.append(f"poor tracking: median of {inliers:.0f} inliers")
     return warnings
 

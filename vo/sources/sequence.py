@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 
 from vo.errors import SourceError
+from vo.faults import Fault
 from vo.scheduling import give_way
 from vo.sources.depth import DepthImages, read_depth
 from vo.sources.images import ImageFile, ImageKind, Pixels, StoredImage, read_image
@@ -61,6 +62,7 @@ class ImageSequence:
         skipped: unreadable frames of the latest call of `frames` so far, with reasons.
         unpaired: number of its frames so far without image1 or depth, if the rig has either.
         imus: inertial sensors, the preferred one first.
+        faults: faults of the whole recording, as found in its list of images.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class ImageSequence:
         self.skipped: list[Skipped] = []
         self.unpaired = 0
         self.imus = tuple(imus)
+        self.faults: list[Fault] = []
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
         self._depth_bits = images.bit_depth

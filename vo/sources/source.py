@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
+from vo.faults import Fault
 from vo.sources.images import ImageKind
 from vo.sources.imu import Imu
 from vo.types import Frame, Ints, Rig, Skipped, Trajectory
@@ -21,6 +22,7 @@ class FrameStream(Protocol):
         ground_truth: true poses of cam0, or None.
         skipped: frames that `frames` could not read so far.
         unpaired: number of frames so far whose image of cam1 is missing, in stereo.
+        faults: faults of the whole recording that are known before its first frame.
     """
 
     name: str
@@ -29,6 +31,7 @@ class FrameStream(Protocol):
     ground_truth: Trajectory | None
     skipped: list[Skipped]
     unpaired: int
+    faults: list[Fault]
 
     def frames(
         self,

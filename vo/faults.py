@@ -1,0 +1,35 @@
+"""Faults of a recording that can make the path wrong, as detectors report them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class FaultKind(StrEnum):
+    """What is wrong; the value is its name in files."""
+
+    IMAGE_FIXED_FEATURES = "image_fixed_features"
+    TWO_MOTIONS = "two_motions"
+    REPEATED_IMAGES = "repeated_images"
+    REPEATED_RIGHT_IMAGES = "repeated_right_images"
+    LEFT_CAMERA_ALONE = "left_camera_alone"
+    IMPLAUSIBLE_STEP = "implausible_step"
+    RIGHT_TIME_OFFSET = "right_time_offset"
+    WRONG_STEREO_CALIBRATION = "wrong_stereo_calibration"
+    WRONG_LENS = "wrong_lens"
+
+
+class Fault(NamedTuple):
+    """A fault in one frame, or in a whole recording.
+
+    Attributes:
+        kind: what is wrong.
+        is_handled: whether its effect was removed or bounded, so that the path can be trusted;
+            False if the path may be wrong.
+        value: size of the fault, in the unit of its message.
+    """
+
+    kind: FaultKind
+    is_handled: bool = False
+    value: float = 0.0

@@ -1,0 +1,62 @@
+"""Faults of a run, collected by kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from vo.faults import Fault, FaultKind
+
+
+class FaultRecord(NamedTuple):
+    """All faults of one kind in a run.
+
+    Attributes:
+        kind: what is wrong.
+        is_handled: whether all of them were handled, see `Fault`.
+        frames: number of frames with it; 0 for a fault of the whole recording.
+        first: number of the first frame with it, None for a fault of the whole recording.
+        last: number of the last frame with it, or None.
+        value: of the largest magnitude, in the unit of its message.
+    """
+
+    kind: FaultKind
+    is_handled: bool
+    frames: int
+    first: int | None
+    last: int | None
+    value: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {**self._asdict(), "kind": self.kind.value, "value": round(self.value, 4)}
+
+
+class FaultLog:
+    """Collects faults; its size does not depend on the length of a run."""
+
+    def __init__(self) -> None:
+        self._records: dict[FaultKind, FaultRecord] = {}
+
+    def add(self, faults: Iterable[Fault], frame: int | None = None) -> None:
+        """Add the faults of a frame, or those of the whole recording."""
+        for fault in faults:
+            before = self._records.get(fault.kind)
+            count = 0 if frame is None else 1
+            record = FaultRecord(fault.kind, fault.is_handled, count, frame, frame, fault.value)
+            self._records[fault.kind] = record if before is None else _joined(before, record)
+
+    def records(self) -> tuple[FaultRecord, ...]:
+        """One record for each kind, in the order of `FaultKind`."""
+        return tuple(self._records[kind] for kind in FaultKind if kind in self._records)
+
+
+def _joined(before: FaultRecord, new: FaultRecord) -> FaultRecord:
+    return FaultRecord(
+        before.kind,
+        before.is_handled and new.is_handled,
+        before.frames + new.frames,
+        new.first if before.first is None else before.first,
+        before.last if new.last is None else new.last,
+        max(before.value, new.value, key=abs),
+    )

@@ -1,0 +1,83 @@
+"""Faults of a run as text: what was measured, where, what was done, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from vo.faults import FaultKind
+from vo.results.fault_log import FaultRecord
+
+# Texts with {frames} ("frame 7", "12 of the frames 7 to 30"), {value} and {size} (its magnitude).
+# The first is used where all faults of the kind were handled, the second where one was not.
+_TEXTS: Mapping[FaultKind, tuple[str, str]] = {
+    FaultKind.IMAGE_FIXED_FEATURES: (
+        "{value:.0%} of the image does not move with the scene (the robot's own body, text, dirt, "
+        "or a reflection?) and is left out: {frames}",
+        "{value:.0%} of the image does not move with the scene (the robot's own body, text, dirt, "
+        "or a reflection?), too much for the rest to decide: {frames}; crop the images",
+    ),
+    FaultKind.TWO_MOTIONS: (
+        "two motions explain much of the image (a large moving object?); the path follows the one "
+        "that continues: {frames}",
+        "two motions explain much of the image (a large moving object?), and which one is the "
+        "camera's is uncertain: {frames}",
+    ),
+    FaultKind.REPEATED_IMAGES: (
+        "images repeat the one before while the camera moves, and get no pose: {frames}; check the "
+        "camera driver",
+        "images repeat the one before while the camera moves: {frames}; check the camera driver",
+    ),
+    FaultKind.REPEATED_RIGHT_IMAGES: (
+        "right images repeat the one before while the left ones change, and are not used: "
+        "{frames}; check the camera driver",
+        "right images repeat the one before while the left ones change: {frames}; check the "
+        "camera driver",
+    ),
+    FaultKind.LEFT_CAMERA_ALONE: (
+        "tracked with the left camera alone, as the right image did not agree: {frames}",
+        "tracked with the left camera alone for too long to keep the scale: {frames}",
+    ),
+    FaultKind.IMPLAUSIBLE_STEP: (
+        "a step that the motion before and after does not support was corrected: {frames}",
+        "a step of {size:.3g} times the usual one that neither the motion before nor that after "
+        "supports: {frames}",
+    ),
+    FaultKind.RIGHT_TIME_OFFSET: (
+        "right images are {value:+.1f} ms late, which is taken into account",
+        "right images seem to be taken {value:+.1f} ms after the left ones: disparities change "
+        "with the motion; use --right-offset, or trigger the cameras together",
+    ),
+    FaultKind.WRONG_STEREO_CALIBRATION: (
+        "the stereo calibration was wrong by {value:+.2f} px and has been corrected",
+        "all disparities seem to be wrong by {value:+.2f} px: the stereo calibration is wrong, and "
+        "so are all lengths; check focal length, baseline and image size (vo info shows them)",
+    ),
+    FaultKind.WRONG_LENS: (
+        "the lens differs from its calibration by {value:+.1f} px at the image's edges, and has "
+        "been corrected",
+        "the lens differs from its calibration by {value:+.1f} px at the image's edges, too much "
+        "to correct; the path is inaccurate: vo calibrate",
+    ),
+}
+
+
+def fault_warnings(records: Sequence[FaultRecord]) -> list[str]:
+    """One sentence for each kind of fault."""
+    return [_text(record) for record in records]
+
+
+def _text(record: FaultRecord) -> str:
+    handled, open_ = _TEXTS[record.kind]
+    text = handled if record.is_handled else open_
+    return text.format(frames=_frames(record), value=record.value, size=abs(record.value))
+
+
+def _frames(record: FaultRecord) -> str:
+    first, last, count = record.first, record.last, record.frames
+    if first is None or last is None:
+        return "all frames"
+    if first == last:
+        return f"frame {first}"
+    if count == last - first + 1:
+        return f"frames {first} to {last}"
+    return f"{count} of the frames {first} to {last}"

@@ -1,0 +1,68 @@
+"""Verdict on a run: how complete its path is, and whether it can be trusted."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+Grade = Literal["good", "caution", "bad"]
+
+MIN_INLIERS = 50  # a smaller median is poor tracking
+_MIN_TRACKED = 0.5  # of all frames
+
+
+class VerdictFacts(NamedTuple):
+    """What a verdict depends on.
+
+    Attributes:
+        status: how the run ended: `finished`, `interrupted` or `failed`.
+        frames: number of frames.
+        posed: number of frames with a pose.
+        segments: number of connected parts of the path.
+        median_inliers: over the tracked frames, None without one.
+        has_open_fault: whether a fault was found that was not handled.
+        has_warnings: whether there are warnings.
+    """
+
+    status: str
+    frames: int
+    posed: int
+    segments: int
+    median_inliers: float | None
+    has_open_fault: bool
+    has_warnings: bool
+
+
+class Verdict(NamedTuple):
+    """Quality of a run.
+
+    Attributes:
+        grade: colour of the word.
+        word: for tables and files.
+        is_trusted: whether the poses that there are can be relied on.
+    """
+
+    grade: Grade
+    word: str
+    is_trusted: bool
+
+
+def assess(facts: VerdictFacts) -> Verdict:
+    """Assess a run by its worst problem: a path that may be wrong is never called complete."""
+    if not facts.posed:
+        return Verdict("bad", "no path", is_trusted=False)
+    is_poor = (facts.median_inliers or 0.0) < MIN_INLIERS
+    is_trusted = not (facts.has_open_fault or is_poor)
+    doubt = "" if is_trusted else ", not to be trusted" if facts.has_open_fault else ", unreliable"
+    if facts.status != "finished":
+        return Verdict("bad", facts.status + doubt, is_trusted)
+    if facts.has_open_fault:
+        return Verdict("bad", "not to be trusted", is_trusted)
+    if facts.posed < _MIN_TRACKED * facts.frames:
+        return Verdict("bad", "mostly lost" + doubt, is_trusted)
+    if facts.posed < facts.frames:
+        return Verdict("caution", "with gaps" + doubt, is_trusted)
+    if is_poor:
+        return Verdict("caution", "unreliable", is_trusted)
+    if facts.segments > 1:
+        return Verdict("caution", "in separate segments", is_trusted)
+    return Verdict("good", "complete, with warnings" if facts.has_warnings else "complete", True)
