@@ -49,6 +49,15 @@ class MapUpdater:
         self._refiner = refiner
         self._trajectory = trajectory
 
+    @property
+    def implausible_px(self) -> float:
+        """Bias of disparities that is too large to be corrected; 0 without one."""
+        return self._refiner.implausible_px
+
+    def suspend_refinement(self) -> None:
+        """Estimate no calibration error from the newest keyframes, see `CalibrationRefiner`."""
+        self._refiner.suspend()
+
     def next_frame(self) -> None:
         """Count a frame; apply the pending result if it is due."""
         if self._window.next_frame():

@@ -21,7 +21,7 @@ from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.tracked_frame import TrackedFrame, as_tracked_frame
-from vo.refinement.corrected_errors import corrected_errors
+from vo.refinement.found_errors import calibration_errors
 from vo.snapshot import FrameResult, feature_count, make_snapshot
 from vo.stages import BUILT_IN, Components, make_stages
 from vo.stopwatch import Stopwatch, timed
@@ -106,8 +106,8 @@ class Odometry:
 
     @property
     def calibration_errors(self) -> CalibrationErrors:
-        """Errors of the calibration that were found and are corrected."""
-        return corrected_errors(self._map.rig, self._corrected)
+        """Errors of the calibration that were found."""
+        return calibration_errors(self._map.rig, self._corrected, self._updater.implausible_px)
 
     def snapshot(self) -> Snapshot:
         """The newest frame and the local map for display, before the next frame is tracked."""

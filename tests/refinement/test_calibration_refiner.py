@@ -96,3 +96,13 @@ def test_a_single_camera_gets_a_correction_of_its_lens() -> None:
 @pytest.mark.parametrize("stereo", [True, False])
 def test_a_window_stands_for_as_many_as_its_weight(stereo: bool) -> None:
     assert _refiner(stereo=stereo).update(_residual(stereo), 3, None) is not None
+
+
+@pytest.mark.parametrize("stereo", [True, False])
+def test_windows_with_misleading_keyframes_are_not_evaluated(stereo: bool) -> None:
+    refiner = _refiner(stereo=stereo)
+    assert [refiner.window_weight(number) for number in range(3)] == [1] * 3
+    refiner.suspend()
+    # Nor is the window that has been submitted but not solved yet.
+    assert refiner.update(_residual(stereo), 3, None) is None
+    assert [refiner.window_weight(number) for number in range(3, 15)] == [0] * 9 + [3, 0, 0]

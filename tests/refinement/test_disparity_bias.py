@@ -120,3 +120,35 @@ def test_a_window_may_speak_for_several() -> None:
     assert [one.update(left) is None for _ in range(3)] == [True, True, False]
     assert other.update(left, 3) is not None
     assert other.applied == pytest.approx(one.applied, rel=1e-12)
+
+
+@pytest.mark.parametrize(("offset", "curve"), [(3.2, 0.0), (-343.0, 0.0), (0.5, 12.0)])
+def test_an_error_beyond_those_of_a_slightly_wrong_calibration_is_not_corrected(
+    offset: float, curve: float
+) -> None:
+    watch = DisparityBiasEstimator(RIG)
+    for _ in range(20):
+        assert watch.update(_left(offset, 0.02, curve)) is None
+    assert watch.applied.tolist() == [0.0, 0.0]
+    side = float(np.square(620.0 / 720.0))
+    assert watch.implausible_px == pytest.approx(curve * side if curve else offset)
+
+
+def test_rows_that_confirm_a_yaw_allow_a_larger_offset() -> None:
+    watch = DisparityBiasEstimator(RIG)
+    for _ in range(3):
+        wanted = watch.update(_left(-5.0, 0.02), skew_px=5.0)
+    assert wanted is not None
+    assert wanted[0] == pytest.approx(-5.0)
+    assert watch.implausible_px == 0.0
+
+
+def test_a_correction_that_grows_beyond_what_is_plausible_is_taken_back() -> None:
+    watch = DisparityBiasEstimator(RIG)
+    for _ in range(3):
+        watch.update(_left(2.8, 0.02))
+    assert watch.applied[0] == pytest.approx(2.8)
+    for _ in range(10):
+        watch.update(_left(9.0 - float(watch.applied[0]), 0.02))
+    assert watch.applied.tolist() == [0.0, 0.0]
+    assert watch.implausible_px > 3.0

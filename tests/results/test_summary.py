@@ -75,6 +75,7 @@ def summary_of(
     offset_px: float = 0.0,
     curve_px: float = 0.0,
     lens: LensError | None = None,
+    implausible_px: float = 0.0,
 ) -> Summary:
     statistics = RunStatistics()
     for each in estimates:
@@ -89,7 +90,7 @@ def summary_of(
         skipped=skipped,
         unpaired=0,
         wall_s=2.0,
-        calibration=CalibrationErrors(offset_px, curve_px, None, lens),
+        calibration=CalibrationErrors(offset_px, curve_px, None, lens, implausible_px),
     )
     return summarise(state)
 
@@ -154,9 +155,9 @@ def test_incomplete_runs_have_warnings() -> None:
 def test_a_large_disparity_offset_is_reported_as_a_wrong_calibration() -> None:
     (slight,) = summary_of([estimate(0)], path_of([0]), offset_px=-0.26).warnings
     assert "-0.26 px and have been corrected" in slight
-    (wrong,) = summary_of([estimate(0)], path_of([0]), offset_px=13.8).warnings
-    assert "calibration is wrong" in wrong
-    assert "corrected" not in wrong
+    (wrong,) = summary_of([estimate(0)], path_of([0]), implausible_px=-343.0).warnings
+    assert "-343.0 px, too much for a slightly wrong calibration: nothing was corrected" in wrong
+    assert "all lengths are wrong" in wrong
 
 
 def test_a_lens_error_is_reported_with_advice() -> None:

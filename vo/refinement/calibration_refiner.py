@@ -14,6 +14,7 @@ from vo.refinement.radial_distortion import RadialDistortionEstimator
 # Consecutive windows share most of their keyframes: after the first windows of a run only every
 # third one is evaluated, with the weight of three.
 _EVALUATE_ALL, _EVALUATE_EVERY = 10, 3
+_OVERLAP = 10  # number of consecutive windows that share keyframes
 
 
 class DisparityCorrection(NamedTuple):
@@ -60,10 +61,28 @@ class CalibrationRefiner:
         else:
             self._estimator = RadialDistortionEstimator(rig)
             self._is_enabled = config.lens_correction
+        self._submitted = 0  # windows
+        self._resume = 0  # number of the first window that is evaluated after a suspension
+
+    @property
+    def implausible_px(self) -> float:
+        """Bias of disparities that is too large to be corrected; 0 without one."""
+        if isinstance(self._estimator, RadialDistortionEstimator):
+            return 0.0
+        return self._estimator.implausible_px
+
+    def suspend(self) -> None:
+        """Evaluate no window with any of the newest keyframes.
+
+        To be called at each frame whose observations are not those of a rigid scene, such as things
+        that are fixed in the image. Corrections that were found before stay as they are.
+        """
+        self._resume = self._submitted + _OVERLAP
 
     def window_weight(self, number: int) -> int:
         """How many windows the residual of window `number` stands for; 0 for no evaluation."""
-        if not self._is_enabled:
+        self._submitted = number
+        if not self._is_enabled or number < self._resume:
             return 0
         if number < _EVALUATE_ALL:
             return 1
@@ -82,13 +101,15 @@ class CalibrationRefiner:
             weight: number of windows that it stands for.
             vertical_disparity: estimated vertical disparities of the pair, None if unknown.
         """
+        if self._submitted < self._resume:
+            return None
         if isinstance(self._estimator, RadialDistortionEstimator):
             k1 = self._estimator.update(residual, weight)
             return None if k1 is None else RadialDistortionCorrection(k1)
-        bias = self._estimator.update(residual, weight)
+        skew_px = None if vertical_disparity is None else vertical_disparity.skew_px
+        bias = self._estimator.update(residual, weight, skew_px)
         if bias is None:
             return None
         offset_px, curve_px = bias.tolist()
-        skew_px = None if vertical_disparity is None else vertical_disparity.skew_px
         is_yaw = skew_px is not None and is_from_yaw(offset_px, skew_px)
         return DisparityCorrection(offset_px, curve_px, is_yaw)

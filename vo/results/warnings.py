@@ -9,7 +9,6 @@ from vo.failures import ImageDefect
 from vo.results.frames_without_pose import FrameRange
 
 _MIN_DISPARITY_ERROR_PX = 0.05  # smaller ones are not reported
-_MAX_OFFSET_PX = 3.0  # larger ones are not explained by a slightly wrong rectification
 _MAX_EDGE_PX = 15.0  # larger ones are not explained by slightly wrong radial distortion
 _USUAL_OFFSET_PX = 0.1  # disparity offset of a well calibrated pair
 _FAR_SCENE_PX = 2.0  # median disparity at which the usual offset changes lengths by 5 %
@@ -26,6 +25,7 @@ def calibration_warnings(
     lens: LensError | None,
     offset_px: float,
     curve_px: float,
+    implausible_px: float,
 ) -> list[str]:
     """One warning for each error of the calibration.
 
@@ -34,6 +34,7 @@ def calibration_warnings(
         lens: None without an error.
         offset_px: constant bias of the disparities.
         curve_px: their bias at one focal length from the principal point.
+        implausible_px: a bias that is too large to be corrected, 0 without one.
     """
     warnings = []
     if right_camera is not None:
@@ -43,6 +44,8 @@ def calibration_warnings(
         warnings.append(_offset_warning(offset_px))
     if abs(curve_px) >= _MIN_DISPARITY_ERROR_PX and not is_explained:
         warnings.append(_curve_warning(curve_px))
+    if implausible_px != 0.0:
+        warnings.append(_implausible_warning(implausible_px))
     if lens is not None:
         warnings.append(_lens_warning(lens))
     return warnings
@@ -93,13 +96,16 @@ def _curve_warning(curve_px: float) -> str:
 
 
 def _offset_warning(offset_px: float) -> str:
-    if abs(offset_px) < _MAX_OFFSET_PX:
-        return (
-            f"all disparities were wrong by {offset_px:+.2f} px and have been corrected: the "
-            "stereo calibration is slightly wrong"
-        )
     return (
-        f"all disparities seem to be wrong by {offset_px:+.2f} px: the stereo calibration is "
-        "wrong, and so are all lengths; check focal length, baseline and image size (vo info "
-        "shows them)"
+        f"all disparities were wrong by {offset_px:+.2f} px and have been corrected: the "
+        "stereo calibration is slightly wrong"
+    )
+
+
+def _implausible_warning(bias_px: float) -> str:
+    return (
+        f"disparities and motion contradict each other by {bias_px:+.1f} px, too much for a "
+        "slightly wrong calibration: nothing was corrected, and all lengths are wrong; check focal "
+        "length, baseline and image size (vo info shows them), and whether something stands still "
+        "in the images"
     )
