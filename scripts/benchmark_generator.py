@@ -45,7 +45,7 @@ def measure_generator(say: Callable[[str], None]) -> list[dict[str, Any]]:
     """Seconds to build each world, stereo frames per second at 752 x 480, and peak memory."""
     results = []
     for world, motion in MOTIONS.items():
-        command = [sys.executable, "-c", _PROGRAM, world, motion, str(FRAMES)]
+        command = [sys.executable, "-P", "-c", _PROGRAM, world, motion, str(FRAMES)]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         results.append(json.loads(done.stdout))
         say(f"{world}: {results[-1]['fps']:.1f} stereo frames/s")

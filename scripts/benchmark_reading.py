@@ -82,7 +82,7 @@ def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[s
 
 
 def _read(recording: Path) -> dict[str, Any]:
-    command = [sys.executable, "-c", _PROGRAM, str(recording)]
+    command = [sys.executable, "-P", "-c", _PROGRAM, str(recording)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     result: dict[str, Any] = json.loads(done.stdout)
     return result

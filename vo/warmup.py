@@ -142,7 +142,7 @@ def _save_stamp() -> None:
     """Replace stamps of other versions; nothing if the folder cannot be written to."""
     stamp = _stamp()
     with suppress(OSError):
-        stamp.parent.mkdir(parents=True, exist_ok=True)
+        store.create_folder()
         for other in stamp.parent.glob("warm-*"):
             other.unlink(missing_ok=True)
         stamp.touch()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
@@ -16,6 +17,7 @@ import pytest
 from windows import drive
 
 from vo.backend import launch as child_module
+from vo.backend.messages import receive
 from vo.backend.optimizer import InProcessOptimizer, make_optimizer
 from vo.backend.process import OptimizerProcess
 from vo.backend.solution import WindowSolution, solve
@@ -180,6 +182,36 @@ def test_no_process_outlives_a_script_that_does_not_close(end: str, tmp_path: Pa
     )
     assert _has_ended(int(done.stdout.split()[0]))
     assert done.stderr.count("Traceback") == (end == "raise KeyboardInterrupt")
+
+
+@pytest.mark.parametrize("name", ["signal", "enum", "gc", "struct", "numpy", "vo", "sitecustomize"])
+def test_modules_in_the_current_folder_are_not_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
+    optimizer = OptimizerProcess(CONFIG)
+    optimizer.submit(_problem())
+    assert optimizer.result().converged
+    optimizer.close()
+    assert not (tmp_path / "run").exists()
+
+
+def test_modules_are_found_where_the_parent_finds_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A factor of a user's own is unpickled in the process."""
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
+    found = child_module._import_path()
+    assert str(tmp_path) in found
+    assert str(Path(__file__).resolve().parents[2]) in found
+
+
+@pytest.mark.parametrize("received", [b"Hello, world! " * 3, b"vowindow" + b"\xff" * 8])
+def test_what_is_no_message_is_refused(received: bytes) -> None:
+    with pytest.raises(OSError, match="is no message"):
+        receive(io.BytesIO(received))
 
 
 def test_its_program_does_without_the_settings() -> None:

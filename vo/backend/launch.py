@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO
 
 _log = logging.getLogger(__name__)
@@ -19,7 +20,8 @@ _log = logging.getLogger(__name__)
 # A window takes a third of that, so that writing never blocks.
 _PIPE_BYTES = 1 << 20
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
-# where this process finds them, not in the folder that it happens to be started in.
+# where this process finds them, never in the folder that it happens to be started in (-P): a file
+# `signal.py` there would be run.
 # numba would load scipy, where it is installed, to look for a BLAS that nothing here uses.
 # Ctrl-C is handled by the parent. Loaded modules are no garbage, see `vo.cli.garbage`.
 _PROGRAM = """
@@ -58,7 +60,7 @@ def start_child() -> subprocess.Popen[bytes]:
         OSError: it cannot be started.
     """
     child = subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM.format(path=sys.path)],
+        [sys.executable, "-P", "-c", _PROGRAM.format(path=_import_path())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         # On such small matrices a second BLAS thread only occupies a core.
@@ -69,6 +71,12 @@ def start_child() -> subprocess.Popen[bytes]:
         assert pipe is not None
         _widen(pipe)
     return child
+
+
+def _import_path() -> list[str]:
+    """Folders where this process finds modules, without those relative to the current folder."""
+    package = str(Path(__file__).resolve().parents[2])
+    return [*dict.fromkeys([*filter(os.path.isabs, sys.path), package])]
 
 
 def _widen(pipe: IO[bytes]) -> None:

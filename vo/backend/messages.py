@@ -1,4 +1,8 @@
-"""Messages between this process and the optimizer's: a length and a pickle, over pipes."""
+"""Messages between this process and the optimizer's: a mark, a length and a pickle, over pipes.
+
+The pipes belong to the two processes alone, so that a pickle is safe. What a library prints into
+one by mistake is recognised by the missing mark.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,9 @@ import pickle
 import struct
 from typing import IO, Any
 
-_LENGTH = struct.Struct("<Q")
+_HEADER = struct.Struct("<8sQ")
+_MARK = b"vowindow"
+_MAX_BYTES = 2**30  # a window takes 0.3 MB
 
 
 def send(pipe: IO[bytes], message: object) -> None:
@@ -14,20 +20,26 @@ def send(pipe: IO[bytes], message: object) -> None:
 
     Raises:
         OSError: the other end is closed.
+        ValueError: the message is too long.
     """
     data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
-    pipe.write(_LENGTH.pack(len(data)))
+    if len(data) > _MAX_BYTES:
+        raise ValueError(f"a window of {len(data)} bytes is too large; set a smaller window")
+    pipe.write(_HEADER.pack(_MARK, len(data)))
     pipe.write(data)
     pipe.flush()
 
 
 def receive(pipe: IO[bytes]) -> Any:
-    """Wait for a message; both ends belong to this program, so that a pickle is safe.
+    """Wait for a message.
 
     Raises:
         EOFError: the other end is closed.
+        OSError: something else was received.
     """
-    (length,) = _LENGTH.unpack(_exactly(pipe, _LENGTH.size))
+    mark, length = _HEADER.unpack(_exactly(pipe, _HEADER.size))
+    if mark != _MARK or length > _MAX_BYTES:
+        raise OSError(f"received {mark!r} and a length of {length}, which is no message")
     return pickle.loads(_exactly(pipe, length))
 
 

@@ -12,7 +12,8 @@ def warmup_command() -> None:
 
     For container images and robots. The machine code is kept in the folder NUMBA_CACHE_DIR if
     that variable is set, else beside the package, or in the user's cache folder if the package
-    cannot be written to. One image serves all x86-64 processors with AVX2.
+    cannot be written to. Other users load from NUMBA_CACHE_DIR only what root has compiled. One
+    image serves all x86-64 processors with AVX2.
 
     Compile while a container image is built:
 

@@ -110,7 +110,7 @@ class Compiled(Generic[P, R]):
     def _jit(self, **wrappers: bool) -> Any:
         import numba
 
-        cache = not machine_code.is_supported()
+        cache = not machine_code.is_supported() and store.is_numba_cache_safe()
         return numba.njit(cache=cache, **(self.options | wrappers))(_for_numba(self.function))
 
     def _find(self, signature: tuple[Any, ...], arguments: tuple[Any, ...]) -> Callable[..., R]:
