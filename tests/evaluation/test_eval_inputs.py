@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vo.errors import EvaluationError, SourceError
+from vo.errors import CalibrationError, EvaluationError, SourceError
 from vo.evaluation.inputs import load_inputs
 from vo.evaluation.report import evaluate
 
@@ -79,7 +79,50 @@ def test_euroc_truth_is_moved_to_the_camera(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         inputs.reference.world_from_cam[0, :3, :3], [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
     )
-    assert "T_BS" in inputs.notes[0]
+    assert "moved from the body to cam0, by its pose in" in inputs.notes[0]
+    assert "sensor.yaml" in inputs.notes[0]
+
+
+CHAIN = """\
+cam0:
+  camera_model: pinhole
+  distortion_model: none
+  distortion_coeffs: []
+  intrinsics: [60, 60, 40, 25]
+  resolution: [80, 50]
+  T_cam_imu: [[0,-1,0,0], [0,0,-1,0], [1,0,0,-0.5], [0,0,0,1]]
+"""
+"""The same pose as in `SENSOR`, inverted, as Kalibr writes it."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mav0/camchain.yaml",
+        "camchain.yaml",
+        "../camchain.yaml",
+        "dso/camchain.yaml",
+        "imu-results-camchain.yaml",
+        "mav0/calibration.yaml",
+    ],
+)
+def test_camera_pose_of_kalibr_is_used_as_by_the_other_commands(tmp_path: Path, name: str) -> None:
+    sequence = tmp_path / "all" / "one"
+    written(sequence / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
+    file = written(sequence / name, CHAIN)
+    inputs = load_inputs(run_folder(tmp_path / "run"), sequence)
+    np.testing.assert_allclose(inputs.reference.positions[1], [1.5, 1.0, 0.0], atol=1e-12)
+    assert str(file.resolve()) in inputs.notes[0]
+
+
+def test_calibration_of_the_user_or_else_of_the_run_is_preferred(tmp_path: Path) -> None:
+    truth = written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
+    written(tmp_path / "mav0/cam0/sensor.yaml", SENSOR.replace("0.5", "7"))
+    mine = written(tmp_path / "mine.yaml", CHAIN)
+    run = run_folder(tmp_path / "run", {"calibration": str(mine)})
+    assert load_inputs(run, tmp_path).reference.positions[1, 0] == 1.5
+    other = written(tmp_path / "other.yaml", CHAIN.replace("0.5", "0.25"))
+    assert load_inputs(run, truth, calibration=other).reference.positions[1, 0] == 1.25
 
 
 def test_euroc_truth_without_camera_pose_is_noted(tmp_path: Path) -> None:
@@ -92,7 +135,7 @@ def test_euroc_truth_without_camera_pose_is_noted(tmp_path: Path) -> None:
 def test_damaged_sensor_yaml(tmp_path: Path, text: str) -> None:
     written(tmp_path / "mav0/cam0/sensor.yaml", text)
     written(tmp_path / "mav0/state_groundtruth_estimate0/data.csv", EUROC)
-    with pytest.raises(SourceError, match="T_BS: data is not a 4x4 matrix"):
+    with pytest.raises(CalibrationError, match="sensor.yaml: T_BS"):
         load_inputs(run_folder(tmp_path / "run"), tmp_path)
 
 

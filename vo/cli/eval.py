@@ -108,6 +108,7 @@ def eval_command(
     delta: Delta = 1,
     delta_m: DeltaM = None,
     all_segments: AllSegments = False,
+    calibration: options.Calibration = None,
     json_output: options.Json = False,
     plot: Plot = None,
 ) -> None:
@@ -129,7 +130,7 @@ def eval_command(
     from vo.evaluation.report import evaluate
 
     with warnings_on(standard_error()):
-        inputs = _load(estimate, reference, all_segments)
+        inputs = _load(estimate, reference, all_segments, calibration)
     evaluation = evaluate(
         inputs.estimate,
         inputs.reference,
@@ -152,18 +153,18 @@ def eval_command(
         print_evaluation(evaluation, inputs, plot)
 
 
-def _load(estimate: Path, reference: Path, all_segments: bool) -> Inputs:
+def _load(estimate: Path, reference: Path, all_segments: bool, calibration: Path | None) -> Inputs:
     """Read both trajectories; the ground truth may be a file or part of any recording."""
     from vo.errors import SourceError
     from vo.evaluation.inputs import load_inputs, load_inputs_with_truth
     from vo.sources.registry import open_source
 
     try:
-        return load_inputs(estimate, reference, all_segments=all_segments)
+        return load_inputs(estimate, reference, calibration=calibration, all_segments=all_segments)
     except SourceError:
         if not _is_recording(reference):
             raise
-    truth = open_source(reference).ground_truth
+    truth = open_source(reference, calibration=calibration).ground_truth
     if truth is None:
         raise SourceError(f"{reference} contains no ground truth; give a trajectory file")
     return load_inputs_with_truth(estimate, truth, reference, all_segments=all_segments)

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from vo.errors import EvaluationError, SourceError
+from vo.errors import CalibrationError, EvaluationError, SourceError
+from vo.formats.calibration import Calibration, read_calibration
+from vo.formats.euroc_layout import find_camera_on_body
 from vo.formats.trajectory import detect_format, kitti_stamps_beside, read_trajectory
-from vo.types import Floats, Mode, Trajectory
+from vo.types import Mode, Trajectory
 
 _ESTIMATE_NAMES = (
     "trajectory.tum",
@@ -24,6 +25,8 @@ _REFERENCE_NAMES = (
     "poses.txt",
     "mav0/state_groundtruth_estimate0/data.csv",
     "state_groundtruth_estimate0/data.csv",
+    "mav0/mocap0/data.csv",
+    "mav0/gt0/data.csv",
 )
 
 
@@ -49,7 +52,11 @@ class Inputs:
 
 
 def load_inputs(
-    estimate: Path | str, reference: Path | str, *, all_segments: bool = False
+    estimate: Path | str,
+    reference: Path | str,
+    *,
+    calibration: Path | None = None,
+    all_segments: bool = False,
 ) -> Inputs:
     """Read an estimate and its reference.
 
@@ -57,16 +64,22 @@ def load_inputs(
         estimate: a trajectory file, or the folder of a run with `trajectory.tum` and
             `summary.json`.
         reference: a trajectory file, or the folder of a sequence with its ground truth.
+        calibration: file with the pose of cam0 on the body, for ground truth of the body; by
+            default that of the run, or else the one beside the ground truth.
         all_segments: keep all segments of a run that lost track. Each has its own world frame, so
             by default only the longest is kept.
 
     Raises:
         SourceError: a file is missing or damaged.
+        CalibrationError: the calibration is missing or damaged.
         EvaluationError: only one of them has stamps, and their numbers of poses differ.
     """
     estimate_path, reference_path = _estimate_file(Path(estimate)), _reference_file(Path(reference))
     summary = _summary_beside(estimate_path)
-    true, body_notes = _read_reference(reference_path)
+    true, body_notes = _read_reference(
+        reference_path,
+        _calibration_of_run(summary) if calibration is None else read_calibration(calibration),
+    )
     inputs = Inputs(
         estimate_path,
         reference_path,
@@ -135,31 +148,35 @@ def _mode(summary: dict[str, Any]) -> Mode:
     return "stereo" if mode == "stereo" else "auto"
 
 
-def _read_reference(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
-    """Ground truth of cam0; EuRoC records that of the body, with T_BS = body_from_cam0."""
+def _calibration_of_run(summary: dict[str, Any]) -> Calibration | None:
+    """The calibration file that a run was given, if it still exists and says its image size."""
+    name = summary.get("calibration")
+    if not isinstance(name, str):
+        return None
+    try:
+        return read_calibration(Path(name))
+    except CalibrationError:
+        return None
+
+
+def _read_reference(
+    path: Path, calibration: Calibration | None
+) -> tuple[Trajectory, tuple[str, ...]]:
+    """Ground truth of cam0; EuRoC's is that of the body, with T_BS = body_from_cam0."""
     reference = read_trajectory(path)
     if detect_format(path) != "euroc":
         return reference, ()
-    sensor = path.parent.parent / "cam0" / "sensor.yaml"
-    if not sensor.is_file():
-        note = f"ground truth taken as that of the camera: no {sensor} with its pose on the body"
+    root = path.resolve().parent.parent
+    found = find_camera_on_body(root, calibration)
+    if found is None:
+        note = (
+            "ground truth taken as that of the camera: no cam0/sensor.yaml and no camchain.yaml "
+            f"in {root} contains the camera's pose on the body; give it with --calibration FILE"
+        )
         return reference, (note,)
-    poses = reference.world_from_cam @ _body_from_cam(sensor)
-    return replace(reference, world_from_cam=poses), (
-        "ground truth moved from the body to cam0 (T_BS)",
-    )
-
-
-def _body_from_cam(sensor: Path) -> Floats:
-    """T_BS, (4, 4), of a EuRoC `sensor.yaml`."""
-    try:
-        data = yaml.safe_load(sensor.read_text(encoding="utf-8"))["T_BS"]["data"]
-        transform = np.array(data, dtype=np.float64).reshape(4, 4)
-    except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise SourceError(f"{sensor}: T_BS: data is not a 4x4 matrix") from error
-    if not np.isfinite(transform).all():
-        raise SourceError(f"{sensor}: T_BS has numbers that are not finite")
-    return transform
+    poses = reference.world_from_cam @ found.body_from_cam0
+    note = f"ground truth moved from the body to cam0, by its pose in {found.file}"
+    return replace(reference, world_from_cam=poses), (note,)
 
 
 def _with_common_stamps(inputs: Inputs) -> Inputs:

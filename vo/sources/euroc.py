@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from vo.errors import SourceError, VoError
-from vo.formats.calibration import Calibration, read_calibration
+from vo.errors import CalibrationError, SourceError
+from vo.formats.calibration import Calibration
+from vo.formats.euroc_layout import calibration_files, find_camera_on_body, recording_folder
 from vo.formats.trajectory import read_euroc, read_tum
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.euroc_imu import euroc_imus
@@ -26,13 +27,13 @@ def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
     """
     path = path.resolve()
     root = path / "mav0" if (path / "mav0").is_dir() else path
-    top = root.parent if root.name == "mav0" else root
+    top = recording_folder(root)
     return RecordingContents(
         name=top.name,
         format="euroc",
         left=_shots(root / "cam0"),
         right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
-        calibrate=calibration_reader(calibration, _calibration_files(root, top)),
+        calibrate=calibration_reader(calibration, calibration_files(root)),
         read_truth=lambda loaded: _truth(root, top, loaded),
         find_imus=lambda loaded: euroc_imus(root, loaded, lambda: _body_from_cam0(root, loaded)),
     )
@@ -46,13 +47,6 @@ def _shots(camera: Path) -> list[Shot]:
     if shots is None:
         raise SourceError(f"{table} is missing, and the file names in {folder} are not stamps")
     return shots
-
-
-def _calibration_files(root: Path, top: Path) -> list[Path]:
-    files = [root / "cam0" / "sensor.yaml"]
-    folders = dict.fromkeys([root, top, top.parent])
-    files += [folder / "camchain.yaml" for folder in folders]
-    return [*files, root / "calibration.yaml", top / "calibration.yaml"]
 
 
 def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None:
@@ -73,10 +67,8 @@ def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None
 
 
 def _body_from_cam0(root: Path, calibration: Calibration | None) -> Floats | None:
-    """Pose of cam0 on the body, from the calibration or else from sensor.yaml."""
-    if calibration is not None and calibration.body_from_cam0 is not None:
-        return calibration.body_from_cam0
     try:
-        return read_calibration(root / "cam0" / "sensor.yaml").body_from_cam0
-    except VoError:
+        found = find_camera_on_body(root, calibration)
+    except CalibrationError:
         return None
+    return None if found is None else found.body_from_cam0
