@@ -52,7 +52,7 @@ def check_mcap(rig: Rig, has_drops: bool) -> None:
     """Check that a pair can be rectified, which its messages require.
 
     Raises:
-        CalibrationError: the second camera is not to the right of the first.
+        CalibrationError: it cannot.
     """
     rectified_rig(rig)
 

@@ -34,7 +34,7 @@ def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], code
         codec: `png`, `jpeg` or `raw`.
 
     Raises:
-        CalibrationError: cam1 is not to the right of cam0.
+        CalibrationError: the pair cannot be rectified.
         OSError: the file cannot be written; a partial file remains.
     """
     _write(path, recording, shots, codec, FOXGLOVE)

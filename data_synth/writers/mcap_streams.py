@@ -46,7 +46,7 @@ def messages_of(
     transforms, poses, inertial samples, images.
 
     Raises:
-        CalibrationError: cam1 is not to the right of cam0.
+        CalibrationError: the pair cannot be rectified.
     """
     streams = [_moving_transforms(recording), _body_poses(recording)]
     if recording.imu is not None:

@@ -227,3 +227,30 @@ def test_a_missing_path_is_a_one_line_error(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["info", str(tmp_path / "nothing")])
     assert result.exit_code == 1
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+
+
+def test_a_camera_above_the_other_is_described(walk: Path) -> None:
+    for name in ("cam0", "cam1"):
+        folder = walk / "mav0" / name
+        modify_images(
+            walk,
+            lambda i: np.asarray(cv2.rotate(i, cv2.ROTATE_90_CLOCKWISE), np.uint8),
+            slice(None),
+            name,
+        )
+        sensor = yaml.safe_load((folder / "sensor.yaml").read_text())
+        fu, fv, cu, cv = sensor["intrinsics"]
+        width, height = sensor["resolution"]
+        turn = np.eye(4)
+        turn[:2, :2] = [[0, 1], [-1, 0]]  # recorded from turned
+        sensor["intrinsics"] = [fv, fu, height - 1 - cv, cu]
+        sensor["resolution"] = [height, width]
+        pose = np.reshape(sensor["T_BS"]["data"], (4, 4)) @ turn
+        sensor["T_BS"]["data"] = pose.ravel().tolist()
+        (folder / "sensor.yaml").write_text(yaml.safe_dump(sensor))
+    report = report_of(walk)
+    assert report.findings == ()
+    assert report.calibration is not None and report.calibration.cam1_is == "below"
+    assert report.calibration.cam1_turned_deg == pytest.approx(0.0, abs=1e-3)
+    assert report.stereo is not None and report.stereo.positive > 0.95
+    assert abs(report.stereo.row_offset_px) < 0.2

@@ -152,7 +152,7 @@ def _pair_warnings(result: CalibrationResult) -> list[str]:
     right_of_left = -(transform[:3, :3].T @ transform[:3, 3])
     if right_of_left[0] < 0.5 * np.linalg.norm(right_of_left):
         lines.append(
-            "cam1 is not to the right of cam0: left and right are swapped (--topic left=… "
-            "--topic right=…), or the images are mirrored; vo run will refuse the pair"
+            "cam1 is not to the right of cam0: unless the cameras are mounted so, left and right "
+            "are swapped (--topic left=… --topic right=…), or the images are mirrored"
         )
     return lines

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from vo.inspection.image_records import CameraReport, PairReport
-from vo.inspection.records import ImuReport, LensReport, Report
+from vo.inspection.records import CalibrationReport, ImuReport, LensReport, Report
 
 _WORDS = {
     "error": "[bold red]problem:[/]",
@@ -17,6 +17,7 @@ _WORDS = {
     "note": "[dim]note:[/]",
 }
 _BAR = 24
+_MIN_TURN_DEG = 10.0  # smaller rotations between the cameras are usual
 
 
 def print_report(report: Report, sheet: Path | None, console: Console | None = None) -> None:
@@ -53,8 +54,7 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
         for lens in report.calibration.lenses:
             yield "", _lens(lens)
         if report.calibration.baseline_m is not None:
-            state = "rectified" if report.calibration.is_rectified else "not rectified"
-            yield "", f"baseline {report.calibration.baseline_m:.4g} m, {state}"
+            yield "", _baseline(report.calibration)
     yield from _measured(report)
     if report.has_depth:
         yield "depth", "aligned with cam0"
@@ -138,6 +138,19 @@ def _lens(lens: LensReport) -> str:
         f"{lens.cx:.1f}, {lens.cy:.1f} of {lens.width}x{lens.height}, field of view {views}, "
         f"distortion {lens.model}"
     )
+
+
+def _baseline(calibration: CalibrationReport) -> str:
+    parts = [f"baseline {calibration.baseline_m:.4g} m"]
+    if calibration.cam1_is not in (None, "right"):
+        to_the = {"left": "to the left of", "in front": "in front of"}
+        place = to_the.get(str(calibration.cam1_is), calibration.cam1_is)
+        parts.append(f"cam1 is {place} cam0")
+    turned_deg = calibration.cam1_turned_deg
+    if turned_deg is not None and turned_deg >= _MIN_TURN_DEG:
+        parts.append(f"cam1 is turned by {turned_deg:.0f}° against cam0")
+    parts.append("rectified" if calibration.is_rectified else "not rectified")
+    return ", ".join(parts)
 
 
 def _measured(report: Report) -> Iterator[tuple[str, str]]:

@@ -12,21 +12,15 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from vo.errors import CalibrationError
 from vo.geometry import cameras
-from vo.geometry.distortion import centre_scale
+from vo.geometry.pair_rectification import central_focal, check_baseline, is_wide, rectify_pair
 from vo.geometry.projection import Intrinsics
-from vo.geometry.transforms import inverse, make_transform
+from vo.geometry.rectification_maps import Maps, displaced_maps, wide_maps
+from vo.geometry.transforms import make_transform
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.types import Bytes, Camera, Floats, Floats32, Rig
 
-_Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
-# A pixel outside of every image, for rays that a lens does not see; OpenCV's maps have 16 bits.
-_OUTSIDE_PX = -10000.0
-# Maximum distance of neighbours in a map, unless one of them is outside of the image.
-_TORN_PX = 100.0
 # Depth is converted to disparity at this baseline. The standard deviation of a disparity, 0.4 px,
 # then means 1 cm at 2 m and 6 cm at 5 m (fx = 525), about that of structured light and time of
 # flight.
@@ -66,7 +60,7 @@ class RectifiedRig:
     baseline_m: float
     cam0_from_rectified: Floats
     lens: Camera | None = None
-    maps: tuple[_Maps | None, ...] = (None, None)
+    maps: tuple[Maps | None, ...] = (None, None)
     k1_error: float = 0.0
     disparity_offset_px: float = 0.0
     disparity_curve_px: float = 0.0
@@ -107,10 +101,7 @@ class RectifiedRig:
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         at_u = (u + errors.horizontal_px(x, y)).astype(np.float32)
         at_v = (v + errors.vertical_px(x, y)).astype(np.float32)
-        if self.maps[1] is not None:
-            recorded = cv2.convertMaps(*self.maps[1], cv2.CV_32FC1)
-            at_u, at_v = (_interpolated(side, at_u, at_v) for side in recorded)
-        return replace(self, maps=(self.maps[0], cv2.convertMaps(at_u, at_v, cv2.CV_16SC2)))
+        return replace(self, maps=(self.maps[0], displaced_maps(self.maps[1], at_u, at_v)))
 
     def with_k1_error(self, k1: float) -> RectifiedRig:
         """The same rig with a lens whose k1 exceeds its calibrated value by `k1`."""
@@ -160,25 +151,31 @@ def rectified_rig(rig: Rig) -> RectifiedRig:
     """Choose rectified cameras for a rig, and compute their maps.
 
     Raises:
-        CalibrationError: cam1 is not to the right of cam0.
+        CalibrationError: the cameras of a pair are at the same place, one in front of the other, or
+            have too little of the scene in common.
     """
     c = rig.cam0
     if rig.cam1 is None or rig.cam1_from_cam0 is None:
         return _single(c, VIRTUAL_BASELINE_M if rig.has_depth else 0.0)
-    _check_baseline(inverse(rig.cam1_from_cam0)[:3, 3])
+    check_baseline(rig.cam1_from_cam0)
     if _is_rectified(rig):
         baseline = -float(rig.cam1_from_cam0[0, 3])
         return RectifiedRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4))
-    return _rectified(c, rig.cam1, rig.cam1_from_cam0)
+    pair = rectify_pair(c, rig.cam1, rig.cam1_from_cam0)
+    (fx, _, cx), (_, fy, cy), _ = pair.matrix.tolist()
+    cam0_from_rectified = make_transform(pair.rectified_from_cam[0].T, np.zeros(3))
+    return RectifiedRig(
+        *pair.size, fx, fy, cx, cy, pair.baseline_m, cam0_from_rectified, None, pair.maps
+    )
 
 
 def _single(c: Camera, baseline: float) -> RectifiedRig:
-    if not _is_wide(c):
+    if not is_wide(c):
         lens = c if c.is_distorted else None
         return RectifiedRig(c.width, c.height, c.fx, c.fy, c.cx, c.cy, baseline, np.eye(4), lens)
-    fx, fy = _central_focal(c)
+    fx, fy = central_focal(c)
     matrix = np.array([[fx, 0.0, c.cx], [0.0, fy, c.cy], [0.0, 0.0, 1.0]])
-    maps = (_wide_maps(c, np.eye(3), matrix, (c.width, c.height)), None)
+    maps = (wide_maps(c, np.eye(3), matrix, (c.width, c.height)), None)
     return RectifiedRig(c.width, c.height, fx, fy, c.cx, c.cy, baseline, np.eye(4), None, maps)
 
 
@@ -194,122 +191,8 @@ def _is_rectified(rig: Rig) -> bool:
     same_matrix = np.allclose((a.fx, a.fy, a.cx, a.cy), (b.fx, b.fy, b.cx, b.cy), atol=0.02)
     same_size = (a.width, a.height) == (b.width, b.height)
     baseline = np.linalg.norm(motion[:3, 3])
+    is_right = bool(motion[0, 3] < 0.0)
     parallel = np.allclose(motion[:3, :3], np.eye(3), atol=2e-5)
     sideways = bool(np.all(np.abs(motion[1:3, 3]) < 1e-4 * baseline))
     undistorted = not a.is_distorted and not b.is_distorted
-    return bool(same_matrix and same_size and parallel and sideways and undistorted)
-
-
-def _rectified(a: Camera, b: Camera, cam1_from_cam0: Floats) -> RectifiedRig:
-    size = (a.width, a.height)
-    rotation, translation = cam1_from_cam0[:3, :3].copy(), cam1_from_cam0[:3, 3:4].copy()
-    if _is_wide(a) or _is_wide(b):
-        r0, r1, p0, p1 = _wide_rectification(a, b, rotation, translation)
-        maps = (_wide_maps(a, r0, p0, size), _wide_maps(b, r1, p1, size))
-    else:
-        r0, r1, p0, p1 = cv2.stereoRectify(
-            a.matrix,
-            np.array(a.distortion),
-            b.matrix,
-            np.array(b.distortion),
-            size,
-            rotation,
-            translation,
-            flags=cv2.CALIB_ZERO_DISPARITY,
-            alpha=0.0,
-        )[:4]
-        maps = (_narrow_maps(a, r0, p0, size), _narrow_maps(b, r1, p1, size))
-    baseline = -float(p1[0, 3] / p1[0, 0])
-    fx, fy, cx, cy = float(p0[0, 0]), float(p0[1, 1]), float(p0[0, 2]), float(p0[1, 2])
-    cam0_from_rectified = make_transform(r0.T, np.zeros(3))
-    return RectifiedRig(
-        a.width, a.height, fx, fy, cx, cy, baseline, cam0_from_rectified, None, maps
-    )
-
-
-def _is_wide(camera: Camera) -> bool:
-    """Whether OpenCV's `stereoRectify` does not support the lens model."""
-    return camera.distortion_model not in ("none", "radtan")
-
-
-def _central_focal(camera: Camera) -> tuple[float, float]:
-    """Focal lengths of the pinhole camera with the same magnification on the axis."""
-    scale = centre_scale(camera)
-    return scale * camera.fx, scale * camera.fy
-
-
-def _wide_rectification(
-    a: Camera, b: Camera, rotation: Floats, translation: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Rotate both cameras half-way towards each other, then align x with the baseline.
-
-    OpenCV's fisheye version chooses focal lengths that crop the image to a small part. Here both
-    cameras get the mean focal length (on the axis) and principal point of the recorded ones: 100
-    to 120 degrees of a usual fisheye, nowhere reduced in size.
-
-    Returns:
-        Rotations (3, 3) of both cameras and projections (3, 4), as `cv2.stereoRectify`.
-
-    Source: Fusiello et al., "A compact algorithm for rectification of stereo pairs", 2000.
-    """
-    half, _ = cv2.Rodrigues(-0.5 * cv2.Rodrigues(rotation)[0])
-    along = (half @ translation).reshape(3)
-    x = -along / np.linalg.norm(along)
-    y = np.cross([0.0, 0.0, 1.0], x)
-    y /= np.linalg.norm(y)
-    turn = np.stack([x, y, np.cross(x, y)])
-    focal = float(np.mean([*_central_focal(a), *_central_focal(b)]))
-    p0 = np.array(
-        [
-            [focal, 0.0, 0.5 * (a.cx + b.cx), 0.0],
-            [0.0, focal, 0.5 * (a.cy + b.cy), 0.0],
-            [0.0, 0.0, 1.0, 0.0],
-        ]
-    )
-    p1 = p0.copy()
-    p1[0, 3] = -focal * float(np.linalg.norm(translation))
-    return turn @ half.T, turn @ half, p0, p1
-
-
-def _narrow_maps(
-    camera: Camera, rotation: Floats, projection: Floats, size: tuple[int, int]
-) -> _Maps:
-    coefficients = np.array(camera.distortion, dtype=np.float64)
-    first, second = cv2.initUndistortRectifyMap(
-        camera.matrix, coefficients, rotation, projection[:, :3].copy(), size, cv2.CV_16SC2
-    )
-    return first, second
-
-
-def _wide_maps(
-    camera: Camera, rotation: Floats, projection: Floats, size: tuple[int, int]
-) -> _Maps:
-    """Maps to the recorded image, outside of it for rays that the lens does not see."""
-    v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)
-    pixels = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)])
-    rays = pixels @ np.linalg.inv(projection[:, :3]).T @ rotation
-    xy = np.nan_to_num(cameras.project(camera, rays), nan=_OUTSIDE_PX)
-    bounded = np.clip(xy, _OUTSIDE_PX, -_OUTSIDE_PX).astype(np.float32)
-    first, second = cv2.convertMaps(bounded.reshape(size[1], size[0], 2), None, cv2.CV_16SC2)
-    return first, second
-
-
-def _interpolated(values: Floats32, u: Floats32, v: Floats32) -> Floats32:
-    """Values of a map at positions between its pixels; `_OUTSIDE_PX` where it has none."""
-
-    def remapped(interpolation: int) -> Floats32:
-        found = cv2.remap(values, u, v, interpolation, None, cv2.BORDER_CONSTANT, _OUTSIDE_PX)
-        return np.asarray(found, dtype=np.float32)
-
-    between, nearest = remapped(cv2.INTER_LINEAR), remapped(cv2.INTER_NEAREST)
-    is_torn = np.abs(between - nearest) > _TORN_PX
-    return np.where(is_torn, np.float32(_OUTSIDE_PX), between)
-
-
-def _check_baseline(cam1_in_cam0: Floats) -> None:
-    along_x, length = float(cam1_in_cam0[0]), float(np.linalg.norm(cam1_in_cam0))
-    if length <= 0.0 or along_x < 0.5 * length:
-        raise CalibrationError(
-            f"cam1 must be to the right of cam0, but its baseline along x is {along_x:.4g} m of "
-            f"{length:.4g} m; swap left and right, or check cam1_from_cam0"
-        )
+    return bool(same_matrix and same_size and parallel and sideways and is_right and undistorted)

@@ -8,6 +8,7 @@ from typing import Literal
 from vo.inspection.image_records import CameraReport, PairReport, StereoReport
 
 Level = Literal["error", "warning", "note"]
+Place = Literal["right", "below", "left", "above", "in front", "behind"]
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,16 @@ class CalibrationReport:
         lenses: one per camera.
         baseline_m: distance between the cameras; None with one camera.
         is_rectified: whether the images are rectified already; None with one camera.
+        cam1_is: where cam1 is, seen from cam0: right, below, left, above, in front or behind; None
+            with one camera.
+        cam1_turned_deg: rotation between the cameras; None with one camera.
     """
 
     lenses: tuple[LensReport, ...]
     baseline_m: float | None
     is_rectified: bool | None
+    cam1_is: Place | None = None
+    cam1_turned_deg: float | None = None
 
 
 @dataclass(frozen=True)

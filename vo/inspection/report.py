@@ -7,17 +7,25 @@ import numpy as np
 from vo.errors import CalibrationError
 from vo.geometry.cameras import normalise
 from vo.geometry.rectification import rectified_rig
+from vo.geometry.transforms import inverse, rotation_angle
 from vo.inspection.findings import with_findings
 from vo.inspection.image_records import CameraReport, StereoReport
 from vo.inspection.images import ImageReader, check_images, evenly_spaced
 from vo.inspection.inertial import check_imus
 from vo.inspection.opening import ImageSequence, OpenedRecording, collected_warnings
-from vo.inspection.records import CalibrationReport, LensReport, Report, TopicReport, TruthReport
+from vo.inspection.records import (
+    CalibrationReport,
+    LensReport,
+    Place,
+    Report,
+    TopicReport,
+    TruthReport,
+)
 from vo.inspection.stamps import pair_report, timing_of
 from vo.inspection.stereo import compare_stereo_images
 from vo.sources.logs.log import Topic
 from vo.sources.pairing import pair_by_stamp
-from vo.types import Camera, Ints, Rig, Trajectory
+from vo.types import Camera, Floats, Ints, Rig, Trajectory
 
 DEFAULT_IMAGES = 24
 _STEREO_PAIRS = 6
@@ -108,8 +116,25 @@ def _calibration(rig: Rig) -> CalibrationReport:
         is_rectified = rectified_rig(rig).maps[0] is None
     except CalibrationError:
         is_rectified = False
-    baseline_m = float(np.linalg.norm(rig.cam1_from_cam0[:3, 3]))
-    return CalibrationReport(tuple(lenses), baseline_m, is_rectified)
+    cam1_in_cam0 = inverse(rig.cam1_from_cam0)[:3, 3]
+    turned_deg = float(np.degrees(rotation_angle(rig.cam1_from_cam0[:3, :3])))
+    return CalibrationReport(
+        tuple(lenses),
+        float(np.linalg.norm(cam1_in_cam0)),
+        is_rectified,
+        _place(cam1_in_cam0),
+        turned_deg,
+    )
+
+
+def _place(cam1_in_cam0: Floats) -> Place:
+    axis = int(np.argmax(np.abs(cam1_in_cam0)))
+    places: tuple[tuple[Place, Place], ...] = (
+        ("left", "right"),
+        ("above", "below"),
+        ("behind", "in front"),
+    )
+    return places[axis][int(cam1_in_cam0[axis] > 0.0)]
 
 
 def _lens(name: str, camera: Camera) -> LensReport:
