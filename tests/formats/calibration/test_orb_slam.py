@@ -99,7 +99,7 @@ def test_orb_slam_unrectified_pair(tmp_path: Path) -> None:
             "Camera.type 'Omni' is not supported; supported are PinHole",
         ),
         ("Stereo.T_c1_c2", "Stereo.other", "Stereo.T_c1_c2 is missing"),
-        ("Camera2.k4", "Camera2.k5", "3 coefficients; equidistant has 4"),
+        ("Camera2.k4", "Camera2.k5", "Camera2: k4 is missing; equidistant has k1 to k4"),
         ("Camera1.fy: 190.9", "Camera1.fy: -190.9", "focal length is 190.978, -190.9"),
         ("Camera.width", "Camera.widht", "resolution is missing"),
         ("0.999999445773493", "0.9", "the rotation is not orthonormal"),

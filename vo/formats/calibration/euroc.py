@@ -8,6 +8,7 @@ from pathlib import Path
 from vo.errors import CalibrationError
 from vo.formats.calibration.checks import check_baseline, make_camera, make_transform
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
+from vo.formats.calibration.keys import DISTORTION, Entry, Values, find_distortion, is_array
 from vo.geometry.transforms import inverse
 from vo.types import Camera, Floats, Rig
 
@@ -15,7 +16,9 @@ from vo.types import Camera, Floats, Rig
 def recognises(document: Document) -> bool:
     """Whether the file describes one camera mounted on a body."""
     data = document.data
-    return "T_BS" in data or ("distortion_coefficients" in data and "intrinsics" in data)
+    return "T_BS" in data or (
+        "intrinsics" in data and Values(data).find(DISTORTION, is_array) is not None
+    )
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
@@ -44,13 +47,17 @@ def _partner(path: Path) -> Path | None:
 
 def _camera(document: Document) -> Camera:
     data = document.data
+    distortion: tuple[float, ...] = ()
+    if data.get("distortion_model") != "none":
+        beside = Entry("intrinsics", data.get("intrinsics"))
+        distortion = find_distortion(str(document.path), Values(data), beside)
     return make_camera(
         str(document.path),
         model=data.get("camera_model"),
         resolution=data.get("resolution"),
         intrinsics=data.get("intrinsics"),
         distortion_model=data.get("distortion_model"),
-        distortion=data.get("distortion_coefficients"),
+        distortion=distortion,
     )
 
 

@@ -12,7 +12,7 @@ from vo.formats.calibration.document import Calibration, Document, ImageSize
 from vo.geometry.transforms import inverse, make_transform
 from vo.types import Camera, Floats, Rig
 
-_LINE = re.compile(r"^\s*(P[0-3])\s*:(.*)$", re.MULTILINE)
+_LINE = re.compile(r"^[ \t]*(P[0-3])[ \t]*:[ \t]*([-+\d.nNiI].*)$", re.MULTILINE)
 
 
 def recognises(document: Document) -> bool:

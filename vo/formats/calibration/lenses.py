@@ -67,7 +67,12 @@ def make_lens(
         )
     if name == "none" and not any(numbers):
         return "none", ()
-    if name == "radtan" and len(numbers) in _OPENCV_COUNTS and not any(numbers[8:]):
+    if name == "radtan" and len(numbers) in _OPENCV_COUNTS:
+        if any(numbers[8:]):
+            raise CalibrationError(
+                f"{where}: distortion has {len(numbers)} coefficients; those of thin prisms and "
+                "tilted sensors, from the ninth on, must be 0: calibrate with 5 or 8"
+            )
         numbers = numbers[:8]
     if len(numbers) not in COUNTS[name]:
         counts = " or ".join(str(count) for count in COUNTS[name])

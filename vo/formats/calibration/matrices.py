@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,10 @@ from vo.formats.calibration.checks import (
 from vo.geometry.transforms import inverse, make_transform, orthonormalised
 from vo.types import Camera, Floats
 
+_MAX_ROUNDING = 1e-6
+_MAX_SKEW_PX = 1.0
+_log = logging.getLogger(__name__)
+
 
 def matrix_camera(
     where: str, *, resolution: Any, matrix: Any, distortion_model: Any, distortion: Any
@@ -26,6 +31,7 @@ def matrix_camera(
         CalibrationError: a value is missing or implausible.
     """
     k = make_matrix(f"{where}: camera matrix", matrix, 3, 3)
+    _check_camera_matrix(where, k)
     coefficients = make_list(f"{where}: distortion", distortion)
     if not any(coefficients) and distortion_model in (None, "", "none", *_ZERO_IS_NONE):
         distortion_model, coefficients = "none", ()
@@ -37,6 +43,30 @@ def matrix_camera(
         distortion_model=distortion_model or "radtan",
         distortion=coefficients,
     )
+
+
+def _check_camera_matrix(where: str, k: Floats) -> None:
+    """Refuse a (3, 3) matrix that is not fx 0 cx / 0 fy cy / 0 0 1; warn of a skew of the axes."""
+    if not k.any():
+        raise CalibrationError(f"{where}: the camera matrix is zero: it was never calibrated")
+    if np.any(k[2, :2]) and not np.any(k[:2, 2]):
+        raise CalibrationError(f"{where}: the camera matrix is transposed; write it row by row")
+    if np.abs(k[2] - (0.0, 0.0, 1.0)).max() > _MAX_ROUNDING or abs(k[1, 0]) > _MAX_ROUNDING:
+        raise CalibrationError(
+            f"{where}: the camera matrix has the rows {_row(k[1])} and {_row(k[2])}; they must be "
+            "[0, fy, cy] and [0, 0, 1]"
+        )
+    if abs(k[0, 1]) > _MAX_SKEW_PX:
+        _log.warning(
+            "%s: the skew of the camera matrix, %g px, is not used: axes of pixels are taken as "
+            "perpendicular",
+            where,
+            k[0, 1],
+        )
+
+
+def _row(numbers: Floats) -> str:
+    return "[" + ", ".join(f"{number:g}" for number in numbers) + "]"
 
 
 _ZERO_IS_NONE = ("radtan", "plumb_bob", "rational_polynomial")

@@ -88,10 +88,12 @@ def make_list(what: str, value: Any) -> tuple[float, ...]:
     """All numbers of a list, a row, a column, or a section with data; empty if missing.
 
     Raises:
-        CalibrationError: an element is not a finite number.
+        CalibrationError: an element is not a finite number, or a section has no data.
     """
     if isinstance(value, Mapping):
-        value = value.get("data")
+        if "data" not in value:
+            raise CalibrationError(f"{what} is {shortened(value)}; it must be a list of numbers")
+        value = value["data"]
     if value is None:
         return ()
     if _are_rows(value):

@@ -1,42 +1,43 @@
-"""Reader of OpenCV's FileStorage (YAML, XML or JSON), with the keys of OpenCV's samples.
+"""Reader of OpenCV's calibrations: FileStorage (YAML, XML or JSON), and what scripts write.
 
-A pair has M1 D1 M2 D2 (or the names below), R and T with x2 = R x1 + T (cam1_from_cam0). R and T
-may be in a separate file, `extrinsics` beside `intrinsics`.
+The values have any of the spellings in `keys`. A pair has M1 D1 M2 D2 (or the like), R and T with
+x2 = R x1 + T (cam1_from_cam0). R and T may be in a separate file, `extrinsics` beside `intrinsics`.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from typing import Any
+from typing import NamedTuple
 
 from vo.errors import CalibrationError
+from vo.formats.calibration import keys
 from vo.formats.calibration.checks import check_baseline
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
+from vo.formats.calibration.keys import Entry, Values
 from vo.formats.calibration.matrices import matrix_camera, rotation_and_translation
 from vo.types import Camera, Rig
 
-_PAIRS = (
-    ("M1", "D1", "M2", "D2"),
-    ("K1", "D1", "K2", "D2"),
-    ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"),
-    ("camera_matrix_left", "distortion_coefficients_left",
-     "camera_matrix_right", "distortion_coefficients_right"),
+_IDEAL = ("pinhole", "perspective", "none", "")
+_RADTAN = (
+    "radtan", "radialtangential", "plumbbob", "rationalpolynomial", "rational", "brown",
+    "brownconrady", "opencv", "fullopencv", "standard", "normal",
 )  # fmt: skip
-_SINGLES = (
-    ("camera_matrix", "distortion_coefficients"),
-    ("cameraMatrix", "distCoeffs"),
-    ("camera_matrix", "dist_coeffs"),
-    ("K", "D"),
-)
-_SIZES = (("image_width", "image_height"), ("width", "height"))
-_SIZE_LISTS = ("image_size", "imageSize", "ImageSize", "resolution")
+_EQUIDISTANT = (
+    "fisheye", "equidistant", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb4", "kb8",
+    "opencvfisheye",
+)  # fmt: skip
+_OMNI = ("omni", "omnidir", "mei")
+_OTHERS = (
+    "ds", "doublesphere", "eucm", "ucm", "unified", "fov", "atan", "scaramuzza", "ocam", "division",
+    "equirectangular", "thinprism", "modifiedbrownconrady", "inversebrownconrady", "ftheta",
+)  # fmt: skip
+_MODELS = "radtan (plumb_bob, rational_polynomial), equidistant (fisheye, kannala_brandt) and omni"
 _log = logging.getLogger(__name__)
 
 
 def recognises(document: Document) -> bool:
     """Whether the file has a camera matrix with one of the usual keys."""
-    return any(names[0] in document.data for names in (*_PAIRS, *_SINGLES))
+    return bool(keys.find_sides(Values(document.data)))
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
@@ -45,16 +46,10 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     Raises:
         CalibrationError: a value is missing or implausible.
     """
-    data = document.data
-    pair = next((names for names in _PAIRS if names[0] in data), None)
-    if pair is None:
-        single = next(
-            (names for names in _SINGLES if names[0] in data and names[1] in data),
-            next(names for names in _SINGLES if names[0] in data),
-        )
-        return Calibration(Rig(_camera(document, *single, image_size)))
-    cam0 = _camera(document, pair[0], pair[1], image_size)
-    if pair[2] not in data:
+    values = Values(document.data)
+    sides = keys.find_sides(values)
+    cam0 = _camera(document, values, sides[0], image_size)
+    if len(sides) == 1:
         return Calibration(Rig(cam0))
     extrinsics = _extrinsics(document)
     if extrinsics is None:
@@ -66,42 +61,84 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
             document.path.suffix,
         )
         return Calibration(Rig(cam0))
-    cam1 = _camera(document, pair[2], pair[3], image_size)
-    where = str(extrinsics.path)
-    cam1_from_cam0 = rotation_and_translation(where, extrinsics.data["R"], extrinsics.data["T"])
-    check_baseline(f"{where}: T", cam1_from_cam0)
+    cam1 = _camera(document, values, sides[1], image_size)
+    where = extrinsics.where
+    cam1_from_cam0 = rotation_and_translation(
+        where, extrinsics.rotation.value, extrinsics.translation.value
+    )
+    check_baseline(f"{where}: {extrinsics.translation.key}", cam1_from_cam0)
     return Calibration(Rig(cam0, cam1, cam1_from_cam0))
 
 
-def _extrinsics(document: Document) -> Document | None:
+class _Extrinsics(NamedTuple):
+    where: str
+    rotation: Entry
+    translation: Entry
+
+
+def _extrinsics(document: Document) -> _Extrinsics | None:
     path = document.path
     beside = path.with_name(path.name.replace("intrinsics", "extrinsics"))
     documents = [document]
     if beside != path and beside.is_file():
         documents.append(load_document(beside))
-    return next((one for one in documents if "R" in one.data and "T" in one.data), None)
+    for each in documents:
+        values = Values(each.data)
+        rotation = values.find(keys.ROTATION, keys.is_array)
+        translation = values.find(keys.TRANSLATION, keys.is_array)
+        if rotation is not None and translation is not None:
+            return _Extrinsics(str(each.path), rotation, translation)
+    return None
 
 
-def _camera(
-    document: Document, matrix: str, distortion: str, image_size: ImageSize | None
-) -> Camera:
-    where = f"{document.path}: {matrix}"
-    is_fisheye = str(document.data.get("fisheye_model", 0)).strip().lower() not in ("0", "false")
-    resolution = _size(document.data) or image_size
-    if resolution is None:
-        raise CalibrationError(f"{where}: the size of the images is missing; add image_width and "
-                               "image_height")  # fmt: skip
+def _camera(document: Document, values: Values, side: str, image_size: ImageSize | None) -> Camera:
+    matrix = keys.find_matrix(values, side)
+    assert matrix is not None
+    where = f"{document.path}: {matrix.key}"
+    resolution = keys.size_of(where, values, image_size)
+    model = _lens_model(str(document.path), values, side)
+    distortion = keys.find_distortion(str(document.path), values, matrix, side, model=model)
+    xi = values.find(keys.spelled(("xi",), side))
+    if xi is not None:
+        model = "omni"
+        distortion = (*keys.coefficients_of(f"{document.path}: {xi.key}", _listed(xi)), *distortion)
+    elif model == "omni":
+        raise CalibrationError(f"{where}: xi is missing; the omni model needs it")
     return matrix_camera(
         where,
         resolution=resolution,
-        matrix=document.data[matrix],
-        distortion_model="equidistant" if is_fisheye else "radtan",
-        distortion=document.data.get(distortion),
+        matrix=matrix.value,
+        distortion_model=model,
+        distortion=distortion,
     )
 
 
-def _size(data: Mapping[str, Any]) -> Any:
-    for width, height in _SIZES:
-        if width in data and height in data:
-            return [data[width], data[height]]
-    return next((data[name] for name in _SIZE_LISTS if name in data), None)
+def _listed(entry: Entry) -> object:
+    """A number, or a matrix of one, as list."""
+    return entry.value if keys.is_array(entry.value) else [entry.value]
+
+
+def _lens_model(where: str, values: Values, side: str) -> str:
+    """The distortion model that the file names; radtan if it names none.
+
+    Raises:
+        CalibrationError: it names one that is not supported.
+    """
+    flag = values.find(("fisheyemodel", "isfisheye", "fisheye"), lambda v: not keys.is_array(v))
+    if flag is not None and str(flag.value).strip().lower() not in ("0", "false", "no", ""):
+        return "equidistant"
+    for names, is_text in ((keys.LENS_MODEL, False), (keys.CAMERA_MODEL, True)):
+        entry = values.find(keys.spelled(names, side)) or values.find(names)
+        if entry is None:
+            continue
+        name = keys.normalised(entry.value)
+        if name in _EQUIDISTANT:
+            return "equidistant"
+        if name in _OMNI:
+            return "omni"
+        if name in _RADTAN:
+            return "radtan"
+        # The model of a camera may also be the name of a product.
+        if name not in _IDEAL and (not is_text or name in _OTHERS):
+            raise keys.unknown_model(where, entry, _MODELS)
+    return "radtan"

@@ -19,13 +19,14 @@ from vo.formats.calibration.checks import (
     make_transform,
 )
 from vo.formats.calibration.document import Calibration, Document, ImageSize
+from vo.formats.calibration.keys import coefficients_of
 from vo.formats.calibration.matrices import common_from_camera, matrix_camera, relative_pose
 from vo.geometry.transforms import inverse
 from vo.geometry.transforms import make_transform as rigid
 from vo.types import Camera, Floats, Rig
 
 _LENSES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "pinhole": ("radtan", ("k1", "k2", "p1", "p2", "k3")),
+    "pinhole": ("radtan", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
     "kannalabrandt8": ("equidistant", ("k1", "k2", "k3", "k4")),
     "rectified": ("none", ()),
 }
@@ -113,13 +114,10 @@ def _camera(document: Document, name: str, image_size: ImageSize | None) -> Came
             "KannalaBrandt8 and Rectified"
         )
     lens, names = _LENSES[kind.lower()]
-    coefficients = [
-        make_number(f"{where}.{key}", data[f"{name}.{key}"])
-        for key in names
-        if f"{name}.{key}" in data
-    ]
+    given = {key: data[f"{name}.{key}"] for key in names if f"{name}.{key}" in data}
+    coefficients = coefficients_of(where, given, lens) if lens != "none" else ()
     if lens == "radtan" and not any(coefficients):
-        lens, coefficients = "none", []
+        lens, coefficients = "none", ()
     return make_camera(
         where,
         model="pinhole",

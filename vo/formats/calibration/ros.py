@@ -1,4 +1,4 @@
-"""Reader of ROS's camera_info as YAML, one file per camera, in the same folder.
+"""Reader of ROS's camera_info as YAML or INI, one file per camera, in the same folder.
 
 The images are assumed to be unrectified (`image_raw`), as described by K and D.
 """
@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from vo.formats.calibration.checks import check_baseline
+from vo.errors import CalibrationError
+from vo.formats.calibration import keys, ros_ini
+from vo.formats.calibration.checks import check_baseline, make_list
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
 from vo.formats.calibration.matrices import common_from_camera, matrix_camera, relative_pose
 from vo.types import Camera, Floats, Rig
@@ -33,7 +35,9 @@ _log = logging.getLogger(__name__)
 
 def recognises(document: Document) -> bool:
     """Whether the file has the fields of the message, as saved or as printed by `topic echo`."""
-    data = _fields(document.data)
+    if ros_ini.is_ini(document.text):
+        return True
+    data = _fields(document)
     is_file = "camera_matrix" in document.data and any(
         name in document.data for name in ("projection_matrix", "rectification_matrix")
     )
@@ -73,24 +77,43 @@ def partner_of(path: Path) -> Path | None:
 
 
 def _camera(document: Document, image_size: ImageSize | None) -> Camera:
-    fields = _fields(document.data)
+    fields = _fields(document)
     size = [fields.get("width"), fields.get("height")]
+    where = str(document.path)
     return matrix_camera(
-        str(document.path),
+        where,
         resolution=image_size if None in size else size,
         matrix=fields.get("k"),
         distortion_model=fields.get("distortion_model") or "plumb_bob",
-        distortion=fields.get("d"),
+        distortion=_distortion(where, document, fields),
     )
 
 
+def _distortion(where: str, document: Document, fields: Mapping[str, Any]) -> tuple[float, ...]:
+    if "d" in fields:
+        numbers = make_list(f"{where}: distortion", fields["d"])
+    else:
+        values = keys.Values(document.data or fields)
+        matrix = keys.find_matrix(values, "") or keys.Entry("camera matrix", fields.get("k"))
+        numbers = keys.find_distortion(where, values, matrix)
+    if ros_ini.is_ini(document.text) and len(numbers) == 4 and any(numbers):
+        raise CalibrationError(
+            f"{where}: 4 coefficients may be those of plumb_bob or of a fisheye lens, and INI does "
+            "not say which; use the YAML file of the same calibration (ost.yaml)"
+        )
+    return numbers
+
+
 def _common_from_camera(document: Document) -> Floats:
-    fields = _fields(document.data)
+    fields = _fields(document)
     return common_from_camera(str(document.path), fields.get("r"), fields.get("p"))
 
 
-def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
+def _fields(document: Document) -> dict[str, Any]:
     """The fields of the message in lower case; ROS 1 prints D, K, R and P."""
+    if ros_ini.is_ini(document.text):
+        return ros_ini.fields_of(document.text)
+    data = document.data
     found = {name: data.get(name, data.get(name.upper())) for name in ("d", "k", "r", "p")}
     found |= {name: data.get(name) for name in ("width", "height", "distortion_model")}
     found |= {name: data[long] for name, long in _FILE.items() if long in data}
