@@ -9,6 +9,14 @@ from random import Random
 
 import pytest
 from calibration_files import BASALT, COLMAP_HEADER, KITTI_RAW, ORB_FISHEYE, basalt_file
+from foreign_files import (
+    CAMODOCAL_MEI,
+    MAPLAB,
+    STELLA,
+    ZED,
+    depthai,
+    nerf,
+)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -63,6 +71,7 @@ OPENCV_XML = """<?xml version="1.0"?>
 <D1 type_id="opencv-matrix"><rows>1</rows><cols>4</cols><dt>d</dt><data>0.1 0.2 0 0</data></D1>
 <M2 type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
   <data>500. 0. 320. 0. 501. 240. 0. 0. 1.</data></M2>
+<D2 type_id="opencv-matrix"><rows>1</rows><cols>4</cols><dt>d</dt><data>0.1 0.2 0 0</data></D2>
 <R type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt><data>1 0 0 0 1 0 0 0 1</data></R>
 <T type_id="opencv-matrix"><rows>3</rows><cols>1</cols><dt>d</dt><data>-0.1 0. 0.</data></T>
 <image_size>640 480</image_size>
@@ -80,7 +89,13 @@ FILES = {
     "KITTI": "P0: 707.1 0 601.9 0 0 707.1 183.1 0 0 0 1 0\n"
     "P1: 707.1 0 601.9 -379.8 0 707.1 183.1 0 0 0 1 0\n",
     "COLMAP": COLMAP_HEADER + "1 OPENCV 640 480 600 601 320 240 0.1 0.2 0.3 0.4\n",
+    "ZED": ZED,
     "Basalt": basalt_file("ds", BASALT["ds"][0]),
+    "DepthAI": depthai(),
+    "NeRF": nerf(),
+    "SVO or maplab": MAPLAB,
+    "camodocal": CAMODOCAL_MEI,
+    "stella_vslam": STELLA,
     "ORB-SLAM3": ORB_FISHEYE,
     "ROS camera_info": ROS,
     "OpenCV": OPENCV_XML,
@@ -95,6 +110,11 @@ NASTY = (
     "<", "</M1>", "<_/>", "\n", "\t", "\x00", "'", '"', "%YAML:1.0\n", "---\n", "? ", "cam0", "é",
 )  # fmt: skip
 SECONDS = 5.0
+
+
+def _size(kind: str) -> tuple[int, int]:
+    """Size of the images; files of ZED cameras have sections for some sizes only."""
+    return (1280, 720) if kind == "ZED" else (640, 480)
 
 
 def _mutated(text: str, random: Random) -> bytes:
@@ -137,7 +157,7 @@ def test_all_formats_have_a_damage_test() -> None:
 @pytest.mark.parametrize("kind", FILES)
 def test_whole_files_are_read(tmp_path: Path, kind: str) -> None:
     (tmp_path / "c").write_text(FILES[kind], encoding="utf-8")
-    assert read_calibration(tmp_path / "c", (640, 480)).kind == kind
+    assert read_calibration(tmp_path / "c", _size(kind)).kind == kind
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -145,7 +165,7 @@ def test_damaged_calibrations(tmp_path: Path, kind: str) -> None:
     random, path, alive = Random(7), tmp_path / "c", 0
     for _ in range(40):
         path.write_bytes(_mutated(FILES[kind], random))
-        alive += _survives(lambda p: read_calibration(p, (640, 480)), path, CalibrationError)
+        alive += _survives(lambda p: read_calibration(p, _size(kind)), path, CalibrationError)
     assert alive < 40
 
 
@@ -154,7 +174,7 @@ def test_calibrations_cut_off(tmp_path: Path, kind: str) -> None:
     text, path = FILES[kind], tmp_path / "c"
     for length in range(0, len(text), max(1, len(text) // 12)):
         path.write_text(text[:length], encoding="utf-8")
-        _survives(lambda p: read_calibration(p, (640, 480)), path, CalibrationError)
+        _survives(lambda p: read_calibration(p, _size(kind)), path, CalibrationError)
 
 
 @settings(
@@ -178,7 +198,7 @@ def test_any_value_at_any_key(tmp_path: Path, kind: str, values: list[tuple[int,
     for at, value in values:
         words[at % len(words)] = value
     (tmp_path / "c").write_text(" ".join(words), encoding="utf-8", errors="surrogatepass")
-    _survives(lambda p: read_calibration(p, (640, 480)), tmp_path / "c", CalibrationError)
+    _survives(lambda p: read_calibration(p, _size(kind)), tmp_path / "c", CalibrationError)
 
 
 @pytest.mark.parametrize(

@@ -10,17 +10,29 @@ from typing import NamedTuple
 from vo.errors import CalibrationError
 from vo.formats.calibration import (
     basalt,
+    camodocal,
     colmap,
+    depthai,
     euroc,
     kalibr,
     kitti,
     kitti_raw,
+    maplab,
+    nerf,
     opencv,
     orb_slam,
     own,
     ros,
+    stella_vslam,
+    zed,
 )
-from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
+from vo.formats.calibration.document import (
+    Calibration,
+    Document,
+    ImageSize,
+    load_document,
+    shortened,
+)
 
 
 class CalibrationFormat(NamedTuple):
@@ -35,7 +47,13 @@ FORMATS: dict[str, CalibrationFormat] = {
     "KITTI raw": CalibrationFormat(kitti_raw.recognises, kitti_raw.read),
     "KITTI": CalibrationFormat(kitti.recognises, kitti.read),
     "COLMAP": CalibrationFormat(colmap.recognises, colmap.read),
+    "ZED": CalibrationFormat(zed.recognises, zed.read),
     "Basalt": CalibrationFormat(basalt.recognises, basalt.read),
+    "DepthAI": CalibrationFormat(depthai.recognises, depthai.read),
+    "NeRF": CalibrationFormat(nerf.recognises, nerf.read),
+    "SVO or maplab": CalibrationFormat(maplab.recognises, maplab.read),
+    "camodocal": CalibrationFormat(camodocal.recognises, camodocal.read),
+    "stella_vslam": CalibrationFormat(stella_vslam.recognises, stella_vslam.read),
     "ORB-SLAM3": CalibrationFormat(orb_slam.recognises, orb_slam.read),
     "ROS camera_info": CalibrationFormat(ros.recognises, ros.read),
     "OpenCV": CalibrationFormat(opencv.recognises, opencv.read),
@@ -45,18 +63,21 @@ FORMATS: dict[str, CalibrationFormat] = {
 }
 
 
+_OPENVINS_CHAIN = "relative_config_imucam"
+
+
 def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> Calibration:
     """Read a calibration file of any supported format.
 
     Args:
         path: the file.
         image_size: width and height of the images, for files that do not contain them (KITTI, some
-            of OpenCV and ORB-SLAM) or contain two sizes (KITTI raw).
+            of OpenCV and ORB-SLAM) or contain several (KITTI raw, ZED).
 
     Raises:
         CalibrationError: the file is missing, of an unknown format, or a value is implausible.
     """
-    document = load_document(Path(path))
+    document = _load(Path(path))
     for name, kind in FORMATS.items():
         if kind.recognises(document):
             try:
@@ -68,3 +89,15 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
         "docs/calibration.md"
     )
     raise CalibrationError(f"{path} {reason}")
+
+
+def _load(path: Path) -> Document:
+    """The document, or the camera chain that settings of OpenVINS name."""
+    document = load_document(path)
+    chain = document.data.get(_OPENVINS_CHAIN)
+    if chain is None:
+        return document
+    beside = path.parent / str(chain)
+    if not isinstance(chain, str) or not beside.is_file():
+        raise CalibrationError(f"{path}: {_OPENVINS_CHAIN} {shortened(chain)} does not exist")
+    return load_document(beside)
