@@ -9,6 +9,7 @@ import pytest
 from vo.errors import CalibrationError, EvaluationError, SourceError
 from vo.evaluation.inputs import load_inputs
 from vo.evaluation.report import evaluate
+from vo.geometry.transforms import quat_xyzw_from_rotation, se3_exp
 
 TUM = "".join(f"{i}.5 {i} {i * i} 0 0 0 0 1\n" for i in range(6))
 KITTI = "".join(f"1 0 0 {i} 0 1 0 {i * i} 0 0 1 0\n" for i in range(6))
@@ -182,3 +183,56 @@ def test_tum_and_euroc_truth_of_the_rendered_hall_agree(tmp_path: Path, shared_d
     evaluation = evaluate(inputs.estimate, inputs.reference, "none")
     assert evaluation.ate.translation.max < 1e-6
     assert evaluation.ate.rotation.max < 1e-4
+
+
+def _camera_path() -> list[np.ndarray]:
+    """world_from_cam0 of a camera that turns and climbs, with y down and z forward."""
+    return [se3_exp(np.array([0.02 * i, 0.3 * i, 0.1, 0.2 * i, 0.5, i])) for i in range(6)]
+
+
+def _tum(poses: list[np.ndarray]) -> str:
+    rows = []
+    for i, pose in enumerate(poses):
+        quat = quat_xyzw_from_rotation(pose[:3, :3])
+        rows.append(" ".join(f"{v:.12f}" for v in (i + 0.5, *pose[:3, 3], *quat)))
+    return "\n".join(rows) + "\n"
+
+
+def _without_stamps(text: str) -> str:
+    return "".join(f"{line.split(' ', 1)[1]}\n" for line in text.splitlines())
+
+
+def test_ground_truth_of_tartanair(tmp_path: Path) -> None:
+    """Poses in north, east, down; the camera with x forward, y right, z down; no stamps."""
+    ned_from_world = np.array([[0, 0, 1, 5], [1, 0, 0, -2], [0, 1, 0, 3], [0, 0, 0, 1.0]])
+    forward_right_down = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    poses = _camera_path()
+    truth = [ned_from_world @ pose @ forward_right_down for pose in poses]
+    run = run_folder(tmp_path / "run")
+    written(run / "trajectory.tum", _tum(poses))
+    written(tmp_path / "P000" / "pose_left.txt", _without_stamps(_tum(truth)))
+    for reference in (tmp_path / "P000" / "pose_left.txt", tmp_path / "P000"):
+        inputs = load_inputs(run, reference)
+        assert "TartanAir's: camera axes x forward, y right, z down" in inputs.notes[0]
+        assert "row by row" in inputs.notes[1]
+        result = evaluate(inputs.estimate, inputs.reference, "se3")
+        assert float(result.ate.translation_m.max()) < 1e-9
+        relative = np.linalg.inv(inputs.reference.world_from_cam[0]) @ (
+            inputs.reference.world_from_cam
+        )
+        expected = np.linalg.inv(poses[0]) @ np.stack(poses)
+        np.testing.assert_allclose(relative, expected, atol=1e-9)
+
+
+def test_ground_truth_of_nerf(tmp_path: Path) -> None:
+    poses = _camera_path()
+    matrices = [(pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist() for pose in poses]
+    order = (5, 3, 0, 1, 2, 4)
+    frames = [{"file_path": f"images/{i}.png", "transform_matrix": matrices[i]} for i in order]
+    run = run_folder(tmp_path / "run")
+    written(run / "trajectory.tum", _tum(poses))
+    path = written(tmp_path / "transforms.json", json.dumps({"fl_x": 500, "frames": frames}))
+    inputs = load_inputs(run, path)
+    assert "row by row" in inputs.notes[0]
+    np.testing.assert_allclose(inputs.reference.world_from_cam, np.stack(poses), atol=1e-12)
+    np.testing.assert_array_equal(inputs.estimate.stamps_ns, inputs.reference.stamps_ns)

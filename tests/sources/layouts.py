@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
@@ -197,6 +198,20 @@ def write_folder(folder: Path) -> None:
     write_text(folder / "calibration.yaml", CALIBRATION)
 
 
+def write_nerf(folder: Path) -> None:
+    """The camera's axes are y up and z back, and (0, 0) is a corner of the image."""
+    fx, fy, cx, cy = INTRINSICS
+    frames = []
+    for i, pose in enumerate(truth()):
+        name = f"images/frame_{i + 7}.png"
+        write_image(folder / name, image(i))
+        matrix = (pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist()
+        frames.append({"file_path": f"./{name}", "transform_matrix": matrix})
+    values = {"fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5, "w": WIDTH, "h": HEIGHT}
+    write_text(folder / "transforms.json", json.dumps(values | {"frames": frames[::-1]}))
+    write_text(folder / "times.txt", "".join(f"{seconds(s)}\n" for s in STAMPS_NS))
+
+
 def write_glob(pattern: Path) -> None:
     for i, stamp in enumerate(STAMPS_NS):
         write_image(pattern.parent / f"left_{stamp}.png", image(i))
@@ -276,6 +291,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "euroc": write_euroc,
     "tum": write_tum,
     "folder": write_folder,
+    "nerf": write_nerf,
     "glob": write_glob,
     "video": write_video,
     "mcap": write_mcap,

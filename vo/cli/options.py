@@ -58,7 +58,7 @@ Format = Annotated[
     typer.Option(
         metavar="FORMAT",
         help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
-        "video, glob or folder.",
+        "nerf, video, glob or folder.",
         show_default="detected from the files",
         rich_help_panel=INPUT,
     ),

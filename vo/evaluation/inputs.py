@@ -12,7 +12,7 @@ import numpy as np
 from vo.errors import CalibrationError, EvaluationError, SourceError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.euroc_layout import find_camera_on_body
-from vo.formats.trajectory import detect_format, kitti_stamps_beside, read_trajectory
+from vo.formats.trajectory import detect_format, has_stamps, read_trajectory
 from vo.types import Mode, Trajectory
 
 _ESTIMATE_NAMES = (
@@ -27,7 +27,10 @@ _REFERENCE_NAMES = (
     "state_groundtruth_estimate0/data.csv",
     "mav0/mocap0/data.csv",
     "mav0/gt0/data.csv",
+    "pose_left.txt",
+    "pose_lcam_front.txt",
 )
+_TARTANAIR_NOTE = "ground truth read as TartanAir's: camera axes x forward, y right, z down"
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +166,10 @@ def _read_reference(
     path: Path, calibration: Calibration | None
 ) -> tuple[Trajectory, tuple[str, ...]]:
     """Ground truth of cam0; EuRoC's is that of the body, with T_BS = body_from_cam0."""
-    reference = read_trajectory(path)
-    if detect_format(path) != "euroc":
+    reference, kind = read_trajectory(path), detect_format(path)
+    if kind == "tartanair":
+        return reference, (_TARTANAIR_NOTE,)
+    if kind != "euroc":
         return reference, ()
     root = path.resolve().parent.parent
     found = find_camera_on_body(root, calibration)
@@ -182,8 +187,7 @@ def _read_reference(
 def _with_common_stamps(inputs: Inputs) -> Inputs:
     """Pair poses row by row if only one file has stamps and both have the same number of poses."""
     estimate_bare, reference_bare = (
-        detect_format(path) == "kitti" and kitti_stamps_beside(path) is None
-        for path in (inputs.estimate_path, inputs.reference_path)
+        not has_stamps(path) for path in (inputs.estimate_path, inputs.reference_path)
     )
     if estimate_bare and reference_bare:
         note = "neither file has stamps: poses paired row by row, one per second"

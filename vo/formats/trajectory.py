@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM, KITTI and EuRoC, with stamps exact to the nanosecond."""
+"""Trajectories as text, such as TUM, KITTI and EuRoC, with stamps exact to the nanosecond."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from typing import Literal
 import numpy as np
 
 from vo.errors import OutputError, SourceError
+from vo.formats.nerf_poses import read_nerf_poses
 from vo.formats.table import Line, check_columns, parse_columns, read_table
 from vo.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
 from vo.types import Floats, Ints, Trajectory
 
-TrajectoryFormat = Literal["tum", "kitti", "euroc"]
+TrajectoryFormat = Literal["tum", "kitti", "euroc", "tartanair", "nerf"]
 
 _log = logging.getLogger(__name__)
 _NS_PER_S = 1_000_000_000
@@ -23,13 +24,18 @@ _MAX_S = 9_000_000_000
 _TUM_COLUMNS = 8
 _KITTI_COLUMNS = 12
 _EUROC_COLUMNS = 8
+_TARTANAIR_COLUMNS = 7
+_NED_FROM_CAM = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""From a camera's axes (x right, y down, z forward) to TartanAir's (x forward, y right, z down)."""
 
 
 def read_trajectory(path: Path | str) -> Trajectory:
-    """Read a trajectory in TUM, KITTI or EuRoC format, detected from the content.
+    """Read a trajectory in one of the formats, detected from the content.
 
-    Stamps of a KITTI file come from a `times.txt` of the same length beside it; without one, pose i
-    gets the stamp of i seconds.
+    Stamps of KITTI, TartanAir and NeRF files come from a `times.txt` of the same length beside it;
+    without one, pose i gets the stamp of i seconds.
 
     Raises:
         SourceError: the file is missing, empty, damaged or of none of the formats.
@@ -40,7 +46,19 @@ def read_trajectory(path: Path | str) -> Trajectory:
         return read_tum(path)
     if kind == "euroc":
         return read_euroc(path)
-    return read_kitti(path, kitti_stamps_beside(path))
+    stamps_ns = stamps_beside(path)
+    if kind == "tartanair":
+        return read_tartanair(path, stamps_ns)
+    return read_kitti(path, stamps_ns) if kind == "kitti" else read_nerf(path, stamps_ns)
+
+
+def has_stamps(path: Path | str) -> bool:
+    """Whether the poses of a file have stamps, in the file or in a `times.txt` beside it.
+
+    Raises:
+        SourceError: the file is missing, empty or of none of the formats.
+    """
+    return detect_format(path) in ("tum", "euroc") or stamps_beside(path) is not None
 
 
 def detect_format(path: Path | str) -> TrajectoryFormat:
@@ -49,6 +67,8 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
     Raises:
         SourceError: the file is missing, empty or of none of the formats.
     """
+    if Path(path).suffix.lower() == ".json":
+        return "nerf"
     first = read_table(Path(path))[0]
     columns = len(first.fields)
     if first.has_commas and columns >= _EUROC_COLUMNS:
@@ -57,9 +77,12 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
         return "tum"
     if columns == _KITTI_COLUMNS:
         return "kitti"
+    if columns == _TARTANAIR_COLUMNS and not first.has_commas:
+        return "tartanair"
     raise SourceError(
         f"{first.location}: {columns} columns are not a trajectory; TUM has 8 (stamp tx ty tz qx "
-        "qy qz qw), KITTI 12 (a 3x4 matrix), EuRoC 8 or more with commas and stamps in nanoseconds"
+        "qy qz qw), KITTI 12 (a 3x4 matrix), TartanAir 7 (tx ty tz qx qy qz qw), EuRoC 8 or more "
+        "with commas and stamps in nanoseconds"
     )
 
 
@@ -108,14 +131,59 @@ def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
     check_columns(lines, _KITTI_COLUMNS, exactly=True)
     values = parse_columns(lines, 0, _KITTI_COLUMNS)
     _check_finite(lines, values)
-    if stamps_ns is None:
-        stamps_ns = np.arange(len(lines), dtype=np.int64) * _NS_PER_S
-    if len(stamps_ns) != len(lines):
-        raise SourceError(f"{path}: {len(lines)} poses but {len(stamps_ns)} stamps; give as many")
+    stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
     poses[:, :3, :] = values.reshape(-1, 3, 4)
     _check_rotations(lines, poses[:, :3, :3])
     return _with_increasing_stamps(lines, stamps_ns, poses)
+
+
+def read_tartanair(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
+    """Read TartanAir's lines `tx ty tz qx qy qz qw`: poses in a world with x north and z down.
+
+    The camera's axes in the file are x forward, y right, z down; the result has those of an image.
+
+    Args:
+        path: the file.
+        stamps_ns: (N,) stamps of the poses; by default pose i gets i seconds.
+
+    Raises:
+        SourceError: the file is missing, empty, damaged or has another number of poses than stamps.
+    """
+    lines = read_table(Path(path))
+    check_columns(lines, _TARTANAIR_COLUMNS, exactly=True)
+    values = parse_columns(lines, 0, _TARTANAIR_COLUMNS)
+    _check_finite(lines, values)
+    stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
+    found = _trajectory(lines, stamps_ns, values[:, :3], values[:, 3:7])
+    return Trajectory(found.stamps_ns, found.world_from_cam @ _NED_FROM_CAM)
+
+
+def read_nerf(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
+    """Read the poses of NeRF's `transforms.json`, in natural order of the names of the images.
+
+    Args:
+        path: the file.
+        stamps_ns: (N,) stamps of the poses; by default pose i gets i seconds.
+
+    Raises:
+        SourceError: the file is missing, damaged or has another number of poses than stamps.
+    """
+    poses = [image.world_from_cam for image in read_nerf_poses(path)]
+    return Trajectory(_or_whole_seconds(path, stamps_ns, len(poses)), np.stack(poses))
+
+
+def _or_whole_seconds(path: Path | str, stamps_ns: Ints | None, count: int) -> Ints:
+    """The stamps, or 0 s, 1 s and so on without any.
+
+    Raises:
+        SourceError: there is another number of stamps.
+    """
+    if stamps_ns is None:
+        return np.arange(count, dtype=np.int64) * _NS_PER_S
+    if len(stamps_ns) != count:
+        raise SourceError(f"{path}: {count} poses but {len(stamps_ns)} stamps; give as many")
+    return stamps_ns
 
 
 def read_kitti_times(path: Path | str) -> Ints:
@@ -129,13 +197,14 @@ def read_kitti_times(path: Path | str) -> Ints:
     return _seconds_column(lines)
 
 
-def kitti_stamps_beside(path: Path | str) -> Ints | None:
-    """The stamps in `times.txt` beside a KITTI pose file, or None if missing or not as many."""
+def stamps_beside(path: Path | str) -> Ints | None:
+    """The stamps in `times.txt` beside a file of poses, or None if missing or not as many."""
     times = Path(path).with_name("times.txt")
     if not times.is_file():
         return None
     stamps_ns = read_kitti_times(times)
-    count = len(read_table(Path(path)))
+    is_nerf = detect_format(path) == "nerf"
+    count = len(read_nerf_poses(path)) if is_nerf else len(read_table(Path(path)))
     if len(stamps_ns) != count:
         _log.warning("%s has %d stamps for %d poses: not used", times, len(stamps_ns), count)
         return None

@@ -72,6 +72,9 @@ FORMATS: dict[str, Format] = {
         suffixes=(".db3",),
         log="vo.sources.bags.ros2:Bag",
     ),
+    "nerf": Format(
+        "vo.sources.nerf:gather_nerf", ("transforms.json", "transforms_train.json"), (".json",)
+    ),
     "glob": Format("vo.sources.glob:gather_glob"),
     "video": Format("vo.sources.video:gather_video", suffixes=VIDEO_SUFFIXES),
     "folder": Format(
