@@ -94,7 +94,7 @@ def projected_dots(count: int, brightness: float = 160.0, every: int = 1) -> Fau
     return fault
 
 
-def train(share: float, px_per_frame: float = 25.0, first: int = 5, depth_m: float = 12.0) -> Fault:
+def train(share: float, px_per_frame: float = 45.0, first: int = 5, depth_m: float = 12.0) -> Fault:
     """A train that fills `share` of the image height, passing at a constant depth.
 
     Args:

@@ -13,6 +13,7 @@ import numpy as np
 from vo.types import Floats, Ints
 
 _MIN_POSES = 3  # of a segment, to align it
+_COLUMNS = 12  # of poses.csv
 FLOOR_RATIO, FLOOR_M = 0.0005, 0.002
 MAX_ATE_RATIO = 3.0
 
@@ -109,9 +110,7 @@ def align(estimate: Floats, reference: Floats, with_scale: bool):  # type: ignor
 def read_poses(file: Path) -> tuple[Ints, Ints, Floats]:
     """Frame numbers, segments and positions of a `poses.csv`."""
     rows = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()[1:]]
-    table = np.array([[float(x) for x in row] for row in rows]).reshape(len(rows), -1)
-    if not len(table):
-        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))
+    table = np.array([[float(x) for x in row] for row in rows]).reshape(-1, _COLUMNS)
     return table[:, 0].astype(np.int64), table[:, 2].astype(np.int64), table[:, 5:8]
 
 

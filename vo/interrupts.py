@@ -1,45 +1,92 @@
-"""Deferral of stop signals to the end of a frame."""
+"""Deferral of stop signals: to the end of a frame, and for good while results are saved."""
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+_log = logging.getLogger(__name__)
+
+
+class DeferredInterrupts:
+    """Stop signals of a run, such as Ctrl-C.
+
+    While frames are tracked, the first signal waits for `check`, because in the middle of a frame
+    it could leave the map inconsistent, and compiled code would turn it into another error. A
+    second one takes effect at once, but not inside `held`, where results are written. Once a signal
+    is delivered, or after `close`, signals have no effect but a message: what was computed is being
+    saved, and nothing may cost results.
+    """
+
+    def __init__(self) -> None:
+        self.handlers: dict[int, signal._HANDLER] = {}
+        self._pending: list[int] = []
+        self._is_closing = False
+        self._is_explained = False
+        self._is_held = False
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Deliver no signal inside this block; they wait for `check`."""
+        self._is_held = True
+        try:
+            yield
+        finally:
+            self._is_held = False
+
+    def check(self) -> None:
+        """Deliver a signal that has arrived."""
+        if self._pending and not self._is_closing:
+            self._deliver(self._pending[0], None)
+
+    def close(self) -> None:
+        """Deliver no more signals."""
+        self._is_closing = True
+
+    def receive(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        if self._is_closing:
+            self._explain_once()
+            return
+        self._pending.append(number)
+        if len(self._pending) > 1 and not self._is_held:
+            self._deliver(number, frame)
+
+    def _explain_once(self) -> None:
+        if not self._is_explained:
+            self._is_explained = True
+            with suppress(RuntimeError):  # the signal came while a message was being written
+                _log.warning("the results are being saved, which cannot be interrupted")
+
+    def _deliver(self, number: int, frame: FrameType | None) -> None:
+        # Before the handler raises: no further signal may interrupt the saving of results.
+        self._is_closing = True
+        handler = self.handlers[number]
+        assert callable(handler)
+        handler(number, frame)
+
 
 @contextmanager
-def interrupts_between_frames() -> Iterator[Callable[[], None]]:
-    """Defer Ctrl-C to the next call of the yielded `check`; a second Ctrl-C takes effect at once.
+def deferred_interrupts() -> Iterator[DeferredInterrupts]:
+    """Defer stop signals inside this block; ignored ones, as under nohup, remain ignored.
 
-    In the middle of a frame, an interrupt could leave the map inconsistent, and compiled code
-    would turn it into another error. Other handled signals, such as SIGTERM, are deferred too.
+    Signals that were never delivered are dropped at the end. Outside of the main thread, which
+    alone receives signals, nothing is changed.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None  # only the main thread receives signals
-        return
-    current = {number: signal.getsignal(number) for number in _STOPPING}
-    handlers = {number: handler for number, handler in current.items() if callable(handler)}
-    pending: list[int] = []
-
-    def defer(number: int, frame: FrameType | None) -> None:
-        if pending:
-            handlers[signal.Signals(number)](number, frame)
-        pending.append(number)
-
-    def check() -> None:
-        if pending:
-            number = signal.Signals(pending[0])
-            pending.clear()
-            handlers[number](number, None)
-
-    for number in handlers:
-        signal.signal(number, defer)
+    interrupts = DeferredInterrupts()
+    if threading.current_thread() is threading.main_thread():
+        current = {number: signal.getsignal(number) for number in _STOPPING}
+        interrupts.handlers = {n: handler for n, handler in current.items() if callable(handler)}
+    for number in interrupts.handlers:
+        signal.signal(number, interrupts.receive)
     try:
-        yield check
+        yield interrupts
     finally:
-        for number, handler in handlers.items():
+        for number, handler in interrupts.handlers.items():
             signal.signal(number, handler)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vo.config import Config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
-from vo.interrupts import interrupts_between_frames
+from vo.interrupts import DeferredInterrupts
 from vo.odometry import Odometry
 from vo.progress import Progress
 from vo.recording.recorder import Recorder
@@ -45,6 +46,7 @@ class Request:
         stride: step between frames.
         calibration: file that replaces the recording's calibration, or None.
         topics: of a log, as given.
+        follow: whether it may still grow.
         profile_since: start of the profile on `time.perf_counter`, None for no profile.
     """
 
@@ -56,6 +58,7 @@ class Request:
     stride: int = 1
     calibration: Path | None = None
     topics: tuple[str, ...] = ()
+    follow: bool = False
     profile_since: float | None = None
 
     def facts(self, stream: FrameStream) -> RunFacts:
@@ -119,14 +122,15 @@ class RunSession:
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
         self._start_up_ms = 0.0
+        self._is_warned = False  # that results are incomplete
 
     def begin(self) -> None:
         """Start the progress; write a summary that holds if the process is killed from here on."""
         self._summarise("interrupted")
         self._progress.begin(self._stream.name, self._facts.requested)
 
-    def track(self, frames: Iterator[Frame]) -> None:
-        """Track all frames.
+    def track(self, frames: Iterator[Frame], interrupts: DeferredInterrupts) -> None:
+        """Track all frames; stop signals are delivered between them.
 
         Raises:
             SourceError: none could be read.
@@ -134,54 +138,74 @@ class RunSession:
         clock = Stopwatch()
         since = self._request.profile_since
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
-        with interrupts_between_frames() as check:
-            for estimate in self._odometry.track_all(_timed(frames, clock)):
+        for estimate in self._odometry.track_all(_timed(frames, clock)):
+            with interrupts.held():
                 self._output(estimate, clock)
                 self._folder.frames.append(frame_line(estimate, clock.stage_ms))
                 self._statistics.add_times(clock.stage_ms)
                 clock.stage_ms.clear()
                 self._refresh_if_due()
-                check()
+            if not self._is_last(estimate):  # a signal in the last frame does not stop the run
+                interrupts.check()
         if not self._statistics.frames:
             raise _nothing_readable(self._stream)
 
-    def end(self, status: Status, error: str | None = None) -> Summary:
-        """Finish the files, the recording and, last, the summary."""
-        self._progress.finish()
+    def end(self) -> Summary:
+        """Finish the files and the recording after the last frame, and summarise.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        self._end_progress()
         self._statistics.add_times(self._odometry.finish())
         clock = Stopwatch()
         with clock.stage("write"):
             self._finish_files()
+            self._summarise("finished")  # the path is complete, whatever happens to recordings
         with clock.stage("record"):
             self._finish_recording()
         self._statistics.add_times(clock.stage_ms)
-        return self._summarise(status, error)
+        return self._summarise("finished")
 
     def end_early(self, error: BaseException) -> None:
         """Save the results so far before an error is raised again."""
         status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         reason = None if status == "interrupted" else _one_line(error)
-        try:
-            with interrupts_between_frames():  # a second Ctrl-C must not cost results
-                self._progress.finish()
-                if status == "interrupted":
-                    self._odometry.finish()
-                self._save(self._finish_files)
-                self._save(lambda: self._summarise(status, reason))
-            self._save(self._finish_recording)
-        finally:
-            self._folder.close()
+        # A full disk is one error, however many files it concerns.
+        self._is_warned = isinstance(error, OutputError)
+        self._end_progress()
+        if status == "interrupted":
+            self._save(self._odometry.finish)  # fails if a frame was broken off
+        self._save(self._finish_files)
+        self._save(lambda: self._summarise(status, reason))
+        self._save(self._finish_recording)
+
+    def _end_progress(self) -> None:
+        with suppress(OSError):  # the terminal was closed
+            self._progress.finish()
 
     def _save(self, part: Callable[[], object]) -> None:
         """Save one part; an error, such as a full disk, does not affect the others."""
         try:
             part()
-        except OutputError as error:
-            _log.warning("results are incomplete: %s", error)
+        except Exception as error:
+            if not self._is_warned:
+                reason = str(error) if isinstance(error, OutputError) else _one_line(error)
+                _log.warning("results are incomplete: %s", reason)
+            self._is_warned = True
+
+    def _is_last(self, estimate: Estimate) -> bool:
+        """Whether no frame of a recording is left after this one."""
+        step = self._facts.stride * self._facts.every
+        is_known = self._facts.requested > 0 and not self._request.follow
+        return is_known and estimate.frame_index + step >= self._facts.end
 
     def _finish_files(self) -> None:
-        self._write_changed()
-        self._folder.finish()
+        try:
+            if not self._folder.is_finished:
+                self._write_changed()
+        finally:
+            self._folder.finish()
 
     def _finish_recording(self) -> None:
         self._recorder.finish(self._causal.trajectory(), self._odometry.trajectory.trajectory())

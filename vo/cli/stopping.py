@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import threading
 import time
@@ -19,7 +20,8 @@ _SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 def stop_signals_as_interrupts(output: Path) -> Iterator[None]:
     """Turn stop signals into KeyboardInterrupt, and an interrupt into one line and an exit status.
 
-    An ignored signal, as under nohup, remains ignored.
+    An ignored signal, as under nohup, remains ignored. An interrupt after the end of the run, while
+    its summary is printed, has no effect but that.
 
     Raises:
         typer.Exit: interrupted; the exit status is 128 + signal.
@@ -32,7 +34,13 @@ def stop_signals_as_interrupts(output: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as stop:
-        typer.echo(f"interrupted{_remaining_results(output, begun_s)}", err=True)
+        status = _written_status(output, begun_s)
+        if status == "finished":
+            return
+        written = f"; the results so far are in {output}"
+        if status is None:
+            written = " before the first frame; nothing was written"
+        typer.echo(f"interrupted{written}", err=True)
         raise typer.Exit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
     finally:
         for number, handler in previous.items():
@@ -43,11 +51,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt(number)
 
 
-def _remaining_results(output: Path, begun_s: float) -> str:
+def _written_status(output: Path, begun_s: float) -> str | None:
+    """Status in the summary that was written since a time, None if there is none."""
+    file = output / "summary.json"
     try:
-        written_s = (output / "summary.json").stat().st_mtime
-    except OSError:
-        written_s = 0.0
-    if written_s < begun_s:
-        return " before the first frame; nothing was written"
-    return f"; the results so far are in {output}"
+        if file.stat().st_mtime < begun_s:
+            return None
+        return str(json.loads(file.read_text(encoding="utf-8"))["status"])
+    except (OSError, ValueError, KeyError):
+        return None

@@ -47,6 +47,7 @@ class RunFolder:
 
     def __init__(self, path: Path, config: str) -> None:
         self.path = path
+        self._is_finished = False
         try:
             path.mkdir(parents=True, exist_ok=True)
             for name in (*RESULTS, *PARTIAL_FILES):
@@ -71,10 +72,22 @@ class RunFolder:
         text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
         _write_atomically(self.path / SUMMARY, f"{text}\n")
 
+    @property
+    def is_finished(self) -> bool:
+        """Whether the files have their final names."""
+        return self._is_finished
+
     def finish(self) -> None:
-        """Close the files and give them their final names."""
+        """Close the files and give them their final names; an error of one is raised at the end."""
+        self._is_finished = True
+        errors = []
         for file in self._growing:
-            file.finish()
+            try:
+                file.finish()
+            except OutputError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
 
     def close(self) -> None:
         """Close the files, finished or not."""

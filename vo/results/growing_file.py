@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from array import array
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from vo.errors import OutputError
@@ -46,7 +47,7 @@ class GrowingFile:
         self.replace_from(len(self), (line,))
 
     def replace_from(self, row: int, lines: Iterable[str]) -> None:
-        """Replace a row and all rows after it."""
+        """Replace a row and all rows after it. After an error the file ends with a whole line."""
         encoded = [f"{line}\n".encode() for line in lines]
         old_end = self._offsets[-1]
         del self._offsets[row + 1 :]
@@ -59,14 +60,19 @@ class GrowingFile:
             if self._offsets[-1] < old_end:
                 self._file.truncate(self._offsets[-1])
         except OSError as error:
+            self._drop_incomplete_rows()
             raise self._error(error) from error
 
     def finish(self) -> None:
-        """Close the file and give it its final name."""
+        """Close the file and give it its final name, also if the system could not store all."""
+        if self._file.closed:
+            return
         try:
-            os.fsync(self._file.fileno())
-            self._file.close()
-            os.replace(self._partial, self._path)
+            try:
+                os.fsync(self._file.fileno())
+            finally:
+                self._file.close()
+                os.replace(self._partial, self._path)
         except OSError as error:
             raise self._error(error) from error
 
@@ -78,6 +84,14 @@ class GrowingFile:
         rest = memoryview(data)
         while rest:  # on an almost full disk, a call may write a part only
             rest = rest[self._file.write(rest) :]
+
+    def _drop_incomplete_rows(self) -> None:
+        """Cut the file after the last row that was written completely."""
+        with suppress(OSError):
+            written = self._file.tell()  # rows from the first replaced one until here are new
+            while self._offsets[-1] > written:
+                self._offsets.pop()
+            self._file.truncate(self._offsets[-1])
 
     def _error(self, error: OSError) -> OutputError:
         return OutputError(f"{self._path} cannot be written: {error.strerror or error}")
