@@ -10,7 +10,6 @@ from typing import TypedDict, Unpack
 
 from vo.config import Config, dump_config
 from vo.errors import ConfigError
-from vo.interrupts import deferred_interrupts
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
@@ -109,7 +108,6 @@ def run(
     with (
         locked_folder(Path(output)),
         closing(Odometry(stream.rig, config, components, process)) as odometry,
-        deferred_interrupts() as interrupts,
     ):
         if every > 1 and isinstance(stream, Recording):
             interpolated = InterpolatedFrames(stream.stamps_ns, request.stride, every)
@@ -121,16 +119,7 @@ def run(
         folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run
         progress = options.get("progress") or NullProgress()
         session = RunSession(stream, request, odometry, folder, recorder, progress)
-        with closing(folder):
-            try:
-                session.begin()
-                session.track(frames, interrupts)
-                interrupts.close()
-                return session.end()
-            except BaseException as error:
-                interrupts.close()
-                session.end_early(error)
-                raise
+        return session.run(frames)
 
 
 def _check_outputs(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vo.config import Config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
-from vo.interrupts import DeferredInterrupts
+from vo.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.odometry import Odometry
 from vo.progress import Progress
 from vo.recording.recorder import Recorder
@@ -124,17 +124,32 @@ class RunSession:
         self._start_up_ms = 0.0
         self._is_warned = False  # that results are incomplete
 
-    def begin(self) -> None:
+    def run(self, frames: Iterator[Frame]) -> Summary:
+        """Track all frames, and save the results however the run ends.
+
+        Raises:
+            SourceError: no frame could be read.
+            OutputError: a file cannot be written.
+            KeyboardInterrupt: a stop signal came before the last frame.
+        """
+        with deferred_interrupts() as interrupts, closing(self._folder):
+            try:
+                self._begin()
+                self._track(frames, interrupts)
+                interrupts.close()
+                return self._end()
+            except BaseException as error:
+                interrupts.close()
+                self._end_early(error)
+                raise
+
+    def _begin(self) -> None:
         """Start the progress; write a summary that holds if the process is killed from here on."""
         self._summarise("interrupted")
         self._progress.begin(self._stream.name, self._facts.requested)
 
-    def track(self, frames: Iterator[Frame], interrupts: DeferredInterrupts) -> None:
-        """Track all frames; stop signals are delivered between them.
-
-        Raises:
-            SourceError: none could be read.
-        """
+    def _track(self, frames: Iterator[Frame], interrupts: DeferredInterrupts) -> None:
+        """Track all frames; stop signals are delivered between them."""
         clock = Stopwatch()
         since = self._request.profile_since
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
@@ -150,12 +165,8 @@ class RunSession:
         if not self._statistics.frames:
             raise _nothing_readable(self._stream)
 
-    def end(self) -> Summary:
-        """Finish the files and the recording after the last frame, and summarise.
-
-        Raises:
-            OutputError: a file cannot be written.
-        """
+    def _end(self) -> Summary:
+        """Finish the files and the recording after the last frame, and summarise."""
         self._end_progress()
         self._statistics.add_times(self._odometry.finish())
         clock = Stopwatch()
@@ -167,7 +178,7 @@ class RunSession:
         self._statistics.add_times(clock.stage_ms)
         return self._summarise("finished")
 
-    def end_early(self, error: BaseException) -> None:
+    def _end_early(self, error: BaseException) -> None:
         """Save the results so far before an error is raised again."""
         status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         reason = None if status == "interrupted" else _one_line(error)
