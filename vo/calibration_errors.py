@@ -66,9 +66,7 @@ class CalibrationResidual(NamedTuple):
 
 
 class CalibrationErrors(NamedTuple):
-    """Errors of a calibration that were found.
-
-    They are corrected, except for `implausible_px`.
+    """Errors of a calibration that were found and are corrected.
 
     Attributes:
         disparity_offset_px: constant bias of disparities.
@@ -76,12 +74,9 @@ class CalibrationErrors(NamedTuple):
             the square.
         right_camera: None without an error.
         lens_error: None without an error.
-        implausible_px: bias of disparities that is too large for a slightly wrong calibration; 0
-            without one. It is not corrected.
     """
 
     disparity_offset_px: float
     disparity_curve_px: float
     right_camera: RightCameraError | None
     lens_error: LensError | None
-    implausible_px: float = 0.0

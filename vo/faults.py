@@ -17,6 +17,7 @@ class FaultKind(StrEnum):
     IMPLAUSIBLE_STEP = "implausible_step"
     RIGHT_TIME_OFFSET = "right_time_offset"
     WRONG_STEREO_CALIBRATION = "wrong_stereo_calibration"
+    DIFFERENT_ROWS = "different_rows"
     WRONG_LENS = "wrong_lens"
 
 

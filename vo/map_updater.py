@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from vo.backend.sliding_window import SlidingWindow, WindowUpdate
+from vo.faults import Fault
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
@@ -50,9 +51,9 @@ class MapUpdater:
         self._trajectory = trajectory
 
     @property
-    def implausible_px(self) -> float:
-        """Bias of disparities that is too large to be corrected; 0 without one."""
-        return self._refiner.implausible_px
+    def faults(self) -> tuple[Fault, ...]:
+        """Errors of the calibration that are known now and cannot be corrected."""
+        return self._refiner.faults
 
     def suspend_refinement(self) -> None:
         """Estimate no calibration error from the newest keyframes, see `CalibrationRefiner`."""

@@ -21,7 +21,7 @@ from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.tracked_frame import TrackedFrame, as_tracked_frame
-from vo.refinement.found_errors import calibration_errors
+from vo.refinement.corrected_errors import corrected_errors
 from vo.snapshot import FrameResult, feature_count, make_snapshot
 from vo.stages import BUILT_IN, Components, make_stages
 from vo.stopwatch import Stopwatch, timed
@@ -106,8 +106,8 @@ class Odometry:
 
     @property
     def calibration_errors(self) -> CalibrationErrors:
-        """Errors of the calibration that were found."""
-        return calibration_errors(self._map.rig, self._corrected, self._updater.implausible_px)
+        """Errors of the calibration that were found and are corrected."""
+        return corrected_errors(self._map.rig, self._corrected)
 
     def snapshot(self) -> Snapshot:
         """The newest frame and the local map for display, before the next frame is tracked."""
@@ -241,7 +241,7 @@ class Odometry:
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
             median_disparity_px=None if tracked is None else tracked.median_disparity_px,
-            faults=frame.faults + result.faults,
+            faults=frame.faults + result.faults + self._updater.faults,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,
             stage_ms=self.stopwatch.take(),

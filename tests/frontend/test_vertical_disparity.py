@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from vo.config import Config, StereoConfig
+from vo.faults import FaultKind
 from vo.frontend.frontend import make_frontend
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
 from vo.geometry.rectification import RectifiedRig, rectified_rig
@@ -88,6 +89,17 @@ def test_a_turned_camera_is_found_and_turned_back(
     after = np.abs(back[INSIDE].astype(float) - right[INSIDE]).mean()
     assert after < 2.5 < before  # it is sampled twice
     np.testing.assert_array_equal(alignment.aligned_rig().rectify(left, 0), left)
+
+
+def test_rows_too_far_apart_for_a_slightly_wrong_calibration_are_a_fault(
+    pair: tuple[Bytes, Bytes], rig: RectifiedRig
+) -> None:
+    alignment = _learned(pair[0], _seen_by_turned(pair[1], rig, 3.0, 0.0), rig)
+    assert alignment.corrected == VerticalDisparity()
+    (fault,) = alignment.faults
+    assert fault.kind is FaultKind.DIFFERENT_ROWS
+    assert not fault.is_handled
+    assert fault.value == pytest.approx(np.deg2rad(3.0) * rig.fx * 1.32, rel=0.1)
 
 
 def test_a_pair_without_features_says_nothing_and_others_are_asked(

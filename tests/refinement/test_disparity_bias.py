@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vo.calibration_errors import CalibrationResidual
+from vo.faults import FaultKind
 from vo.geometry.rectification import rectified_rig
 from vo.refinement.disparity_bias import DisparityBiasEstimator
 from vo.types import Camera, Rig
@@ -131,7 +132,10 @@ def test_an_error_beyond_those_of_a_slightly_wrong_calibration_is_not_corrected(
         assert watch.update(_left(offset, 0.02, curve)) is None
     assert watch.applied.tolist() == [0.0, 0.0]
     side = float(np.square(620.0 / 720.0))
-    assert watch.implausible_px == pytest.approx(curve * side if curve else offset)
+    (fault,) = watch.faults
+    assert fault.kind is FaultKind.WRONG_STEREO_CALIBRATION
+    assert not fault.is_handled
+    assert fault.value == pytest.approx(curve * side if curve else offset)
 
 
 def test_rows_that_confirm_a_yaw_allow_a_larger_offset() -> None:
@@ -140,7 +144,7 @@ def test_rows_that_confirm_a_yaw_allow_a_larger_offset() -> None:
         wanted = watch.update(_left(-5.0, 0.02), skew_px=5.0)
     assert wanted is not None
     assert wanted[0] == pytest.approx(-5.0)
-    assert watch.implausible_px == 0.0
+    assert watch.faults == ()
 
 
 def test_a_correction_that_grows_beyond_what_is_plausible_is_taken_back() -> None:
@@ -151,4 +155,4 @@ def test_a_correction_that_grows_beyond_what_is_plausible_is_taken_back() -> Non
     for _ in range(10):
         watch.update(_left(9.0 - float(watch.applied[0]), 0.02))
     assert watch.applied.tolist() == [0.0, 0.0]
-    assert watch.implausible_px > 3.0
+    assert watch.faults[0].value > 3.0

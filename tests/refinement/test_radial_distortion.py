@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vo.calibration_errors import CalibrationResidual
+from vo.faults import FaultKind
 from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.refinement.radial_distortion import RadialDistortionEstimator
@@ -85,3 +86,16 @@ def test_a_window_may_speak_for_several() -> None:
     assert [one.update(left) is None for _ in range(3)] == [True, True, False]
     assert other.update(left, 3) is not None
     assert other.applied == pytest.approx(one.applied, rel=1e-12)
+
+
+@pytest.mark.parametrize(("edge_px", "is_open"), [(12.0, False), (-25.0, True)])
+def test_an_error_that_one_coefficient_cannot_correct_is_a_fault(
+    edge_px: float, is_open: bool
+) -> None:
+    watch = RadialDistortionEstimator(_rig())
+    k1 = edge_px / edge_shift_px(_rig(), 1.0)
+    for _ in range(3):
+        watch.update(CalibrationResidual(np.array([k1 - watch.applied]), np.array([[1e6]])))
+    assert watch.applied == pytest.approx(k1, rel=1e-3)
+    assert [fault.kind for fault in watch.faults] == [FaultKind.WRONG_LENS] * is_open
+    assert not any(fault.is_handled for fault in watch.faults)

@@ -75,7 +75,6 @@ def summary_of(
     offset_px: float = 0.0,
     curve_px: float = 0.0,
     lens: LensError | None = None,
-    implausible_px: float = 0.0,
 ) -> Summary:
     statistics = RunStatistics()
     for each in estimates:
@@ -90,7 +89,7 @@ def summary_of(
         skipped=skipped,
         unpaired=0,
         wall_s=2.0,
-        calibration=CalibrationErrors(offset_px, curve_px, None, lens, implausible_px),
+        calibration=CalibrationErrors(offset_px, curve_px, None, lens),
     )
     return summarise(state)
 
@@ -155,9 +154,12 @@ def test_incomplete_runs_have_warnings() -> None:
 def test_a_large_disparity_offset_is_reported_as_a_wrong_calibration() -> None:
     (slight,) = summary_of([estimate(0)], path_of([0]), offset_px=-0.26).warnings
     assert "-0.26 px and have been corrected" in slight
-    (wrong,) = summary_of([estimate(0)], path_of([0]), implausible_px=-343.0).warnings
-    assert "-343.0 px, too much for a slightly wrong calibration: nothing was corrected" in wrong
-    assert "all lengths are wrong" in wrong
+    fault = Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=-343.0)
+    wrong = summary_of([replace(estimate(0), faults=(fault,))], path_of([0]), offset_px=-2.9)
+    (text,) = wrong.warnings
+    assert "-343.0 px, too much for a slightly wrong calibration" in text
+    assert "not corrected" in text
+    assert not wrong.verdict.is_trusted
 
 
 def test_a_lens_error_is_reported_with_advice() -> None:
@@ -169,8 +171,16 @@ def test_a_lens_error_is_reported_with_advice() -> None:
     assert "k1 by +0.0123, +6.5 px at the image's edges" in warning
     assert "has been corrected" in warning
     assert "vo calibrate" in warning
-    wrong = summary_of([estimate(0)], path_of([0]), mode="mono", lens=LensError(-0.22, -116.0))
-    assert "the path is inaccurate: calibrate again" in wrong.warnings[0]
+    fault = Fault(FaultKind.WRONG_LENS, value=-116.0)
+    wrong = summary_of(
+        [replace(estimate(0), faults=(fault,))],
+        path_of([0]),
+        mode="mono",
+        lens=LensError(-0.22, -116.0),
+    )
+    assert "the path is inaccurate" in wrong.warnings[0]
+    assert not any("has been corrected" in sentence for sentence in wrong.warnings)
+    assert not wrong.verdict.is_trusted
     right = summary_of([estimate(0)], path_of([0]), mode="mono")
     assert right.to_dict()["lens_error"] is None
     assert not any("lens" in sentence for sentence in right.warnings)

@@ -163,6 +163,7 @@ class FramePreprocessor:
             frame.path,
             self._vertical_disparity.estimated,
             self._vertical_disparity.corrected,
+            self._vertical_disparity.faults,
         )
         if self.is_eager:
             preprocessed.start_features()

@@ -18,10 +18,16 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import StereoConfig
+from vo.faults import Fault, FaultKind
 from vo.frontend.contracts import EpipolarSegments, Matcher, feature_set
 from vo.frontend.patch_alignment import PatchAligner, patches_of
 from vo.geometry.rectification import RectifiedRig
-from vo.geometry.right_camera_error import is_worth_correcting, largest_change
+from vo.geometry.right_camera_error import (
+    is_plausible,
+    is_worth_correcting,
+    largest_change,
+    max_row_error,
+)
 from vo.geometry.vertical_disparity_model import VerticalDisparity, VerticalDisparityFit
 from vo.types import Bytes, Floats, Keypoints
 
@@ -49,6 +55,7 @@ class VerticalDisparityCorrection:
     Attributes:
         estimated: vertical disparities as estimated until now, None without a result.
         corrected: the part of them that is corrected.
+        faults: vertical disparities that are too large to be corrected.
 
     Args:
         rig: the rectified cameras as calibrated.
@@ -62,6 +69,7 @@ class VerticalDisparityCorrection:
     ) -> None:
         self.estimated: VerticalDisparity | None = None
         self.corrected = VerticalDisparity()
+        self.faults: tuple[Fault, ...] = ()
         self._rig = rig
         self._matcher = matcher
         self._patches = patches
@@ -87,6 +95,10 @@ class VerticalDisparityCorrection:
         fitted = self._fit.result()
         self.estimated = fitted.errors
         corrects = self._aligned is not None or is_worth_correcting(fitted, self._rig)
+        self.faults = ()
+        if corrects and not is_plausible(fitted.errors, self._rig):
+            rows_px = max_row_error(fitted.errors, self._rig)
+            corrects, self.faults = False, (Fault(FaultKind.DIFFERENT_ROWS, value=rows_px),)
         correction = fitted.errors if corrects else VerticalDisparity()
         if largest_change(self.corrected, correction, self._rig) < _MIN_CHANGE_PX:
             return False

@@ -16,6 +16,7 @@ from vo.types import Floats
 _SIGNIFICANT = 2.0  # standard deviations
 # Smaller errors do no harm, and without correction images that are used as recorded stay so.
 _MIN_PX, _MIN_WITH_SKEW_PX = 0.5, 2.0
+_MAX_ROW_RATIO = 0.05  # of the image height; a slightly wrong rectification explains no more
 
 
 def is_worth_correcting(fitted: FittedVerticalDisparity, rig: RectifiedRig) -> bool:
@@ -28,6 +29,16 @@ def is_worth_correcting(fitted: FittedVerticalDisparity, rig: RectifiedRig) -> b
         np.abs(without_skew.vertical_px(x, y)), np.abs(without_skew.horizontal_px(x, y))
     )
     return bool((significant & ((no_skew > _MIN_PX) | (vertical > _MIN_WITH_SKEW_PX))).any())
+
+
+def is_plausible(error: VerticalDisparity, rig: RectifiedRig) -> bool:
+    """Whether a slightly wrong rectification explains vertical disparities as large as these."""
+    return max_row_error(error, rig) <= _MAX_ROW_RATIO * rig.height
+
+
+def max_row_error(error: VerticalDisparity, rig: RectifiedRig) -> float:
+    """Largest vertical disparity at the corners of the image, in pixels."""
+    return float(np.abs(error.vertical_px(*_corners(rig))).max())
 
 
 def largest_change(one: VerticalDisparity, other: VerticalDisparity, rig: RectifiedRig) -> float:
@@ -48,7 +59,7 @@ def right_camera_error(corrected: VerticalDisparity, rig: RectifiedRig) -> Right
         yaw_deg=float(np.rad2deg(yaw_px / rig.fx)),
         roll_deg=float(np.rad2deg(corrected.roll_px / rig.fx)),
         zoom_percent=100.0 * corrected.zoom_px / rig.fx,
-        rows_px=float(np.abs(corrected.vertical_px(*_corners(rig))).max()),
+        rows_px=max_row_error(corrected, rig),
     )
 
 

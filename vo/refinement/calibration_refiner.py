@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from vo.calibration_errors import CalibrationResidual
 from vo.config import RefinementConfig
+from vo.faults import Fault
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.refinement.disparity_bias import DisparityBiasEstimator, is_from_yaw
@@ -65,11 +66,9 @@ class CalibrationRefiner:
         self._resume = 0  # number of the first window that is evaluated after a suspension
 
     @property
-    def implausible_px(self) -> float:
-        """Bias of disparities that is too large to be corrected; 0 without one."""
-        if isinstance(self._estimator, RadialDistortionEstimator):
-            return 0.0
-        return self._estimator.implausible_px
+    def faults(self) -> tuple[Fault, ...]:
+        """Errors that are known now and cannot be corrected."""
+        return self._estimator.faults
 
     def suspend(self) -> None:
         """Evaluate no window with any of the newest keyframes.

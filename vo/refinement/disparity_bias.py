@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.calibration_errors import CalibrationResidual
+from vo.faults import Fault, FaultKind
 from vo.geometry.rectification import RectifiedRig
 from vo.types import Floats
 
@@ -26,13 +27,13 @@ class DisparityBiasEstimator:
 
     Attributes:
         applied: (2,) the offset and the curve that are corrected, pixels.
-        implausible_px: bias that windows show and that is too large for a slightly wrong
-            calibration, so that nothing is corrected; 0 without one.
+        faults: a bias that windows show and that is too large for a slightly wrong calibration, so
+            that nothing is corrected.
     """
 
     def __init__(self, rig: RectifiedRig) -> None:
         self.applied: Floats = np.zeros(2)
-        self.implausible_px = 0.0
+        self.faults: tuple[Fault, ...] = ()
         edge = max(rig.cx, rig.width - rig.cx) / rig.fx
         self._edge = np.array([1.0, edge**2])  # value of each of the two at the image's sides
         self._systematic = np.diag((_SYSTEMATIC_PX / self._edge) ** 2)
@@ -63,8 +64,10 @@ class DisparityBiasEstimator:
         # Differences between windows are not significant.
         simplest = self._simplest()
         wanted = np.where(np.abs(simplest) * self._edge > _SYSTEMATIC_PX, simplest, 0.0)
-        self.implausible_px = self._excess(wanted, skew_px)
-        if self.implausible_px != 0.0:
+        excess_px = self._excess(wanted, skew_px)
+        self.faults = ()
+        if excess_px != 0.0:
+            self.faults = (Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=excess_px),)
             wanted = np.zeros(2)
         if not (np.abs(wanted - self.applied) * self._edge >= _MIN_CHANGE_PX).any():
             return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.calibration_errors import CalibrationResidual
+from vo.faults import Fault, FaultKind
 from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig
 
@@ -16,6 +17,7 @@ _NOISE = 2.0
 _SIGNIFICANT = 2.5  # standard deviations of that size
 _MIN_WINDOWS = 3
 _OVERLAP = 10  # number of consecutive windows that share keyframes
+_MAX_EDGE_PX = 15.0  # larger errors at the edges are not explained by one coefficient
 
 
 class RadialDistortionEstimator:
@@ -23,12 +25,15 @@ class RadialDistortionEstimator:
 
     Attributes:
         applied: the error of k1 that is corrected.
+        faults: an error that its correction does not remove.
     """
 
     def __init__(self, rig: RectifiedRig) -> None:
         self.applied = 0.0
+        self.faults: tuple[Fault, ...] = ()
         self._bend = residual_per_k1(rig)
         k1_of_px = 1.0 / edge_shift_px(rig, 1.0)
+        self._k1_of_px = k1_of_px
         self._systematic = _SYSTEMATIC_PX * k1_of_px
         self._min_change = _MIN_CHANGE_PX * k1_of_px
         self._weight = 0.0
@@ -60,4 +65,7 @@ class RadialDistortionEstimator:
         if abs(wanted - self.applied) < self._min_change:
             return None
         self.applied = wanted
+        edge_px = wanted / self._k1_of_px
+        is_open = abs(edge_px) > _MAX_EDGE_PX
+        self.faults = (Fault(FaultKind.WRONG_LENS, value=edge_px),) if is_open else ()
         return wanted

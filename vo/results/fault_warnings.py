@@ -49,8 +49,14 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     ),
     FaultKind.WRONG_STEREO_CALIBRATION: (
         "the stereo calibration was wrong by {value:+.2f} px and has been corrected",
-        "all disparities seem to be wrong by {value:+.2f} px: the stereo calibration is wrong, and "
-        "so are all lengths; check focal length, baseline and image size (vo info shows them)",
+        "disparities and motion contradict each other by {value:+.1f} px, too much for a slightly "
+        "wrong calibration, and this was not corrected: all lengths may be wrong; check focal "
+        "length, baseline and image size (vo info shows them)",
+    ),
+    FaultKind.DIFFERENT_ROWS: (
+        "rows of left and right images differed by up to {size:.1f} px and have been aligned",
+        "rows of left and right images differ by up to {size:.1f} px, too much for a slightly "
+        "wrong calibration, and were not aligned: lengths may be wrong: vo calibrate",
     ),
     FaultKind.WRONG_LENS: (
         "the lens differs from its calibration by {value:+.1f} px at the image's edges, and has "

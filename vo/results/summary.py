@@ -123,7 +123,6 @@ class Summary:
     median_disparity_px: float | None
     disparity_offset_px: float
     disparity_curve_px: float = 0.0
-    implausible_disparity_px: float = 0.0
     right_camera: RightCameraError | None = None
     lens_error: LensError | None = None
     faults: tuple[FaultRecord, ...] = ()
@@ -221,7 +220,6 @@ def summarise(state: RunState) -> Summary:
         median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
         disparity_offset_px=round(state.calibration.disparity_offset_px, 4),
         disparity_curve_px=round(state.calibration.disparity_curve_px, 4),
-        implausible_disparity_px=round(state.calibration.implausible_px, 4),
         right_camera=state.calibration.right_camera,
         lens_error=state.calibration.lens_error,
         faults=statistics.faults.records(),
@@ -277,7 +275,7 @@ def _warnings(summary: Summary) -> list[str]:
             summary.lens_error,
             summary.disparity_offset_px,
             summary.disparity_curve_px,
-            summary.implausible_disparity_px,
+            [record.kind for record in summary.faults if not record.is_handled],
         ),
         *far_scene_warnings(summary.median_disparity_px),
         *_world_warnings(summary),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from vo.calibration_errors import LensError, RightCameraError
 from vo.failures import ImageDefect
+from vo.faults import FaultKind
 from vo.results.frames_without_pose import FrameRange
 
 _MIN_DISPARITY_ERROR_PX = 0.05  # smaller ones are not reported
-_MAX_EDGE_PX = 15.0  # larger ones are not explained by slightly wrong radial distortion
 _USUAL_OFFSET_PX = 0.1  # disparity offset of a well calibrated pair
 _FAR_SCENE_PX = 2.0  # median disparity at which the usual offset changes lengths by 5 %
 _MAX_RANGES = 3  # listed in a warning
@@ -25,28 +25,28 @@ def calibration_warnings(
     lens: LensError | None,
     offset_px: float,
     curve_px: float,
-    implausible_px: float,
+    open_faults: Collection[FaultKind],
 ) -> list[str]:
-    """One warning for each error of the calibration.
+    """One warning for each error of the calibration that has been corrected.
 
     Args:
         right_camera: None without an error.
         lens: None without an error.
         offset_px: constant bias of the disparities.
         curve_px: their bias at one focal length from the principal point.
-        implausible_px: a bias that is too large to be corrected, 0 without one.
+        open_faults: kinds of faults that were not handled; a correction that was made beside one is
+            no correction.
     """
     warnings = []
     if right_camera is not None:
         warnings.append(_right_camera_warning(right_camera))
-    is_explained = right_camera is not None and right_camera.yaw_deg != 0.0
+    is_yaw = right_camera is not None and right_camera.yaw_deg != 0.0
+    is_explained = is_yaw or FaultKind.WRONG_STEREO_CALIBRATION in open_faults
     if abs(offset_px) >= _MIN_DISPARITY_ERROR_PX and not is_explained:
         warnings.append(_offset_warning(offset_px))
     if abs(curve_px) >= _MIN_DISPARITY_ERROR_PX and not is_explained:
         warnings.append(_curve_warning(curve_px))
-    if implausible_px != 0.0:
-        warnings.append(_implausible_warning(implausible_px))
-    if lens is not None:
+    if lens is not None and FaultKind.WRONG_LENS not in open_faults:
         warnings.append(_lens_warning(lens))
     return warnings
 
@@ -80,11 +80,10 @@ def _right_camera_warning(error: RightCameraError) -> str:
 
 def _lens_warning(error: LensError) -> str:
     amount = f"k1 by {error.k1:+.4f}, {error.edge_px:+.1f} px at the image's edges"
-    if abs(error.edge_px) < _MAX_EDGE_PX:
-        advice = "this has been corrected, but calibrate again"
-    else:
-        advice = "one coefficient cannot correct this; the path is inaccurate: calibrate again"
-    return f"the lens differs from its calibration ({amount}); {advice}: vo calibrate"
+    return (
+        f"the lens differs from its calibration ({amount}); this has been corrected, but calibrate "
+        "again: vo calibrate"
+    )
 
 
 def _curve_warning(curve_px: float) -> str:
@@ -99,13 +98,4 @@ def _offset_warning(offset_px: float) -> str:
     return (
         f"all disparities were wrong by {offset_px:+.2f} px and have been corrected: the "
         "stereo calibration is slightly wrong"
-    )
-
-
-def _implausible_warning(bias_px: float) -> str:
-    return (
-        f"disparities and motion contradict each other by {bias_px:+.1f} px, too much for a "
-        "slightly wrong calibration: nothing was corrected, and all lengths are wrong; check focal "
-        "length, baseline and image size (vo info shows them), and whether something stands still "
-        "in the images"
     )

@@ -1,4 +1,4 @@
-"""Errors of a calibration that a run has found, corrected or not."""
+"""Errors of a calibration, as the corrections of a run show them."""
 
 from __future__ import annotations
 
@@ -9,21 +9,12 @@ from vo.geometry.right_camera_error import right_camera_error
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 
 
-def calibration_errors(
-    rig: RectifiedRig, corrected: VerticalDisparity, implausible_px: float
-) -> CalibrationErrors:
-    """The errors that are corrected in a rig and in its right images, and those that are not.
-
-    Args:
-        rig: with its corrections.
-        corrected: vertical disparities that are corrected in right images.
-        implausible_px: bias of disparities that is too large to be corrected.
-    """
+def corrected_errors(rig: RectifiedRig, corrected: VerticalDisparity) -> CalibrationErrors:
+    """The errors that are corrected in a rig, and in its right images."""
     k1 = rig.k1_error
     return CalibrationErrors(
         disparity_offset_px=rig.disparity_offset_px,
         disparity_curve_px=rig.disparity_curve_px,
         right_camera=right_camera_error(corrected, rig),
         lens_error=LensError(k1, edge_shift_px(rig, k1)) if k1 != 0.0 else None,
-        implausible_px=implausible_px,
     )
