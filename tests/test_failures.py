@@ -48,5 +48,12 @@ def test_a_defect_is_told_with_the_image_that_has_it(defect: ImageDefect) -> Non
     assert describe(right) == f"the right image is {defect.value}"
 
 
+def test_a_defect_may_explain_another_reason() -> None:
+    failure = Failure(FailureReason.FEW_MATCHES, 3, 80, ImageDefect.BLURRED)
+    assert describe(failure) == (
+        "3 matches with the reference frame, 80 needed; the image is blurred"
+    )
+
+
 def test_without_a_failure_there_is_no_text() -> None:
     assert describe(None) == ""

@@ -56,7 +56,7 @@ ALLOWED = {
     "vo.odometry": GROUND | _below(len(FLOORS) - 1) | {"vo.warmup"},
     **{room: GROUND for room in OUTER},
     "vo.calibrating": GROUND,
-    "vo.inspection": GROUND | {"vo.sources"},
+    "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.warmup": GROUND | {"vo"},
     "vo.run_session": GROUND

@@ -7,17 +7,24 @@ from typing import NamedTuple
 
 
 class ImageDefect(StrEnum):
-    """What is wrong with an image in which no features can be found."""
+    """What is wrong with an image: without content, or with few or unstable features."""
 
     BLACK = "almost black"
     WHITE = "almost white"
     ONE_GREY = "of one grey"
+    SMALL = "very small"
+    DARK = "dark"
+    LOW_CONTRAST = "of low contrast"
+    INTERLACED = "interlaced"
+    NOISY = "noisy"
+    BLURRED = "blurred"
 
 
 class FailureReason(Enum):
     """Why a frame has no pose; the value is the text with the numbers of a `Failure`."""
 
     REFERENCE_FRAME = "this is the reference frame"
+    FEW_FEATURES = "{value:.0f} features in the image, {needed:.0f} needed"
     FEW_MATCHES = "{value:.0f} matches with the reference frame, {needed:.0f} needed"
     LITTLE_MOTION = "the image hardly moves"
     NO_ESSENTIAL_MATRIX = "no essential matrix fits the matches"
@@ -39,7 +46,7 @@ class Failure(NamedTuple):
         reason: what failed.
         value: the number found, where the reason has one.
         needed: the number that it is compared with.
-        defect: of an image, where that is the reason.
+        defect: of an image, where that is the reason, or may explain it.
         camera: index of the camera whose image has the defect.
     """
 
@@ -56,6 +63,8 @@ def describe(failure: Failure | None) -> str:
         return ""
     side = "right " if failure.camera == 1 else ""
     defect = failure.defect.value if failure.defect else ""
-    return failure.reason.value.format(
+    text = failure.reason.value.format(
         value=failure.value, needed=failure.needed, defect=defect, side=side
     )
+    is_told = not defect or failure.reason is FailureReason.IMAGE_DEFECT
+    return text if is_told else f"{text}; the {side}image is {defect}"

@@ -15,7 +15,7 @@ import cv2
 from vo.calibration_errors import CalibrationErrors
 from vo.config import Config
 from vo.failures import Failure, FailureReason
-from vo.frontend.exposure import image_failure
+from vo.frontend.image_quality import explained
 from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.vertical_disparity_model import VerticalDisparity
@@ -233,7 +233,7 @@ class Odometry:
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             state=self._state,
-            failure=None if tracked is not None else image_failure(frame) or result.failure,
+            failure=None if tracked is not None else explained(result.failure, frame),
             segment=self._segment,
             world_from_cam0=None if pose is None else self._trajectory.world_from_cam0(pose),
             is_keyframe=result.keyframe is not None,

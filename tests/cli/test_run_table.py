@@ -9,6 +9,7 @@ import pytest
 
 from vo.cli.advice import advice, verdict_sentence
 from vo.config import load_config
+from vo.failures import Failure, FailureReason, ImageDefect
 from vo.faults import FaultKind
 from vo.results.fault_log import FaultRecord
 from vo.results.frames_without_pose import FrameRange
@@ -47,7 +48,15 @@ def test_a_run_without_tracked_frames_is_bad_and_gets_advice(good: Summary) -> N
     assert "check the calibration" in advice(nothing)[0]
     assert "--mode mono" in advice(nothing)[1]
     mono = replace(nothing, facts=replace(nothing.facts, mode="mono"))
-    assert "moves sideways" in advice(mono)[0]
+    for reason, told in (
+        (FailureReason.PURE_ROTATION, "moves sideways"),
+        (FailureReason.LITTLE_MOTION, "begins to move"),
+        (FailureReason.FEW_FEATURES, "textured scenes"),
+        (FailureReason.FEW_MATCHES, "little in common"),
+    ):
+        assert told in advice(replace(mono, main_failure=Failure(reason)))[0]
+    dark = Failure(FailureReason.FEW_MATCHES, 3, 80, ImageDefect.DARK)
+    assert advice(replace(mono, main_failure=dark)) == []
 
 
 def test_a_run_with_few_inliers_is_not_good(good: Summary) -> None:

@@ -208,6 +208,17 @@ def test_landmarks_are_counted_once() -> None:
     assert summary_of(estimates, path_of([0, 1, 2])).landmarks == 4
 
 
+def test_the_most_frequent_reason_is_told() -> None:
+    failures = [Failure(FailureReason.REFERENCE_FRAME)] * 5 + [few_matches(f) for f in range(4)]
+    failures += [Failure(FailureReason.PURE_ROTATION)] * 2
+    estimates = [estimate(f, State.STARTING, failures[f]) for f in range(len(failures))]
+    summary = summary_of(estimates, path_of([]))
+    assert summary.main_failure == few_matches(3)
+    assert summary.warnings[0] == (
+        "no frame was tracked (3 matches with the reference frame, 80 needed)"
+    )
+
+
 def test_stages_have_median_and_95th_percentile() -> None:
     estimates = [estimate(f) for f in range(101)]
     stage = summary_of(estimates, path_of(list(range(101)))).stages["read"]

@@ -206,3 +206,8 @@ def test_matches_with_parallel_rays_make_no_point_and_no_warning() -> None:
     views = MatchedViews(pixels, moved, MATRIX)
     _, good, _ = _try(motion, np.ones(20, np.bool_), views, CONFIG)
     assert good.tolist() == [False, *[True] * 19]
+
+
+def test_a_turning_camera_is_told_as_such() -> None:
+    turn = se3_exp(np.array([0.02, -0.15, 0.03, 0.0, 0.0, 0.0]))
+    assert _reconstruct(_room(), turn) == Failure(FailureReason.PURE_ROTATION)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vo.failures import ImageDefect
+from vo.failures import Failure, FailureReason, ImageDefect
 from vo.results.summary import Summary
 from vo.results.verdict import MIN_INLIERS
 
@@ -12,7 +12,21 @@ _CAUSES = {
     ImageDefect.BLACK: "exposure too short, lens cap on, lights off?",
     ImageDefect.WHITE: "exposure too long?",
     ImageDefect.ONE_GREY: "is the lens covered, or the camera out of focus?",
+    ImageDefect.SMALL: "record larger ones, at least 320x240",
+    ImageDefect.DARK: "more light, or longer exposure?",
+    ImageDefect.LOW_CONTRAST: "fog, a dirty lens, or wrong exposure?",
+    ImageDefect.INTERLACED: "deinterlace the video first, or keep every second row",
+    ImageDefect.NOISY: "more light, or lower gain?",
+    ImageDefect.BLURRED: "focus, shorter exposure, or slower motion?",
 }
+_NEEDS_TRANSLATION = frozenset(
+    {
+        FailureReason.PURE_ROTATION,
+        FailureReason.LITTLE_PARALLAX,
+        FailureReason.AMBIGUOUS_PLANE,
+        FailureReason.FEW_GOOD_POINTS,
+    }
+)
 
 
 def verdict_sentence(summary: Summary) -> str:
@@ -42,10 +56,7 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
         return lines
     if not summary.tracked or summary.starting > _MAX_STARTING * summary.frames:
         if mono:
-            lines.append(
-                "a single camera needs translation to initialise the map: start where it moves "
-                "sideways (--start N), or use two cameras"
-            )
+            lines += _monocular_start_advice(summary.main_failure)
         else:
             lines.append(
                 "check the calibration (baseline, focal length), and that left and right are not "
@@ -62,6 +73,29 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
     elif _is_poor(summary):
         lines.append("few inlier landmarks: check the calibration, or try --config accurate")
     return lines
+
+
+def _monocular_start_advice(failure: Failure | None) -> list[str]:
+    """Advice for the most frequent failure of a single camera without a map."""
+    if failure is None:
+        return []
+    if failure.reason is FailureReason.LITTLE_MOTION:
+        return ["start where the camera begins to move (--start N), or leave frames out (--stride)"]
+    if failure.reason in _NEEDS_TRANSLATION:
+        return [
+            "a single camera needs translation to initialise the map: start where it moves "
+            "sideways (--start N), or use two cameras"
+        ]
+    if failure.reason is FailureReason.FEW_FEATURES:
+        return [
+            "look at the images (vo info --contact-sheet sheet.png); textured scenes are needed"
+        ]
+    if failure.defect is not None:
+        return []
+    return [
+        "successive images have little in common: check their order and rate (vo info), and that "
+        "no rain, snow or moving object fills them"
+    ]
 
 
 def _is_poor(summary: Summary) -> bool:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from vo.errors import SourceError
+from vo.frontend.image_quality import blur
 from vo.inspection.image_records import ImageStatistics
 from vo.sources.images import StoredImage, estimate_bit_depth, is_colour, read_grey
 from vo.types import Bytes
@@ -85,30 +86,13 @@ def check_images(
     return looks, size, others
 
 
-def blur_of(image: Bytes) -> float:
-    """No-reference blur measure: 0 is sharp, 1 has no detail.
-
-    Source: Crété et al., "The blur effect", SPIE 2007.
-    """
-    small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    grey = np.asarray(small, dtype=np.float32)
-    worst = 0.0
-    for axis, kernel in ((0, (1, 9)), (1, (9, 1))):
-        detail = np.abs(np.diff(grey, axis=axis))
-        kept = np.abs(np.diff(cv2.blur(grey, kernel), axis=axis))
-        total = float(detail.sum())
-        lost = float(np.maximum(detail - kept, 0.0).sum())
-        worst = max(worst, (total - lost) / total if total > 0 else 1.0)
-    return worst
-
-
 def _statistics(number: int, image: Bytes, repeats: bool | None) -> ImageStatistics:
     return ImageStatistics(
         frame=number,
         mean_grey=float(image.mean()),
         dark=float((image < _DARK).mean()),
         bright=float((image > _BRIGHT).mean()),
-        blur=blur_of(image),
+        blur=blur(image),
         corners=len(cv2.FastFeatureDetector.create(_FAST_THRESHOLD).detect(image)),
         repeats=repeats,
     )

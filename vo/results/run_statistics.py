@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from vo.failures import Failure
+from vo.failures import Failure, FailureReason
 from vo.geometry.quantiles import median, percentiles
 from vo.results.fault_log import FaultLog
 from vo.types import Estimate, State
@@ -60,6 +61,15 @@ class RunStatistics:
                 self._disparities_px.append(estimate.median_disparity_px)
         if estimate.landmark_ids is not None:
             self._count_landmarks(estimate.landmark_ids)
+
+    def main_failure(self) -> Failure | None:
+        """The newest failure with the most frequent reason, None without one."""
+        failures = [each.failure for each in self.without_pose.values() if each.failure is not None]
+        causes = [f for f in failures if f.reason is not FailureReason.REFERENCE_FRAME]
+        if not causes:
+            return failures[-1] if failures else None
+        (reason, _), *_ = Counter(failure.reason for failure in causes).most_common(1)
+        return next(failure for failure in reversed(causes) if failure.reason is reason)
 
     def add_times(self, stage_ms: Mapping[str, float]) -> None:
         """Add the wall time by stage of one frame."""

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
+from vo.failures import Failure, describe
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
 from vo.results.fault_warnings import fault_warnings
@@ -125,6 +126,7 @@ class Summary:
     disparity_curve_px: float = 0.0
     right_camera: RightCameraError | None = None
     lens_error: LensError | None = None
+    main_failure: Failure | None = None
     faults: tuple[FaultRecord, ...] = ()
     profile: Profile | None = None
 
@@ -162,6 +164,7 @@ class Summary:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
+        del fields["main_failure"]  # without_pose has the reasons
         profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
         return {
             "schema_version": SCHEMA_VERSION,
@@ -222,6 +225,7 @@ def summarise(state: RunState) -> Summary:
         disparity_curve_px=round(state.calibration.disparity_curve_px, 4),
         right_camera=state.calibration.right_camera,
         lens_error=state.calibration.lens_error,
+        main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
         profile=state.profile,
     )
@@ -286,8 +290,8 @@ def _tracking_warnings(summary: Summary) -> list[str]:
     frames, lost, inliers = summary.frames, summary.lost, summary.median_inliers or 0.0
     warnings = []
     if summary.tracked == 0:
-        reasons = [r.reason for r in summary.without_pose if r.state != "skipped"]
-        warnings.append(f"no frame was tracked ({reasons[-1] if reasons else 'no frame read'})")
+        reason = describe(summary.main_failure) or "no frame read"
+        warnings.append(f"no frame was tracked ({reason})")
     elif summary.starting > _LONG_START * frames:
         warnings.append(f"{summary.starting} of {frames} frames before the first map")
     warnings += image_defect_warnings(summary.without_pose)

@@ -89,13 +89,17 @@ class MonocularInitializer:
 
     def attempt(self, frame: PreprocessedFrame) -> InitialPair | Failure:
         """A pair of the reference frame and this one, or why it makes no map yet."""
+        features, needed = len(frame.keypoints), self._config.min_matches
+        if features < needed:
+            self._set_reference(frame)
+            return Failure(FailureReason.FEW_FEATURES, features, needed)
         if self._reference is None:
             self._set_reference(frame)
             return Failure(FailureReason.REFERENCE_FRAME)
         query, image_xy = self._match(self._reference, frame)
-        if len(query) < self._config.min_matches:
+        if len(query) < needed:
             self._set_reference(frame)
-            return Failure(FailureReason.FEW_MATCHES, len(query), self._config.min_matches)
+            return Failure(FailureReason.FEW_MATCHES, len(query), needed)
         self._expected_xy[query] = image_xy
         rig = self._map.rig
         xy = rig.undistort(image_xy)

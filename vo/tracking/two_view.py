@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from vo.config import StartConfig
@@ -107,7 +108,12 @@ def reconstruct(views: MatchedViews, config: StartConfig) -> TwoView | Failure:
         plane_score + line_score
     ):
         candidates = epipolar.motions_of_homography(homography[0], matrix)
-        return _choose(candidates, homography[1], views, config, "homography")
+        result = _choose(candidates, homography[1], views, config, "homography")
+        if isinstance(result, Failure) and _is_rotation(
+            homography[0], views, homography[1], config.threshold_px
+        ):
+            return Failure(FailureReason.PURE_ROTATION)
+        return result
     return _choose([motion], essential[1], views._replace(between=()), config, "essential")
 
 
@@ -150,6 +156,18 @@ def _choose(
         return Failure(FailureReason.LITTLE_PARALLAX, parallax_deg, config.min_parallax_deg)
     good &= np.rad2deg(angle) >= _MIN_PARALLAX_RATIO * config.min_parallax_deg
     return TwoView(candidates[best], points, good, model)
+
+
+def _is_rotation(
+    homography: Floats, views: MatchedViews, inlier: Bools, threshold_px: float
+) -> bool:
+    """Whether the rotation that is nearest to a homography explains the matches as well."""
+    inverse_matrix = np.linalg.inv(views.matrix)
+    u, _, vt = np.linalg.svd(inverse_matrix @ homography @ views.matrix)
+    by_rotation = views.matrix @ u @ vt @ inverse_matrix
+    first, second = views.first[inlier], views.second[inlier]
+    turned = cv2.perspectiveTransform(first[None], by_rotation)[0]
+    return median(np.linalg.norm(turned - second, axis=1)) < threshold_px
 
 
 def _try(motion: Floats, inlier: Bools, views: MatchedViews, config: StartConfig) -> _Trial:

@@ -1,4 +1,4 @@
-"""Recordings in which nothing is to be seen."""
+"""Defects of images."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from vo.cli.app import app
+from vo.failures import ImageDefect
+from vo.frontend.image_quality import blur, image_defect, noise_level, row_ratio
 from vo.types import Bytes
 
 SIZE = (120, 160)
@@ -58,3 +60,37 @@ def test_images_with_something_in_them_are_not_to_blame(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["run", str(tmp_path), "-o", str(tmp_path / "out")])
     assert "no frame was tracked" in result.stdout
     assert "almost" not in result.stdout and "of one grey" not in result.stdout
+
+
+@pytest.fixture(scope="module")
+def scene() -> Bytes:
+    """Rectangles and discs of all sizes: sharp, bright, with contrast."""
+    rng = np.random.default_rng(3)
+    image = np.full((300, 400), 120, np.uint8)
+    for _ in range(400):
+        x, y, size = (int(v) for v in rng.integers((0, 0, 3), (400, 300, 40)))
+        grey = int(rng.integers(0, 256))
+        cv2.rectangle(image, (x, y), (x + size, y + size // 2), grey, -1)
+    return cv2.GaussianBlur(image, (0, 0), 0.7)
+
+
+def test_a_good_image_has_no_defect(scene: Bytes) -> None:
+    assert image_defect(scene) is None
+    assert blur(scene) < 0.4 and row_ratio(scene) < 0.75 and noise_level(scene) < 3
+
+
+def test_each_defect_is_measured(scene: Bytes) -> None:
+    rng = np.random.default_rng(4)
+    interlaced = scene.copy()
+    interlaced[1::2] = np.roll(scene, 12, axis=1)[1::2]
+    noisy = np.clip(scene + rng.normal(0, 25, scene.shape), 0, 255).astype(np.uint8)
+    for image, defect in (
+        (scene[:160, :200], ImageDefect.SMALL),
+        (scene // 6, ImageDefect.DARK),
+        (200 + scene // 12, ImageDefect.LOW_CONTRAST),
+        (interlaced, ImageDefect.INTERLACED),
+        (noisy, ImageDefect.NOISY),
+        (cv2.GaussianBlur(scene, (0, 0), 8), ImageDefect.BLURRED),
+    ):
+        assert image_defect(image) is defect
+    assert noise_level(noisy) == pytest.approx(25, rel=0.15)
