@@ -252,9 +252,21 @@ def test_maplab(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibration.body_from_cam0, IMU_FROM_CAM0, atol=1e-15)
 
 
+def test_a_single_camera_of_aslam(tmp_path: Path) -> None:
+    lines = MAPLAB.split("- camera:\n")[1].split("  T_B_C")[0].splitlines()
+    calibration = read(tmp_path, "\n".join(line[4:] for line in lines))
+    assert calibration.kind == "SVO or maplab"
+    assert calibration.rig.cam0.distortion == (-0.3, 0.1, 0.001, -0.002)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
+        (
+            "pinhole\n    intrinsics:\n      cols: 1\n      rows: 4\n      data: [384.9,",
+            "omni\n    intrinsics:\n      cols: 1\n      rows: 24\n      data: [-206, 0, 384.9,",
+            'type "omni (Scaramuzza\'s model)" is not supported',
+        ),
         ("type: pinhole", "type: ocam", "camera 0: type 'ocam' is not supported"),
         ("radial-tangential", "fisheye", "distortion type 'fisheye' is not supported"),
         ("1, 0, 0, 0.10", "1, 0, 0, 0.04", "T_B_C: the baseline is 0 m"),

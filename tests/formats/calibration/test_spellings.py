@@ -237,3 +237,65 @@ distortion_model: radial-tangential
     assert "intrinsics has no distortion beside it" in message
     text = text.replace(f"{name}: ", "bend: ").replace("radial-tangential", "none")
     assert read(tmp_path, text).rig.cam0.distortion_model == "none"
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        {"image_size": [640, 480]},
+        {"image_size": {"width": 640, "height": 480}},
+        {"image_size": {"rows": 1, "cols": 2, "data": [640, 480]}},
+        {"img_width": 640, "img_height": 480},
+        {"Resolution": [640, 480]},
+        {"W": 640, "H": 480},
+    ],
+)
+def test_spellings_of_the_size(tmp_path: Path, size: dict[str, object]) -> None:
+    data = {"mtx": K0.tolist(), "dist": list(D0)} | size
+    cam0 = read(tmp_path, json.dumps(data), "c.json").rig.cam0
+    assert (cam0.width, cam0.height) == (640, 480)
+
+
+def test_a_camera_in_a_section(tmp_path: Path) -> None:
+    camera = {"K": K0.tolist(), "dist_coeff": list(D0)}
+    data = {"video": {"fps": 30}, "calibration": camera, "image_size": [640, 480]}
+    calibration = read(tmp_path, json.dumps(data), "c.json")
+    assert calibration.rig.cam0.distortion == D0
+    data = {"front": camera, "rear": camera, "image_size": [640, 480]}
+    message = read_error(tmp_path, json.dumps(data), "c.json")
+    assert "sections front, rear each have a camera; name them left and right" in message
+    data = {"cam0": camera, "cam1": {**camera, "K": K1.tolist()}, "image_size": [640, 480]}
+    data |= {"extrinsics": {"R": np.eye(3).tolist(), "T": [-0.1, 0, 0]}}
+    rig = read(tmp_path, json.dumps(data), "c.json").rig
+    assert rig.cam1 is not None and (rig.cam0.fx, rig.cam1.fx) == (500.0, 510.0)
+    assert cam1_from_cam0(rig)[0, 3] == -0.1
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"camera_matrix": {"fx": 500, "fy": 501, "cx": 320.5, "cy": 239}, "dist": list(D0)},
+        {"fx": 500, "fy": 501, "cx": 320.5, "cy": 239, "distortion": list(D0)},
+        {"fx": 500, "fy": 501, "ppx": 320.5, "ppy": 239, "coeffs": list(D0),
+         "model": "distortion.brown_conrady"},
+        {"fx": 500, "fy": 501, "cx": 320.5, "cy": 239, "k1": D0[0], "k2": D0[1], "p1": D0[2],
+         "p2": D0[3], "k3": D0[4]},
+    ],
+)  # fmt: skip
+def test_focal_lengths_and_principal_point(tmp_path: Path, camera: dict[str, object]) -> None:
+    data = {"width": 640, "height": 480} | camera
+    cam0 = read(tmp_path, json.dumps(data), "c.json").rig.cam0
+    assert (cam0.fx, cam0.fy, cam0.cx, cam0.cy) == (500.0, 501.0, 320.5, 239.0)
+    assert cam0.distortion == D0
+    lost = {key: v for key, v in data.items() if key not in ("dist", "distortion", "coeffs")}
+    lost = {key: v for key, v in lost.items() if key[0] not in "k" and key not in ("p1", "p2")}
+    assert "has no distortion beside it" in read_error(tmp_path, json.dumps(lost), "c.json")
+
+
+def test_a_model_of_realsense_that_is_ideal(tmp_path: Path) -> None:
+    data = {"width": 640, "height": 480, "fx": 380, "fy": 380, "ppx": 320, "ppy": 240}
+    data |= {"model": "Inverse Brown Conrady", "coeffs": [0, 0, 0, 0, 0]}
+    assert read(tmp_path, json.dumps(data), "c.json").rig.cam0.distortion_model == "none"
+    data["coeffs"] = [0.1, 0, 0, 0, 0]
+    message = read_error(tmp_path, json.dumps(data), "c.json")
+    assert "model 'Inverse Brown Conrady' is not supported" in message

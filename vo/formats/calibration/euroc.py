@@ -27,7 +27,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     Raises:
         CalibrationError: a value is missing or implausible.
     """
-    cam0 = _camera(document)
+    cam0 = _camera(document, image_size)
     body_from_cam0 = _body_from_camera(document)
     partner = _partner(document.path)
     if partner is None:
@@ -35,7 +35,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     other = load_document(partner)
     cam1_from_cam0 = inverse(_body_from_camera(other)) @ body_from_cam0
     check_baseline(f"{partner}: T_BS", cam1_from_cam0)
-    return Calibration(Rig(cam0, _camera(other), cam1_from_cam0), body_from_cam0)
+    return Calibration(Rig(cam0, _camera(other, image_size), cam1_from_cam0), body_from_cam0)
 
 
 def _partner(path: Path) -> Path | None:
@@ -45,7 +45,7 @@ def _partner(path: Path) -> Path | None:
     return partner if path.parent.name == "cam0" and partner.is_file() else None
 
 
-def _camera(document: Document) -> Camera:
+def _camera(document: Document, image_size: ImageSize | None) -> Camera:
     data = document.data
     distortion: tuple[float, ...] = ()
     if data.get("distortion_model") != "none":
@@ -53,8 +53,8 @@ def _camera(document: Document) -> Camera:
         distortion = find_distortion(str(document.path), Values(data), beside)
     return make_camera(
         str(document.path),
-        model=data.get("camera_model"),
-        resolution=data.get("resolution"),
+        model=data.get("camera_model", "pinhole"),
+        resolution=data.get("resolution", image_size),
         intrinsics=data.get("intrinsics"),
         distortion_model=data.get("distortion_model"),
         distortion=distortion,

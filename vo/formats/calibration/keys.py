@@ -43,10 +43,18 @@ _SIZE_LISTS = (
 )  # fmt: skip
 _RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _EQUIDISTANT = ("k1", "k2", "k3", "k4")
+_INTRINSICS = (("fx", "focalx"), ("fy", "focaly"), ("cx", "ppx"), ("cy", "ppy"))
 _SIDES = (
     ("0", "1"), ("1", "2"), ("left", "right"), ("l", "r"), ("cam0", "cam1"), ("cam1", "cam2"),
     ("camera0", "camera1"), ("camera1", "camera2"),
 )  # fmt: skip
+_SECTIONS = {
+    "left": "left", "leftcamera": "left", "cameraleft": "left", "camleft": "left",
+    "right": "right", "rightcamera": "right", "cameraright": "right", "camright": "right",
+    "cam0": "cam0", "cam1": "cam1", "cam2": "cam2", "camera0": "camera0", "camera1": "camera1",
+    "camera2": "camera2", "stereo": "", "extrinsics": "", "extrinsic": "",
+}  # fmt: skip
+"""Sections, and the mark of the camera that their values have; none for those of the pair."""
 _MAX_LISTED = 12
 
 
@@ -60,18 +68,19 @@ class Entry(NamedTuple):
 class Values:
     """The values of a section of a calibration file, to be found by any spelling of their names.
 
-    Sections `left` and `right` are read as if their keys began with that word.
+    Keys of a section such as `left` are read as if they began with that word.
     """
 
     def __init__(self, data: Mapping[str, Any]) -> None:
-        self.keys = [str(key) for key in data]
+        self.keys: list[str] = []
         self._entries: dict[str, list[Entry]] = {}
         for key, value in data.items():
-            if normalised(key) in ("left", "right") and isinstance(value, Mapping):
-                for inner, inner_value in value.items():
-                    self._add(Entry(f"{key}.{inner}", inner_value))
-            else:
-                self._add(Entry(str(key), value))
+            side = _SECTIONS.get(normalised(key))
+            if side is None or not isinstance(value, Mapping) or "data" in value:
+                self._add(normalised(key), Entry(str(key), value))
+                continue
+            for inner, inner_value in value.items():
+                self._add(side + normalised(inner), Entry(f"{key}.{inner}", inner_value))
 
     def find(
         self, names: Iterable[str], accepts: Callable[[Any], bool] = lambda _: True
@@ -87,8 +96,9 @@ class Values:
         """All such entries."""
         return [e for name in names for e in self._entries.get(name, ()) if accepts(e.value)]
 
-    def _add(self, entry: Entry) -> None:
-        self._entries.setdefault(normalised(entry.key), []).append(entry)
+    def _add(self, name: str, entry: Entry) -> None:
+        self.keys.append(entry.key)
+        self._entries.setdefault(name, []).append(entry)
 
 
 def normalised(key: Any) -> str:
@@ -116,8 +126,53 @@ def find_sides(values: Values) -> tuple[str, ...]:
 
 
 def find_matrix(values: Values, side: str) -> Entry | None:
-    """The camera matrix of a side."""
-    return values.find(spelled(MATRIX, side), is_matrix)
+    """The camera matrix of a side, or that of its fx, fy, cx and cy."""
+    found = values.find(spelled(MATRIX, side), is_matrix)
+    if found is not None:
+        return found
+    section = values.find(spelled(MATRIX, side), lambda value: isinstance(value, Mapping))
+    if section is not None:
+        return _of_numbers(Values(section.value), "", section.key)
+    return _of_numbers(values, side, "fx")
+
+
+def _of_numbers(values: Values, side: str, key: str) -> Entry | None:
+    """The camera matrix of fx, fy, cx and cy, None if one is missing."""
+    found = []
+    for names in _INTRINSICS:
+        entry = values.find([each for name in names for each in spelled([name], side)], _is_scalar)
+        if entry is None:
+            return None
+        found.append(entry.value)
+    fx, fy, cx, cy = found
+    return Entry(key, [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def camera_values(data: Mapping[str, Any]) -> Values:
+    """The values of a file with a camera matrix, at the top or in the only section that has one.
+
+    Values beside that section, such as the size of the images, belong to it.
+
+    Raises:
+        CalibrationError: several sections have one.
+    """
+    values = Values(data)
+    if find_sides(values):
+        return values
+    inside = {
+        str(key): section
+        for key, section in data.items()
+        if isinstance(section, Mapping) and find_sides(Values(section))
+    }
+    if len(inside) > 1:
+        raise CalibrationError(
+            f"sections {', '.join(inside)[:200]} each have a camera; name them left and right, or "
+            "give a file with one camera"
+        )
+    for section in inside.values():
+        others = {key: v for key, v in data.items() if not isinstance(v, Mapping) or "data" in v}
+        return Values(others | dict(section))
+    return values
 
 
 def is_array(value: Any) -> bool:
@@ -202,15 +257,15 @@ def size_of(where: str, values: Values, image_size: ImageSize | None) -> Any:
     Raises:
         CalibrationError: neither is known.
     """
-    for names in _SIZES:
-        sides = [values.find([name], _is_scalar) for name in names]
-        if sides[0] is not None and sides[1] is not None:
-            return [sides[0].value, sides[1].value]
     found = values.find(_SIZE_LISTS, lambda v: is_array(v) or isinstance(v, Mapping))
-    if found is not None and isinstance(found.value, Mapping) and "data" not in found.value:
-        return size_of(f"{where}: {found.key}", Values(found.value), image_size)
+    section = None if found is None or is_array(found.value) else Values(found.value)
+    for names in _SIZES:
+        for each in filter(None, (values, section)):
+            sides = [each.find([name], _is_scalar) for name in names]
+            if sides[0] is not None and sides[1] is not None:
+                return [sides[0].value, sides[1].value]
     if found is not None:
-        return found.value["data"] if isinstance(found.value, Mapping) else found.value
+        return found.value.get("data") if isinstance(found.value, Mapping) else found.value
     if image_size is None:
         raise CalibrationError(
             f"{where}: the size of the images is missing; add image_width and image_height"

@@ -21,12 +21,15 @@ from vo.geometry.transforms import inverse
 from vo.types import Camera, Floats, Rig
 
 _TYPES = {"pinhole": "pinhole", "omni": "omni", "unified-projection": "omni"}
+_KALIBR_OMNI = 5  # xi and fx, fy, cx, cy
 _LENSES = ("none", "radial-tangential", "radtan", "equidistant")
 
 
 def recognises(document: Document) -> bool:
-    """Whether there is a list of cameras, each with a section `camera`."""
+    """Whether there is a list of cameras, each with a section `camera`, or one such camera."""
     cameras = document.data.get("cameras")
+    if "type" in document.data and isinstance(document.data.get("distortion"), Mapping):
+        return "intrinsics" in document.data
     return (
         isinstance(cameras, Sequence)
         and not isinstance(cameras, str | bytes)
@@ -40,6 +43,8 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     Raises:
         CalibrationError: a value is missing or implausible, or a model is not supported.
     """
+    if "cameras" not in document.data:
+        return Calibration(Rig(_camera(document, {"camera": document.data}, 0, image_size)))
     entries = [
         as_section(f"{document.path}: cameras, entry {i}", each)
         for i, each in enumerate(document.data["cameras"][:2])
@@ -66,9 +71,12 @@ def _camera(
     where = f"{document.path}: camera {index}"
     camera = as_section(where, entry.get("camera"))
     kind = str(camera.get("type")).strip().lower()
+    intrinsics = make_list(f"{where}: intrinsics", camera.get("intrinsics"))
+    if kind == "omni" and len(intrinsics) > _KALIBR_OMNI:
+        kind = "omni (Scaramuzza's model)"
     if kind not in _TYPES:
         raise CalibrationError(
-            f"{where}: type {shortened(camera.get('type'))[:40]} is not supported; supported are "
+            f"{where}: type {shortened(kind)[:40]} is not supported; supported are "
             f"{', '.join(_TYPES)}"
         )
     lens = as_section(f"{where}: distortion", camera.get("distortion"))
@@ -87,7 +95,7 @@ def _camera(
         where,
         model=_TYPES[kind],
         resolution=image_size if None in size else size,
-        intrinsics=make_list(f"{where}: intrinsics", camera.get("intrinsics")),
+        intrinsics=intrinsics,
         distortion_model="none" if is_ideal else name,
         distortion=() if is_ideal else coefficients,
     )

@@ -7,6 +7,7 @@ x2 = R x1 + T (cam1_from_cam0). R and T may be in a separate file, `extrinsics` 
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from vo.errors import CalibrationError
@@ -27,17 +28,20 @@ _EQUIDISTANT = (
     "opencvfisheye",
 )  # fmt: skip
 _OMNI = ("omni", "omnidir", "mei")
+_BROWN_CONRADY = ("modifiedbrownconrady", "inversebrownconrady")
+"""Models of RealSense cameras, which are ideal if their coefficients are 0."""
 _OTHERS = (
     "ds", "doublesphere", "eucm", "ucm", "unified", "fov", "atan", "scaramuzza", "ocam", "division",
-    "equirectangular", "thinprism", "modifiedbrownconrady", "inversebrownconrady", "ftheta",
+    "equirectangular", "thinprism", "ftheta", *_BROWN_CONRADY,
 )  # fmt: skip
 _MODELS = "radtan (plumb_bob, rational_polynomial), equidistant (fisheye, kannala_brandt) and omni"
 _log = logging.getLogger(__name__)
 
 
 def recognises(document: Document) -> bool:
-    """Whether the file has a camera matrix with one of the usual keys."""
-    return bool(keys.find_sides(Values(document.data)))
+    """Whether the file has a camera matrix with one of the usual keys, perhaps in a section."""
+    sections = [document.data, *(v for v in document.data.values() if isinstance(v, Mapping))]
+    return any(keys.find_sides(Values(section)) for section in sections)
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
@@ -46,7 +50,10 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     Raises:
         CalibrationError: a value is missing or implausible.
     """
-    values = Values(document.data)
+    try:
+        values = keys.camera_values(document.data)
+    except CalibrationError as error:
+        raise CalibrationError(f"{document.path}: {error}") from error
     sides = keys.find_sides(values)
     cam0 = _camera(document, values, sides[0], image_size)
     if len(sides) == 1:
@@ -131,7 +138,9 @@ def _lens_model(where: str, values: Values, side: str) -> str:
         entry = values.find(keys.spelled(names, side)) or values.find(names)
         if entry is None:
             continue
-        name = keys.normalised(entry.value)
+        name = keys.normalised(entry.value).removeprefix("distortion")
+        if name in _BROWN_CONRADY and _is_zero(values, side):
+            return "radtan"
         if name in _EQUIDISTANT:
             return "equidistant"
         if name in _OMNI:
@@ -142,3 +151,8 @@ def _lens_model(where: str, values: Values, side: str) -> str:
         if name not in _IDEAL and (not is_text or name in _OTHERS):
             raise keys.unknown_model(where, entry, _MODELS)
     return "radtan"
+
+
+def _is_zero(values: Values, side: str) -> bool:
+    found = values.find(keys.spelled(keys.DISTORTION, side), keys.is_array)
+    return found is not None and not any(keys.coefficients_of(found.key, found.value))
