@@ -170,13 +170,14 @@ def _request(
 
 
 def _recorder(options: RunOptions) -> Recorder:
-    recorder, rrd, viewer = options.get("recorder"), options.get("rrd"), options.get("viewer")
-    if recorder is not None:
-        return recorder
+    given, rrd, viewer = options.get("recorder"), options.get("rrd"), options.get("viewer")
+    if given is not None:
+        return given
     if rrd is None and viewer is None:
         return NullRecorder()
     from vo.recording.background import BackgroundRecorder
     from vo.recording.rerun_recorder import RerunRecorder  # importing rerun takes long
 
     images = options.get("rrd_images", "half")
-    return BackgroundRecorder(RerunRecorder(rrd, images=images, viewer=viewer))
+    recorder = RerunRecorder(rrd, images=images, viewer=viewer)
+    return BackgroundRecorder(recorder, may_drop=viewer is not None)

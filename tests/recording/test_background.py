@@ -55,9 +55,9 @@ def test_all_frames_are_recorded_in_order():
     assert inner.finished
 
 
-def test_a_slow_recorder_loses_frames_without_blocking(caplog):
+def test_a_slow_viewer_loses_frames_without_blocking(caplog):
     inner = BlockedRecorder()
-    recorder = begun(inner, queue_size=4)
+    recorder = begun(inner, queue_size=4, may_drop=True)
     taken = []
 
     def take(frame):
@@ -78,9 +78,30 @@ def test_a_slow_recorder_loses_frames_without_blocking(caplog):
     assert f"{left_out} frames are missing in the recording" in caplog.text
 
 
+def test_a_slow_file_is_waited_for():
+    inner = BlockedRecorder()
+    recorder = begun(inner, queue_size=2, timeout_s=0.0)
+    threading.Timer(0.3, inner.go.set).start()
+    for frame in range(20):
+        fake_run.record(recorder, frame)
+    finish(recorder)
+    assert inner.frames == list(range(20))
+    assert inner.finished
+
+
+def test_a_recorder_that_failed_is_not_waited_for():
+    inner = BlockedRecorder(ValueError("of some kind"))
+    inner.go.set()
+    recorder = begun(inner, queue_size=2)
+    for frame in range(20):
+        fake_run.record(recorder, frame)
+    finish(recorder)
+    assert inner.frames == []
+
+
 def test_keyframes_of_lost_frames_come_with_the_next_frame():
     inner = BlockedRecorder()
-    recorder = begun(inner, queue_size=2)
+    recorder = begun(inner, queue_size=2, may_drop=True)
     for frame in range(18):
         fake_run.record(recorder, frame)
     inner.go.set()
@@ -92,9 +113,9 @@ def test_keyframes_of_lost_frames_come_with_the_next_frame():
     assert inner.keyframes == {frame for frame in range(18) if fake_run.is_keyframe(frame)}
 
 
-def test_a_hanging_recorder_is_stopped(caplog):
+def test_a_hanging_viewer_is_left_alone(caplog):
     inner = BlockedRecorder()
-    recorder = begun(inner, timeout_s=0.3)
+    recorder = begun(inner, may_drop=True, timeout_s=0.3)
     fake_run.record(recorder, 0)
     with caplog.at_level(logging.WARNING):
         finish(recorder)

@@ -26,7 +26,8 @@ import fake_run
 from vo.recording.background import BackgroundRecorder
 from vo.recording.rerun_recorder import RerunRecorder
 path, url, pid = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
-recorder = BackgroundRecorder(RerunRecorder(path, viewer=url), queue_size=1000, timeout_s=5.0)
+options = dict(queue_size=1000, may_drop=True, timeout_s=5.0)
+recorder = BackgroundRecorder(RerunRecorder(path, viewer=url), **options)
 recorder.begin('x', fake_run.RIG, None)
 for frame in range(60):
     if frame == 20:

@@ -1,8 +1,9 @@
-"""A recorder that works in a separate thread, so that the run never waits for it."""
+"""A recorder that works in a separate thread, beside the run."""
 
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 import time
@@ -14,6 +15,7 @@ from vo.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
 
 _QUEUE_SIZE = 32  # frames; their images take most of the memory
 _TIMEOUT_S = 20.0
+_POLL_S = 0.02
 
 _log = logging.getLogger(__name__)
 
@@ -26,22 +28,30 @@ class _Frame(NamedTuple):
 class BackgroundRecorder:
     """Passes frames to another recorder through a queue.
 
-    While the queue is full, frames are left out of the recording; the keyframe poses of these
-    frames are passed with the next frame. A recorder that fails or hangs is stopped. A warning
-    reports each of these cases.
+    While the queue is full, the run waits, because what was requested must not be incomplete. For a
+    recorder to a live viewer, which may hang, `may_drop` is the better choice: frames are left out
+    then, with a warning; their keyframe poses are passed with the next frame. A recorder that fails
+    is stopped with a warning, and the run goes on.
 
     Args:
         recorder: the recorder to run in the thread.
         queue_size: maximum number of frames in the queue.
-        timeout_s: time without progress after which `finish` no longer waits.
+        may_drop: whether frames may be left out of the recording.
+        timeout_s: with `may_drop`, time without progress after which `finish` no longer waits.
     """
 
     def __init__(
-        self, recorder: Recorder, *, queue_size: int = _QUEUE_SIZE, timeout_s: float = _TIMEOUT_S
+        self,
+        recorder: Recorder,
+        *,
+        queue_size: int = _QUEUE_SIZE,
+        may_drop: bool = False,
+        timeout_s: float = _TIMEOUT_S,
     ) -> None:
         self._recorder = recorder
         self._queue: queue.Queue[_Frame | tuple[Trajectory, Trajectory]] = queue.Queue(queue_size)
-        self._timeout_s = timeout_s
+        self._timeout_s = timeout_s if may_drop else math.inf
+        self._may_drop = may_drop
         self._thread: threading.Thread | None = None
         self._progress = 0
         self._left_out = 0
@@ -55,12 +65,20 @@ class BackgroundRecorder:
         self._thread.start()
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """Add a frame to the queue unless it is full."""
-        if self._queue.full():
+        """Add a frame to the queue."""
+        if not self._wait_for_room():
             self._left_out += 1
             self._keyframes.update({k.frame_index: k for k in estimate.keyframes})
         else:
             self._queue.put_nowait(_Frame(self._with_missed_keyframes(estimate), snapshot()))
+
+    def _wait_for_room(self) -> bool:
+        """Whether there is room in the queue; only this thread adds to it."""
+        while self._queue.full():
+            if self._may_drop or self._thread is None or not self._thread.is_alive():
+                return False
+            time.sleep(_POLL_S)
+        return True
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Wait until all frames are recorded, as long as there is progress."""
@@ -75,7 +93,7 @@ class BackgroundRecorder:
         while self._thread.is_alive():
             if not is_queued:
                 is_queued = self._try_to_queue((causal, smoothed))
-            self._thread.join(0.05)
+            self._thread.join(_POLL_S)
             if self._progress != progress:
                 progress, since = self._progress, time.monotonic()
             elif time.monotonic() - since > self._timeout_s:

@@ -7,14 +7,17 @@ with keyframes that are re-posed; smoothed at the end), `/map` (landmarks of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 import cv2
 import numpy as np
 from google.protobuf.message import Message as PbMessage
-from mcap_protobuf.writer import Writer
+from mcap.well_known import MessageEncoding
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
 
 from vo.errors import OutputError
 from vo.formats.foxglove import as_protobuf
@@ -27,6 +30,7 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
+from vo.recording.durable_file import DurableFile
 from vo.recording.keyframe_history import KeyframeHistory
 from vo.recording.reconstruction import camera_of
 from vo.recording.recorder import TakeSnapshot
@@ -47,6 +51,7 @@ _JPEG_QUALITY = 80
 _MARK_PX = 3.0
 _GROWTH = 1.05  # factor by which the path grows before the whole of it is written again
 _MID_GREY = 128
+_FLUSH_S = 0.5
 # Of Okabe and Ito (2008), as in the viewer and the report.
 _COLOURS = {
     FeatureState.NEW: Colour(0.34, 0.71, 0.91),
@@ -57,6 +62,9 @@ _COLOURS = {
 
 class McapRecorder:
     """Writes a run with Foxglove's protobuf messages, in chunks packed with zstd.
+
+    A chunk ends after half a second at the latest: if the run is killed, what is in the file by
+    then can be read. On a full disk the file ends with a complete chunk.
 
     Args:
         path: the file; an existing one is replaced.
@@ -69,6 +77,7 @@ class McapRecorder:
         self._keyframes = KeyframeHistory()
         self._poses_written = 0
         self._stamp_ns = 0
+        self._channels: dict[str, int] = {}
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Open the file.
@@ -78,14 +87,17 @@ class McapRecorder:
         """
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: IO[bytes] = self._path.open("wb")
-            self._writer = Writer(self._file)
+            self._file = DurableFile(self._path)
+            with self._cut_after_an_error():
+                self._writer = Writer(self._file)  # type: ignore[arg-type]
+                self._writer.start(library="vo")
+                self._writer.add_metadata("recording", {"name": name, "library": "vo"})
+                self._flush()
         except OSError as error:
             raise OutputError(
                 f"recording {self._path} cannot be written: {error.strerror or error}; "
                 "choose another --mcap"
             ) from error
-        self._writer.add_metadata("recording", {"name": name, "library": "vo"})
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Write one frame.
@@ -94,6 +106,37 @@ class McapRecorder:
             OSError: the disk is full.
         """
         current = snapshot()
+        with self._cut_after_an_error():
+            self._record(estimate, current)
+            if time.monotonic() - self._flushed >= _FLUSH_S:
+                self._flush()
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Write the smoothed path and close the file.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        with self._cut_after_an_error():
+            if len(smoothed):
+                self._write_path(smoothed.world_from_cam)
+            self._flush()
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+
+    @contextmanager
+    def _cut_after_an_error(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            self._file.cut()
+            raise
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._flushed = time.monotonic()
+
+    def _record(self, estimate: Estimate, current: Snapshot) -> None:
         self._stamp_ns = estimate.stamp_ns
         pose = estimate.world_from_cam0
         self._update_path(estimate.keyframes, current)
@@ -108,19 +151,6 @@ class McapRecorder:
         if len(self._poses) > _GROWTH * self._poses_written:
             self._write_path(np.stack(self._poses))
             self._poses_written = len(self._poses)
-
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """Write the smoothed path and close the file.
-
-        Raises:
-            OSError: the disk is full.
-        """
-        try:
-            if len(smoothed):
-                self._write_path(smoothed.world_from_cam)
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        finally:
-            self._file.close()
 
     def _update_path(self, keyframes: Sequence[KeyframePose], snapshot: Snapshot) -> None:
         """Move earlier poses with keyframes that were re-posed."""
@@ -164,4 +194,10 @@ class McapRecorder:
         self._send(topic, as_protobuf(message))
 
     def _send(self, topic: str, message: PbMessage) -> None:
-        self._writer.write_message(topic, message, self._stamp_ns, self._stamp_ns)
+        if topic not in self._channels:
+            schema = register_schema(self._writer, type(message))
+            self._channels[topic] = self._writer.register_channel(
+                topic, MessageEncoding.Protobuf, schema
+            )
+        data = message.SerializeToString()
+        self._writer.add_message(self._channels[topic], self._stamp_ns, data, self._stamp_ns)

@@ -23,7 +23,7 @@ from vo.recording.view_layer import ViewLayer
 from vo.types import Estimate, Floats, Rig, Trajectory
 
 _FRAMES_PER_BATCH = 25
-_BATCH_S = 5.0  # a batch ends with whichever comes first
+_BATCH_S = 1.0  # a batch ends with whichever comes first
 _LIVE_BATCH_S = 0.2
 
 

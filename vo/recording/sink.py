@@ -17,7 +17,7 @@ from vo.recording.piped_file import PipedFile
 from vo.recording.viewer import check_viewer
 
 _APPLICATION = "vo"
-_FILE_TIMEOUT_S, _VIEWER_TIMEOUT_S = 20.0, 2.0
+_FILE_TIMEOUT_S, _VIEWER_TIMEOUT_S = 3600.0, 2.0  # a slow disk is waited for
 _open: list[
     rr.RecordingStream
 ] = []  # kept: the destructor of a stream may wait for its viewer forever

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
@@ -23,6 +24,14 @@ _START_TIMEOUT_S = 20.0
 _HTTP2_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")
+
+# Becomes the program given after the parent's process id. Source: prctl(2), PR_SET_PDEATHSIG.
+_ENDING_WITH_PARENT = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() == int(sys.argv[1]):  # otherwise the parent has ended already
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
 
 
 def viewer_url(address: str) -> str:
@@ -131,7 +140,8 @@ def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
     web, data = port or _free_port(), _free_port()
     ports = ["--web-viewer-port", str(web), "--port", str(data), "--bind", bind]
     arguments = ["--serve-web", *ports, "--hide-welcome-screen"]
-    process = _start(arguments, (web, data), "the viewer cannot be served", "try another --port")
+    problem, advice = "the viewer cannot be served", "try another --port"
+    process = _start(arguments, (web, data), problem, advice, starter=_ending_with_this_process())
     page = f"http://{host_of(bind)}:{web}/"
     proxy = f"rerun+http://{host_of(bind)}:{data}/proxy"
     return ViewerProcess(process, data, f"{page}?url={quote(proxy, safe='')}")
@@ -142,13 +152,27 @@ def host_of(bind: str) -> str:
     return socket.gethostname() if bind in ("0.0.0.0", "::") else bind
 
 
+def _ending_with_this_process() -> list[str]:
+    """First part of a command that is killed with this process; empty where that is impossible.
+
+    The kernel sends the signal when the calling thread ends, however it ends.
+    """
+    if sys.platform != "linux":
+        return []
+    return [sys.executable, "-I", "-S", "-c", _ENDING_WITH_PARENT, str(os.getpid())]
+
+
 def _start(
-    arguments: list[str], ports: tuple[int, ...], problem: str, advice: str
+    arguments: list[str],
+    ports: tuple[int, ...],
+    problem: str,
+    advice: str,
+    starter: Sequence[str] = (),
 ) -> subprocess.Popen[bytes]:
     with tempfile.TemporaryFile() as output:
         try:
             process = subprocess.Popen(
-                [_program(), *arguments],
+                [*starter, _program(), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
