@@ -31,7 +31,8 @@ class Align(StrEnum):
 Estimate = Annotated[
     Path,
     typer.Argument(
-        metavar="ESTIMATE", help="Trajectory file (TUM, KITTI, EuRoC), or the folder of a run."
+        metavar="ESTIMATE",
+        help="Trajectory file (TUM, KITTI, EuRoC), the folder of a run, or a log with poses.",
     ),
 ]
 Reference = Annotated[
@@ -89,6 +90,16 @@ AllSegments = Annotated[
         rich_help_panel=_METRICS,
     ),
 ]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Poses in a log: truth=/gt, estimate=/odom, or truth=/tf:map:base_link for frames of "
+        "tf; repeatable.",
+        show_default="the only topic with poses, or that named like ground truth",
+        rich_help_panel=options.INPUT,
+    ),
+]
 Plot = Annotated[
     Path | None,
     typer.Option(
@@ -109,6 +120,7 @@ def eval_command(
     delta_m: DeltaM = None,
     all_segments: AllSegments = False,
     calibration: options.Calibration = None,
+    topic: Topics = None,
     json_output: options.Json = False,
     plot: Plot = None,
 ) -> None:
@@ -124,13 +136,24 @@ def eval_command(
     Evaluate a trajectory file, with results for a script:
 
       vo eval trajectory.tum groundtruth.txt --align sim3 --json
+
+    Evaluate odometry that was recorded in a log:
+
+      vo eval log.mcap truth.tum --topic estimate=/odom
     """
     from vo.cli.console import standard_error
+    from vo.cli.eval_inputs import read_inputs
     from vo.cli.progress import warnings_on
     from vo.evaluation.report import evaluate
 
     with warnings_on(standard_error()):
-        inputs = _load(estimate, reference, all_segments, calibration)
+        inputs = read_inputs(
+            estimate,
+            reference,
+            topics=topic or (),
+            calibration=calibration,
+            all_segments=all_segments,
+        )
     evaluation = evaluate(
         inputs.estimate,
         inputs.reference,
@@ -151,33 +174,6 @@ def eval_command(
         from vo.cli.eval_table import print_evaluation
 
         print_evaluation(evaluation, inputs, plot)
-
-
-def _load(estimate: Path, reference: Path, all_segments: bool, calibration: Path | None) -> Inputs:
-    """Read both trajectories; the ground truth may be a file or part of any recording."""
-    from vo.errors import SourceError
-    from vo.evaluation.inputs import load_inputs, load_inputs_with_truth
-    from vo.sources.registry import open_source
-
-    try:
-        return load_inputs(estimate, reference, calibration=calibration, all_segments=all_segments)
-    except SourceError:
-        if not _is_recording(reference):
-            raise
-    truth = open_source(reference, calibration=calibration).ground_truth
-    if truth is None:
-        raise SourceError(f"{reference} contains no ground truth; give a trajectory file")
-    return load_inputs_with_truth(estimate, truth, reference, all_segments=all_segments)
-
-
-def _is_recording(path: Path) -> bool:
-    from vo.errors import SourceError
-    from vo.sources.registry import detect_format
-
-    try:
-        return path.exists() and bool(detect_format(path))
-    except (SourceError, OSError):
-        return False
 
 
 def _title(inputs: Inputs) -> str:

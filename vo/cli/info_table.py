@@ -32,7 +32,8 @@ def print_report(report: Report, sheet: Path | None, console: Console | None = N
         console.print(_WORDS[finding.level], escape(finding.what + advice), soft_wrap=True)
     if not report.findings:
         console.print("[green]no problems found[/]")
-    console.print("[cyan]try:[/]", escape(report.command), soft_wrap=True)
+    if report.command:
+        console.print("[cyan]try:[/]", escape(report.command), soft_wrap=True)
 
 
 def _facts(report: Report) -> Iterator[tuple[str, str]]:
@@ -58,19 +59,23 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     yield from _measured(report)
     if report.has_depth:
         yield "depth", "aligned with cam0"
-    truth = report.truth
-    yield (
-        "truth",
-        "none found"
-        if truth is None
-        else (
-            f"{truth.poses} poses, {truth.span_s:.2f} s at {truth.rate_hz:.3g} Hz, "
-            f"{truth.path_m:.1f} m of path, covers {100 * truth.covered:.0f} % of the images"
-        ),
-    )
+    yield "truth", _truth(report)
+    if report.pose_topics:
+        yield "poses", ", ".join(report.pose_topics) + " (for vo eval --topic)"
     for imu in report.imu:
         yield "imu", _imu(imu)
         yield "", _motion(imu)
+
+
+def _truth(report: Report) -> str:
+    truth = report.truth
+    if truth is None:
+        return "none found"
+    images = "" if truth.covered is None else f", covers {100 * truth.covered:.0f} % of the images"
+    return (
+        f"{truth.poses} poses, {truth.span_s:.2f} s at {truth.rate_hz:.3g} Hz, "
+        f"{truth.path_m:.1f} m of path{images}"
+    )
 
 
 def _imu(imu: ImuReport) -> str:

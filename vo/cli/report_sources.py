@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.cli.eval_inputs import is_log, truth_of_log
 from vo.errors import EvaluationError, SourceError, VoError
-from vo.evaluation.inputs import Inputs, load_inputs, load_inputs_with_truth
+from vo.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
 from vo.evaluation.report import Evaluation, evaluate
 from vo.report.entry import Thumbnail
 from vo.report.events import choose_events, shrink
@@ -85,6 +86,8 @@ def evaluate_run(
 
 def _inputs_with_given_truth(run: RunRecord, truth: Path) -> Inputs:
     """Inputs from a ground truth file, or from any recording with ground truth."""
+    if is_log(truth):
+        return load_inputs(run.path, truth_of_log(truth, None, None))
     if truth.is_file():
         return load_inputs(run.path, truth)
     inputs = _inputs_with_own_truth(run, truth, open_source(truth))
@@ -102,7 +105,7 @@ def _inputs_with_own_truth(run: RunRecord, path: Path, source: Recording | None)
             pass
     if source is None or source.ground_truth is None:
         return None
-    return load_inputs_with_truth(run.path, source.ground_truth, path)
+    return load_inputs(run.path, GivenTrajectory(source.ground_truth, path))
 
 
 def _evaluated(run: RunRecord, inputs: Inputs) -> EvaluatedRun:

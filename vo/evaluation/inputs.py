@@ -54,9 +54,22 @@ class Inputs:
     notes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class GivenTrajectory:
+    """A trajectory, its origin, and notes for the reader of the results.
+
+    `has_stamps` is False for a text file of poses alone: its stamps are numbers of lines.
+    """
+
+    trajectory: Trajectory
+    origin: Path
+    notes: tuple[str, ...] = ()
+    has_stamps: bool = True
+
+
 def load_inputs(
-    estimate: Path | str,
-    reference: Path | str,
+    estimate: Path | str | GivenTrajectory,
+    reference: Path | str | GivenTrajectory,
     *,
     calibration: Path | None = None,
     all_segments: bool = False,
@@ -64,9 +77,10 @@ def load_inputs(
     """Read an estimate and its reference.
 
     Args:
-        estimate: a trajectory file, or the folder of a run with `trajectory.tum` and
-            `summary.json`.
-        reference: a trajectory file, or the folder of a sequence with its ground truth.
+        estimate: a trajectory file, the folder of a run with `trajectory.tum` and `summary.json`,
+            or a trajectory.
+        reference: a trajectory file, the folder of a sequence with its ground truth, or a
+            trajectory.
         calibration: file with the pose of cam0 on the body, for ground truth of the body; by
             default that of the run, or else the one beside the ground truth.
         all_segments: keep all segments of a run that lost track. Each has its own world frame, so
@@ -77,35 +91,23 @@ def load_inputs(
         CalibrationError: the calibration is missing or damaged.
         EvaluationError: only one of them has stamps, and their numbers of poses differ.
     """
-    estimate_path, reference_path = _estimate_file(Path(estimate)), _reference_file(Path(reference))
-    summary = _summary_beside(estimate_path)
-    true, body_notes = _read_reference(
-        reference_path,
-        _calibration_of_run(summary) if calibration is None else read_calibration(calibration),
-    )
+    if not isinstance(estimate, GivenTrajectory):
+        estimate = _read_file(_estimate_file(Path(estimate)))
+    summary = _summary_beside(estimate.origin)
+    if not isinstance(reference, GivenTrajectory):
+        reference = _read_reference(
+            _reference_file(Path(reference)),
+            _calibration_of_run(summary) if calibration is None else read_calibration(calibration),
+        )
     inputs = Inputs(
-        estimate_path,
-        reference_path,
-        read_trajectory(estimate_path),
-        true,
+        estimate.origin,
+        reference.origin,
+        estimate.trajectory,
+        reference.trajectory,
         mode=_mode(summary),
-        notes=body_notes,
+        notes=(*estimate.notes, *reference.notes),
     )
-    inputs = _with_common_stamps(inputs)
-    return inputs if all_segments else _with_longest_segment(inputs, summary)
-
-
-def load_inputs_with_truth(
-    estimate: Path | str, truth: Trajectory, origin: Path, *, all_segments: bool = False
-) -> Inputs:
-    """As `load_inputs`, with ground truth that was read from `origin` before.
-
-    Raises:
-        SourceError: the estimate is missing or damaged.
-    """
-    path = _estimate_file(Path(estimate))
-    summary = _summary_beside(path)
-    inputs = Inputs(path, origin, read_trajectory(path), truth, mode=_mode(summary))
+    inputs = _with_common_stamps(inputs, not estimate.has_stamps, not reference.has_stamps)
     return inputs if all_segments else _with_longest_segment(inputs, summary)
 
 
@@ -162,15 +164,17 @@ def _calibration_of_run(summary: dict[str, Any]) -> Calibration | None:
         return None
 
 
-def _read_reference(
-    path: Path, calibration: Calibration | None
-) -> tuple[Trajectory, tuple[str, ...]]:
+def _read_file(path: Path) -> GivenTrajectory:
+    return GivenTrajectory(read_trajectory(path), path, has_stamps=has_stamps(path))
+
+
+def _read_reference(path: Path, calibration: Calibration | None) -> GivenTrajectory:
     """Ground truth of cam0; EuRoC's is that of the body, with T_BS = body_from_cam0."""
-    reference, kind = read_trajectory(path), detect_format(path)
+    read, kind = _read_file(path), detect_format(path)
     if kind == "tartanair":
-        return reference, (_TARTANAIR_NOTE,)
+        return replace(read, notes=(_TARTANAIR_NOTE,))
     if kind != "euroc":
-        return reference, ()
+        return read
     root = path.resolve().parent.parent
     found = find_camera_on_body(root, calibration)
     if found is None:
@@ -178,17 +182,14 @@ def _read_reference(
             "ground truth taken as that of the camera: no cam0/sensor.yaml and no camchain.yaml "
             f"in {root} contains the camera's pose on the body; give it with --calibration FILE"
         )
-        return reference, (note,)
-    poses = reference.world_from_cam @ found.body_from_cam0
+        return replace(read, notes=(note,))
+    poses = read.trajectory.world_from_cam @ found.body_from_cam0
     note = f"ground truth moved from the body to cam0, by its pose in {found.file}"
-    return replace(reference, world_from_cam=poses), (note,)
+    return GivenTrajectory(replace(read.trajectory, world_from_cam=poses), path, (note,))
 
 
-def _with_common_stamps(inputs: Inputs) -> Inputs:
+def _with_common_stamps(inputs: Inputs, estimate_bare: bool, reference_bare: bool) -> Inputs:
     """Pair poses row by row if only one file has stamps and both have the same number of poses."""
-    estimate_bare, reference_bare = (
-        not has_stamps(path) for path in (inputs.estimate_path, inputs.reference_path)
-    )
     if estimate_bare and reference_bare:
         note = "neither file has stamps: poses paired row by row, one per second"
         return replace(inputs, notes=(*inputs.notes, note))

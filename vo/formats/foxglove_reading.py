@@ -166,6 +166,7 @@ def _transform(record: Any) -> FrameTransform:
         record.parent_frame_id,
         record.child_frame_id,
         rigid_transform(record.translation, record.rotation),
+        _stamp_ns(record.timestamp),
     )
 
 

@@ -125,12 +125,24 @@ class PoseMessage:
 
 
 @dataclass(frozen=True, eq=False)
+class PathMessage:
+    """Poses of one path, each with its own stamp, as `nav_msgs/Path`."""
+
+    stamp_ns: int
+    poses: tuple[PoseMessage, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class FrameTransform:
-    """The (4, 4) transform `parent_from_child` between two coordinate frames."""
+    """The (4, 4) transform `parent_from_child` between two coordinate frames.
+
+    `stamp_ns` is 0 for messages that are written: their transforms have the stamp of the message.
+    """
 
     parent: str
     child: str
     parent_from_child: Floats
+    stamp_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +163,7 @@ Message = (
 )
 
 
-ReadMessage = Message | CompressedVideoMessage
+ReadMessage = Message | CompressedVideoMessage | PathMessage
 """All messages that are read; those of `Message` are written too."""
 
 

@@ -23,6 +23,7 @@ from vo.formats.messages import (
     FrameTransform,
     ImageMessage,
     ImuMessage,
+    PathMessage,
     PoseMessage,
     ReadMessage,
     TransformsMessage,
@@ -224,6 +225,7 @@ def _transform(record: Any) -> FrameTransform:
         record.header.frame_id.lstrip("/"),
         record.child_frame_id.lstrip("/"),
         rigid_transform(record.transform.translation, record.transform.rotation),
+        _stamp_ns(record.header.stamp),
     )
 
 
@@ -244,6 +246,10 @@ def _pose(record: Any) -> PoseMessage:
     )
 
 
+def _path(record: Any) -> PathMessage:
+    return PathMessage(_stamp_ns(record.header.stamp), tuple(map(_pose, record.poses)))
+
+
 _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] = {
     "sensor_msgs/msg/Image": (ImageMessage, _image),
     "sensor_msgs/msg/CompressedImage": (CompressedImageMessage, _compressed),
@@ -257,4 +263,5 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "geometry_msgs/msg/PoseWithCovarianceStamped": (PoseMessage, _pose),
     "geometry_msgs/msg/TransformStamped": (PoseMessage, _transform_as_pose),
     "nav_msgs/msg/Odometry": (PoseMessage, _pose),
+    "nav_msgs/msg/Path": (PathMessage, _path),
 }

@@ -168,7 +168,7 @@ def _pair_findings(report: Report) -> Iterator[Finding]:
 
 def _truth_findings(report: Report) -> Iterator[Finding]:
     truth = report.truth
-    if truth is not None and truth.covered < 0.5:
+    if truth is not None and truth.covered is not None and truth.covered < 0.5:
         yield Finding(
             "warning",
             f"the ground truth covers {100 * truth.covered:.0f} % of the images in time",
@@ -187,14 +187,14 @@ def _listed(numbers: Sequence[int]) -> str:
 
 
 def _run_command(report: Report, opened: OpenedRecording) -> str:
-    """A `vo run` command with the options that this recording needs."""
+    """A `vo run` command with the options that this recording needs; empty if none can work."""
+    if not any(camera.looks for camera in report.cameras):
+        return ""
     path = opened.path
     words = ["vo", "run", str(path), "-o", f"out/{path.resolve().stem or 'run'}"]
     if not opened.roles_known and len(report.cameras) > 1:
         words += ["--topic", f"left={report.cameras[0].name}"]
         words += ["--topic", f"right={report.cameras[1].name}"]
-    if not report.cameras:  # to be fixed before a calibration matters
-        return shlex.join(words)
     if opened.rig is None:
         words += ["--calibration", "camera.yaml"]
     elif _is_pair_unusable(report, opened.rig):

@@ -24,6 +24,7 @@ from vo.sources.logs.imu import imu_topics
 from vo.sources.logs.imu_pairs import log_imus
 from vo.sources.logs.log import Log, Topic, UnreadTopic
 from vo.sources.logs.opening import open_log
+from vo.sources.logs.poses import choose_pose_source, list_pose_sources, read_poses
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.registry import FORMATS, choose_format, gather, open_container
 from vo.sources.source import Recording
@@ -66,7 +67,8 @@ class OpenedRecording:
         imus: inertial sensors, the one to use first.
         source: the source as `vo run` opens it; None if it refuses.
         rig: the calibration, even if `vo run` refuses for another reason; None if unknown.
-        truth: ground truth poses of cam0.
+        truth: ground truth poses of cam0; of a log without images, its poses as logged.
+        pose_names: topics with poses of a log, and pairs of frames that move.
         refusal: the error message of `vo run`; empty if there is none.
         warnings: warnings logged while the recording was opened.
         close: closes the files used by images.
@@ -82,6 +84,7 @@ class OpenedRecording:
     source: Recording | None = None
     rig: Rig | None = None
     truth: Trajectory | None = None
+    pose_names: tuple[str, ...] = ()
     refusal: str = ""
     warnings: tuple[LoggedWarning, ...] = ()
     close: Callable[[], None] = field(default=lambda: None)
@@ -160,13 +163,20 @@ def _open_log(
         topics=_with_own_spans(log),
         unread=tuple(log.unread),
         imus=tuple(log_imus(log, imu_topics(log.topics), lambda _: None)),
+        pose_names=tuple(each.name for each in list_pose_sources(log)),
     )
     try:
         choice = choose_topics(log.topics, requested_topics, mode)
     except SourceError as error:
         images = [topic for topic in log.topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
         cameras = _cameras(log, {topic.name: topic for topic in images})
-        return replace(found, cameras=cameras, roles_known=False, refusal=str(error))
+        return replace(
+            found,
+            cameras=cameras,
+            roles_known=False,
+            truth=None if images else _poses_alone(log),
+            refusal=str(error),
+        )
     chosen = {"cam0": choice.left}
     if choice.right is not None and mode != "mono":
         chosen["cam1"] = choice.right
@@ -178,6 +188,14 @@ def _open_log(
     return replace(
         found, source=source, rig=source.rig, truth=source.ground_truth, imus=source.imus
     )
+
+
+def _poses_alone(log: Log) -> Trajectory | None:
+    """The poses that `vo eval` takes as ground truth of a log without images; None if unclear."""
+    try:
+        return read_poses(log, choose_pose_source(log, "truth", None)).trajectory
+    except SourceError:
+        return None
 
 
 def _with_own_spans(log: Log) -> tuple[Topic, ...]:

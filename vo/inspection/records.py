@@ -88,14 +88,15 @@ class TruthReport:
         span_s: time from the first to the last.
         rate_hz: from the median interval.
         path_m: length of the path.
-        covered: fraction of the left images between the first and the last pose in time.
+        covered: fraction of the left images between the first and the last pose in time; None
+            without images.
     """
 
     poses: int
     span_s: float
     rate_hz: float
     path_m: float
-    covered: float
+    covered: float | None
 
 
 @dataclass(frozen=True)
@@ -164,9 +165,10 @@ class Report:
         calibration: the calibration, if there is one.
         stereo: comparison of left and right images; None without checked pairs.
         truth: the ground truth, if there is one.
+        pose_topics: topics of a log with poses, and `TOPIC:PARENT:CHILD` of frames that move.
         has_depth: whether frames have depth images.
         findings: problems and remarks, the most serious first.
-        command: command to try next.
+        command: command to try next; empty if none can work yet.
     """
 
     path: str
@@ -178,6 +180,7 @@ class Report:
     calibration: CalibrationReport | None
     stereo: StereoReport | None
     truth: TruthReport | None
+    pose_topics: tuple[str, ...]
     has_depth: bool
     findings: tuple[Finding, ...]
     command: str

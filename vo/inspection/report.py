@@ -66,6 +66,7 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
         calibration=None if opened.rig is None else _calibration(opened.rig),
         stereo=stereo,
         truth=None if opened.truth is None else _truth(opened.truth, stamps),
+        pose_topics=opened.pose_names,
         has_depth=opened.rig is not None and opened.rig.has_depth,
         findings=(),
         command="",
@@ -170,7 +171,7 @@ def _truth(truth: Trajectory, stamps_ns: Ints) -> TruthReport:
         span_s=1e-9 * float(truth.stamps_ns[-1] - truth.stamps_ns[0]),
         rate_hz=1e9 / float(np.median(steps)) if len(steps) else 0.0,
         path_m=float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum()),
-        covered=float(covered.mean()) if len(stamps_ns) else 0.0,
+        covered=float(covered.mean()) if len(stamps_ns) else None,
     )
 
 

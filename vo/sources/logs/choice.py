@@ -91,8 +91,8 @@ def _by_name(topics: Sequence[Topic], name: str) -> Topic:
         if topic.name.strip("/") == name.strip("/"):
             return topic
     near = difflib.get_close_matches(name, [topic.name for topic in topics], n=1)
-    hint = f"did you mean {near[0]}? " if near else ""
-    raise SourceError(f"there is no topic {name}; {hint}Topics:\n{_table(topics)}")
+    hint = f"; did you mean {near[0]}?" if near else "; the log has these"
+    raise SourceError(f"there is no topic {name}{hint}\n{_table(topics)}")
 
 
 def _one_topic_per_camera(images: Sequence[Topic]) -> list[Topic]:
@@ -172,7 +172,7 @@ def _ambiguity_message(cameras: Sequence[Topic]) -> str:
 def _no_images_message(topics: Sequence[Topic]) -> str:
     if not topics:
         return "no topic has readable messages; images are required"
-    return f"no topic has images of a known type; topics:\n{_table(topics)}"
+    return f"no topic has images of a known type; the log has these topics\n{_table(topics)}"
 
 
 def _table(topics: Sequence[Topic]) -> str:

@@ -36,6 +36,11 @@ class FrameTree:
             if np.abs(first - each.parent_from_child).max() > _MAX_CHANGE:
                 self._moving.add(pair)
 
+    @property
+    def moving(self) -> list[tuple[str, str]]:
+        """Pairs of parent and child whose transform changes, sorted."""
+        return sorted(self._moving)
+
     def between(self, a: str, b: str) -> Floats | None:
         """The (4, 4) transform `a_from_b`, None without a chain of fixed transforms."""
         a_from_frame = {a: np.eye(4)}

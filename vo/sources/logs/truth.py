@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Sequence
-
-import numpy as np
 
 from vo.errors import SourceError
 from vo.formats.calibration import Calibration
-from vo.formats.messages import PoseMessage
-from vo.sources.listing import MAX_STAMP_NS
 from vo.sources.logs.frame_tree import FrameTree
 from vo.sources.logs.log import Entry, Log, Topic
-from vo.types import Floats, Trajectory
-
-_log = logging.getLogger(__name__)
-
-_NAMED_LIKE_TRUTH = re.compile(
-    r"truth|(?<![a-z])gt(?![a-z])|mocap|vicon|optitrack|qualisys|leica", re.IGNORECASE
-)
+from vo.sources.logs.poses import POSE_KINDS, named_like_truth, poses_on_topic
+from vo.types import Trajectory
 
 
 def find_truth_topic(topics: Sequence[Topic], named: str | None) -> Topic | None:
-    """The topic given by the user, or else the first pose topic named like ground truth."""
-    poses = [topic for topic in topics if issubclass(topic.codec.kind, PoseMessage)]
-    if named is not None:
-        return next((t for t in poses if t.name.strip("/") == named.strip("/")), None)
-    return next((topic for topic in poses if _NAMED_LIKE_TRUTH.search(topic.name)), None)
+    """The topic given by the user, or else the first pose topic named like ground truth.
+
+    Raises:
+        SourceError: the given topic has no poses.
+    """
+    poses = [topic for topic in topics if issubclass(topic.codec.kind, POSE_KINDS)]
+    if named is None:
+        return next((topic for topic in poses if named_like_truth(topic.name)), None)
+    found = next((t for t in poses if t.name.strip("/") == named.strip("/")), None)
+    if found is None:
+        others = ", ".join(topic.name for topic in poses) or "none"
+        raise SourceError(f"--topic truth={named} has no poses; topics with poses: {others}")
+    return found
 
 
 def read_truth(
@@ -53,23 +50,10 @@ def read_truth(
         calibration: may contain the pose of cam0 on the body.
 
     Raises:
-        SourceError: the pose of the camera on the body is unknown.
+        SourceError: no pose can be read, or that of the camera on the body is unknown.
     """
-    poses: dict[int, Floats] = {}
-    child = ""
-    unreadable = 0
-    for entry in entries:
-        try:
-            message = topic.codec.decode(log.read(entry))
-        except SourceError:
-            unreadable += 1
-            continue
-        stamp_ns = message.stamp_ns or entry.log_ns
-        if isinstance(message, PoseMessage) and abs(stamp_ns) <= MAX_STAMP_NS:
-            poses.setdefault(stamp_ns, message.pose)
-            child = child or message.child
-    if unreadable:
-        _log.warning("%s: %d of %d poses cannot be read", topic.name, unreadable, len(entries))
+    logged = poses_on_topic(log, topic, entries)
+    child = logged.child
     body = child or frames.root(cam0)
     body_from_cam0 = calibration.body_from_cam0
     # Poses without a child frame need not be those of a camera that no frame is fixed to.
@@ -80,6 +64,5 @@ def read_truth(
             f"{topic.name} has poses of {f'frame {child!r}' if child else 'the body'}, but no "
             f"transforms connect it to the camera (frame '{cam0}')"
         )
-    stamps_ns = np.array(sorted(poses), dtype=np.int64)
-    world_from_body = np.array([poses[int(stamp)] for stamp in stamps_ns]).reshape(-1, 4, 4)
-    return Trajectory(stamps_ns, world_from_body @ body_from_cam0)
+    truth = logged.trajectory
+    return Trajectory(truth.stamps_ns, truth.world_from_cam @ body_from_cam0)
