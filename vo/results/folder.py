@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from vo.results.covariance import COVARIANCE_HEADING
 from vo.results.frames import FRAMES_HEADING
 from vo.results.growing_file import PARTIAL_SUFFIX, GrowingFile
 from vo.results.poses import POSES_HEADING
+from vo.results.reserved_space import ReservedSpace
 
 TRAJECTORY = "trajectory.tum"
 CAUSAL = "causal.tum"
@@ -57,6 +59,7 @@ class RunFolder:
                 f"cannot write to folder {path}: {error.strerror or error}; choose another --output"
             ) from error
         _write_atomically(path / CONFIG, config)
+        self._summary_space = ReservedSpace(path)
         self.trajectory = GrowingFile(path / TRAJECTORY)
         self.causal = GrowingFile(path / CAUSAL)
         self.poses = GrowingFile(path / POSES, POSES_HEADING)
@@ -68,9 +71,14 @@ class RunFolder:
         return self.trajectory, self.causal, self.poses, self.covariance, self.frames
 
     def write_summary(self, summary: dict[str, Any]) -> None:
-        """Replace the summary atomically."""
-        text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
-        _write_atomically(self.path / SUMMARY, f"{text}\n")
+        """Replace the summary atomically, on a full disk too."""
+        text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+        path = self.path / SUMMARY
+        try:
+            _write_atomically(path, text)
+        except OutputError:
+            if not self._summary_space.write(path, _partial(path), _encoded(text)):
+                raise
 
     @property
     def is_finished(self) -> bool:
@@ -93,14 +101,25 @@ class RunFolder:
         """Close the files, finished or not."""
         for file in self._growing:
             file.close()
+        self._summary_space.close()
 
 
 def _write_atomically(path: Path, text: str) -> None:
     """Write to a temporary file and rename it, so that readers never see a partial file."""
-    partial = path.with_name(path.name + PARTIAL_SUFFIX)
+    partial = _partial(path)
     try:
-        # File names may contain bytes that are not UTF-8; JSON reads this form back.
-        partial.write_text(text, encoding="utf-8", errors="backslashreplace")
+        partial.write_bytes(_encoded(text))
         os.replace(partial, path)
     except OSError as error:
+        with suppress(OSError):
+            partial.unlink()
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(path.name + PARTIAL_SUFFIX)
+
+
+def _encoded(text: str) -> bytes:
+    # File names may contain bytes that are not UTF-8; JSON reads this form back.
+    return text.encode("utf-8", "backslashreplace")
