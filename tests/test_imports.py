@@ -15,6 +15,7 @@ BASE = {
     f"vo.{name}"
     for name in (
         *("errors", "types", "failures", "faults", "calibration_errors"),
+        *("bounded_documents", "bounded_files"),
         *("config", "settings", "scheduling", "stopwatch"),
     )
 }

@@ -10,11 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from vo.bounded_documents import load_yaml
+from vo.bounded_files import read_text
 from vo.errors import ConfigError
+
+_MAX_BYTES = 2**20
 
 
 class Section(BaseModel):
@@ -76,8 +79,8 @@ def read_settings(path: Path) -> dict[str, Any]:
         ConfigError: it cannot be read, or contains no mapping.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        data = load_yaml(read_text(path, _MAX_BYTES))
+    except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read config {path}: {' '.join(str(error).split())}") from error
     if data is None:
         return {}
@@ -98,8 +101,8 @@ def set_value(merged: dict[str, Any], text: str) -> None:
     if not separator or not key.strip():
         raise ConfigError(f"invalid setting '{text}'; use section.key=value")
     try:
-        parsed = yaml.safe_load(value)
-    except yaml.YAMLError as error:
+        parsed = load_yaml(value)
+    except ValueError as error:
         raise ConfigError(f"invalid value in '{text}'; it must be YAML") from error
     *sections, name = key.strip().split(".")
     node = merged

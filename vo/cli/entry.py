@@ -24,6 +24,8 @@ def main() -> None:
     # Matrices are small here: a second BLAS thread would only wait and occupy a core, and results
     # may depend on the number of threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Of image formats of which `vo.formats.image_header` does not know the header.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
     use_common_instructions()
     # scipy is not used; numba would load it, if installed, to search for a BLAS.
     sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vo.bounded_documents import load_json
+from vo.bounded_files import read_text
 from vo.errors import CalibrationError, EvaluationError, SourceError
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.euroc_layout import find_camera_on_body
@@ -140,7 +141,7 @@ def _reference_file(path: Path) -> Path:
 def _summary_beside(estimate: Path) -> dict[str, Any]:
     """Summary of the run; empty if it is missing or damaged."""
     try:
-        summary = json.loads(estimate.with_name("summary.json").read_text(encoding="utf-8"))
+        summary = load_json(read_text(estimate.with_name("summary.json")))
     except (OSError, ValueError):
         return {}
     return summary if isinstance(summary, dict) else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +18,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as PbMessage
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from vo.bounded_documents import load_json
 from vo.errors import SourceError
 from vo.formats.camera_messages import RawCalibration, calibration_message
 from vo.formats.foxglove import imu_class
@@ -69,7 +69,7 @@ def _from_protobuf(data: bytes, message_class: type[PbMessage]) -> Any:
 
 
 def _from_json(data: bytes, message_class: type[PbMessage]) -> Any:
-    content = json.loads(data)
+    content = load_json(data.decode())
     if not isinstance(content, dict):
         raise ValueError("not a JSON object")
     return ParseDict(_times_as_text(content), message_class(), ignore_unknown_fields=True)

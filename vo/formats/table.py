@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.types import Floats
 
@@ -31,10 +32,8 @@ def read_table(path: Path) -> list[Line]:
     Raises:
         SourceError: the file is missing, not text or without data.
     """
-    if path.exists() and not path.is_file() and not path.is_dir():  # it may be endless
-        raise SourceError(f"{path} is a device or a pipe, not a file; give a trajectory file")
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except FileNotFoundError as error:
         raise SourceError(f"{path} does not exist; give the path of a trajectory file") from error
     except UnicodeDecodeError as error:

@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.bounded_files import read_bytes
 from vo.types import Bytes
 
 _COLOUR_DIMENSIONS = 3
+_MAX_BYTES = 512 * 2**20
 
 
 class ImageFolder:
@@ -58,7 +60,7 @@ class ImageFolder:
 def _in_colour(path: Path) -> Path | None:
     """The file, if it is a readable colour image of 8 bits."""
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        data = np.frombuffer(read_bytes(path, _MAX_BYTES), dtype=np.uint8)
         image: NDArray[np.generic] | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except (OSError, cv2.error):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.bounded_documents import load_json
+from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
 from vo.types import Floats, Ints, Trajectory
@@ -119,7 +120,7 @@ def _summary(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise SourceError(f"{path.parent} has no {path.name}; use the --output of a `vo run`")
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary = load_json(read_text(path))
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
     if not isinstance(summary, dict) or "schema_version" not in summary:
@@ -141,7 +142,7 @@ def _is_fault(value: object) -> bool:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except (OSError, ValueError):
         return ""
 
@@ -166,12 +167,12 @@ def _rows(path: Path) -> list[dict[str, str]]:
     if found is None:
         return []
     try:
-        text = found.read_text(encoding="utf-8", errors="replace")
+        text = read_text(found)
         lines, _, cut_off = text.rpartition("\n")
         if cut_off:
             _log.warning("%s: the last line is cut off and ignored", found)
         return list(csv.DictReader(lines.split("\n")))
-    except (OSError, csv.Error) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{found} cannot be read: {error}; run `vo run` again") from error
 
 

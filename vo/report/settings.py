@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import yaml
-
+from vo.bounded_documents import load_yaml
 from vo.config import Config
 
 
@@ -32,8 +31,8 @@ def changed_settings(texts: Sequence[str], defaults: Config) -> dict[str, list[s
 
 def _parsed(text: str) -> dict[str, Any]:
     try:
-        parsed = yaml.safe_load(text)
-    except yaml.YAMLError:
+        parsed = load_yaml(text)
+    except ValueError:
         return {}
     return parsed if isinstance(parsed, dict) else {}
 

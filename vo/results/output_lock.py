@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from vo.bounded_documents import load_json
+from vo.bounded_files import read_text
 from vo.errors import OutputError
 from vo.results.folder import PARTIAL_FILES, RESULTS, SUMMARY
 
@@ -63,7 +64,7 @@ def _refuse_foreign_files(path: Path) -> None:
 
 def _is_summary(path: Path) -> bool:
     try:
-        return "schema_version" in json.loads(path.read_text(encoding="utf-8"))
+        return "schema_version" in load_json(read_text(path))
     except (OSError, ValueError, TypeError):
         return False
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 from pathlib import Path
 
+from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.folder import assign_stamps, find_times_file
@@ -52,7 +53,10 @@ def _times(folder: Path, count: int) -> Path | None:
     times = find_times_file(folder, folder.parent)
     if times is None:
         return None
-    lines = [text for text in times.read_text(errors="replace").splitlines() if text.strip()]
+    try:
+        lines = [text for text in read_text(times).splitlines() if text.strip()]
+    except (OSError, UnicodeDecodeError):
+        return None
     return times if len([text for text in lines if text.lstrip()[0].isdigit()]) == count else None
 
 

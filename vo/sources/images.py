@@ -18,8 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.bounded_files import read_bytes
 from vo.errors import SourceError
 from vo.formats import png
+from vo.formats.image_header import MAX_PIXELS, stated_size
 from vo.types import Bytes
 
 Pixels = NDArray[np.unsignedinteger]
@@ -29,6 +31,7 @@ ImageKind = Literal["grey", "colour", "recorded"]
 """Form of images: `grey`, (H, W) uint8, as the odometry requires; `colour`, 8 bits, in colour if
 recorded in colour; `recorded`, unchanged, possibly with 16 bits."""
 
+_MAX_BYTES = 512 * 2**20
 _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
@@ -75,10 +78,8 @@ class ImageFile:
 
     def read(self, colour: bool = False) -> Pixels:
         """See `StoredImage.read`."""
-        if self.path.is_fifo() or self.path.is_char_device():  # reading it may never end
-            raise SourceError(f"image {self.path} is a device or a pipe, not a file")
         try:
-            data = self.path.read_bytes()
+            data = read_bytes(self.path, _MAX_BYTES)
         except FileNotFoundError as error:
             raise SourceError(f"image {self.path} does not exist") from error
         except OSError as error:
@@ -186,6 +187,11 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     # OpenCV fills the missing part of a truncated JPEG with grey and reports no error.
     if not is_complete(data):
         raise SourceError(f"image {name} is cut off or damaged ({len(data)} bytes)")
+    width, height = stated_size(data) or (0, 0)
+    if width * height > MAX_PIXELS:
+        raise SourceError(
+            f"image {name} has {width}x{height} pixels; at most {MAX_PIXELS} are decoded"
+        )
     grey = png.decode_grey(data) if data.startswith(png.SIGNATURE) else None
     if grey is not None:
         return grey

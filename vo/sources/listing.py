@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.formats.trajectory import stamp_ns_from_seconds
 from vo.sources.images import ImageFile, StoredImage
@@ -45,7 +46,7 @@ def read_lines(path: Path) -> list[Line]:
         SourceError: the file is missing, not text, or has no data.
     """
     try:
-        texts = path.read_text(encoding="utf-8-sig").splitlines()
+        texts = read_text(path).splitlines()
     except FileNotFoundError as error:
         raise SourceError(f"{path} is missing; it should contain the stamps") from error
     except UnicodeDecodeError as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
@@ -18,6 +19,7 @@ from vo.types import Floats, Ints, Trajectory
 
 _log = logging.getLogger(__name__)
 
+_MAX_RECORD_BYTES = 2**20
 _EARTH_RADIUS_M = 6378137.0
 _ACCELERATIONS = slice(11, 14)  # ax, ay, az along the axes of the unit, in m/s^2, with gravity
 _RATES = slice(17, 20)  # wx, wy, wz about them, in rad/s
@@ -63,7 +65,7 @@ def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:
     stamps, values, files = [], [], _files(folder, stamps_ns)
     for path, stamp_ns in zip(files, stamps_ns, strict=True):
         try:
-            numbers = [float(field) for field in path.read_text(encoding="utf-8").split()]
+            numbers = [float(field) for field in read_text(path, _MAX_RECORD_BYTES).split()]
         except (OSError, ValueError):
             continue
         if len(numbers) >= _RATES.stop:
@@ -150,7 +152,7 @@ def _interpolate(truth: Trajectory, after: int, stamp_ns: int) -> Floats:
 
 def _record(path: Path) -> list[float]:
     try:
-        fields = path.read_text(encoding="utf-8").split()
+        fields = read_text(path, _MAX_RECORD_BYTES).split()
         values = [float(field) for field in fields[:_COLUMNS]]
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read: {error}") from error

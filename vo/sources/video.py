@@ -15,7 +15,7 @@ from av.video.frame import VideoFrame
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.listing import Shot
-from vo.sources.video_index import VideoIndex, read_index, video_stream
+from vo.sources.video_index import VideoIndex, open_video, read_index, video_stream
 from vo.types import Bytes, Mode
 
 _THREADS = 2
@@ -113,7 +113,7 @@ class _Decoder:
         if self._container is not None and key <= position <= target:
             return
         if self._container is None:
-            self._container = av.open(str(self.path))
+            self._container = open_video(self.path)
             video_stream(self.path, self._container).codec_context.thread_count = _THREADS
             video_stream(self.path, self._container).thread_type = "AUTO"
         stream = video_stream(self.path, self._container)

@@ -16,8 +16,11 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from vo.errors import SourceError
+from vo.formats.image_header import MAX_PIXELS
 
 _log = logging.getLogger(__name__)
+# Without playlists (HLS, DASH, ffconcat), which name other files.
+_DEMUXERS = "mov,matroska,webm,avi,mpeg,mpegvideo,mpegts,m4v,h264,hevc"
 
 
 class VideoIndex(NamedTuple):
@@ -109,6 +112,20 @@ class _Packet(NamedTuple):
     is_key: bool
 
 
+def open_video(path: Path) -> InputContainer:
+    """Open a file, whatever its name looks like, and no other file or address that it names.
+
+    Raises:
+        FFmpegError: it is not a video of a known kind.
+        OSError: it cannot be read.
+    """
+    options = {"protocol_whitelist": "file", "format_whitelist": _DEMUXERS}
+    container = av.open(f"file:{path.absolute()}", options=options)
+    for stream in container.streams.video:
+        stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
+    return container
+
+
 def read_index(path: Path) -> VideoIndex:
     """List the times of all frames, without decoding.
 
@@ -117,7 +134,7 @@ def read_index(path: Path) -> VideoIndex:
     """
     packets: list[_Packet] = []
     try:
-        with av.open(str(path)) as container:
+        with open_video(path) as container:
             stream = video_stream(path, container)
             unit = stream.time_base
             codec = stream.codec_context
@@ -129,6 +146,10 @@ def read_index(path: Path) -> VideoIndex:
                         packets.append(_Packet(packet.pts, packet.dts, packet.is_keyframe))
             except av.FFmpegError as error:
                 _log.warning("%s is damaged after %d frames: %s", path, len(packets), error)
+    except av.ArgumentError as error:
+        raise SourceError(
+            f"{path} is not a video of a known kind (MP4, MKV, AVI, MPEG), or a list of other files"
+        ) from error
     except (av.FFmpegError, OSError) as error:
         raise SourceError(
             f"{path} cannot be opened as a video: {error.strerror or error}; a truncated MP4 file "

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from vo.bounded_files import read_text
 from vo.errors import CalibrationError
 from vo.formats.calibration.markup import sections_of
 from vo.types import Floats, Rig
@@ -88,14 +89,12 @@ def load_document(path: Path) -> Document:
         CalibrationError: the file is missing, far too large or not text.
     """
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():  # it may be endless
-            raise CalibrationError(f"calibration {path} is a device or a pipe, not a file")
         if path.is_file() and path.stat().st_size > _MAX_BYTES:
             raise CalibrationError(
                 f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "
                 f"only the cameras, below {_MAX_BYTES} bytes"
             )
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, _MAX_BYTES)
     except FileNotFoundError as error:
         raise CalibrationError(f"calibration file {path} does not exist") from error
     except UnicodeDecodeError as error:

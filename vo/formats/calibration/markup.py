@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -10,9 +9,10 @@ from xml.etree import ElementTree
 
 import yaml
 
+from vo.bounded_documents import SafeLoader, load_json, load_yaml
+
 # Errors of the parsers, and of the constructors of values that they do not catch.
 _FAILURES = (
-    yaml.YAMLError,
     ElementTree.ParseError,
     ArithmeticError,
     AttributeError,
@@ -25,7 +25,7 @@ _OPENCV_HEADER = re.compile(r"\A\s*%YAML[: ]1\.\d[^\n]*\n")
 _KEY_WITHOUT_SPACE = re.compile(r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", re.MULTILINE)
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(SafeLoader):
     """Safe YAML loader that reads OpenCV's matrices as mappings."""
 
 
@@ -45,7 +45,7 @@ def sections_of(text: str) -> tuple[Mapping[str, Any], str]:
     try:
         if start == "<":
             return _xml(text), ""
-        data = json.loads(text) if start == "{" and _is_json(text) else _yaml(text)
+        data = load_json(text) if start == "{" and _is_json(text) else _yaml(text)
     except _FAILURES as error:
         language = "XML" if start == "<" else "YAML"
         return {}, f"is not {language}: {' '.join(str(error).split())}"
@@ -54,8 +54,8 @@ def sections_of(text: str) -> tuple[Mapping[str, Any], str]:
 
 def _is_json(text: str) -> bool:
     try:
-        json.loads(text)
-    except (ValueError, RecursionError):
+        load_json(text)
+    except ValueError:
         return False
     return True
 
@@ -64,11 +64,7 @@ def _yaml(text: str) -> Any:
     if _OPENCV_HEADER.match(text):
         text = _OPENCV_HEADER.sub("", text)
         text = _KEY_WITHOUT_SPACE.sub(r"\1: ", text)  # OpenCV allows `key:value`
-    loader = _Loader(text.replace("\t", " "))
-    try:
-        return loader.get_data()
-    finally:
-        loader.dispose()
+    return load_yaml(text.replace("\t", " "), _Loader, first_only=True)
 
 
 def _xml(text: str) -> dict[str, Any]:

@@ -156,6 +156,7 @@ class Bag:
     def _scan_chunks(self, damage: Damaged) -> None:
         """Scan all chunks of a bag without an index."""
         self._statistics.clear()
+        reasons = []
         for number, chunk in enumerate(self._chunks):
             chunk.connections.clear()
             try:
@@ -166,10 +167,15 @@ class Bag:
                         time = log_ns_of(record)
                         self._add_count(record.connection, 1, time, time)
                         chunk.connections.add(record.connection)
-            except (SourceError, Damaged) as error:
-                _log.warning("%s: a chunk at byte %d: %s", self.path, chunk.start, error)
+            except SourceError as error:
+                reasons.append(str(error))
+            except Damaged as error:
+                reasons.append(f"{self.path}: a chunk at byte {chunk.start}: {error}")
         if not self._statistics:
-            raise SourceError(f"{self.path} has no readable message: {damage}")
+            reason = reasons[0] if reasons else f"{self.path}: {damage}"
+            raise SourceError(f"{reason}; no message can be read")
+        for reason in reasons:
+            _log.warning("%s", reason)
         first = min(each.first_ns for each in self._statistics.values())
         last = max(each.last_ns for each in self._statistics.values())
         _log.warning(

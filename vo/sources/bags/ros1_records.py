@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -10,9 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import lz4.frame
-
 from vo.errors import SourceError
+from vo.formats.decompression import decompress, size_limit
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 _MAGIC = b"#ROSBAG V2.0\n"
@@ -88,19 +86,23 @@ class Chunk:
         start: position of the first byte.
         length: stored length.
         compression: `none`, `bz2` or `lz4`.
+        size: its size when decompressed, as stated; None if it is not.
         connections: connections with messages in it; empty if unknown.
     """
 
     start: int
     length: int
     compression: str
+    size: int | None = None
     connections: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, record: Record) -> Chunk:
         """The chunk in a record."""
         name = record.fields.get("compression", b"none").decode(errors="replace")
-        return cls(record.start, record.length, name)
+        stated = record.fields.get("size", b"")
+        size = int.from_bytes(stated, "little") if len(stated) == 4 else None
+        return cls(record.start, record.length, name, size)
 
 
 class ChunkCache:
@@ -224,16 +226,21 @@ def _fields(header: bytes, offset: int) -> dict[str, bytes]:
 
 def _decompress(path: Path, chunk: Chunk) -> bytes:
     """Read and decompress a chunk; of a truncated chunk, as much as possible."""
+    max_bytes = size_limit(chunk.length)
     try:
+        if chunk.length > max_bytes:
+            raise SourceError(f"it has {chunk.length} bytes; at most {max_bytes} are read")
         with path.open("rb") as stream:
             stream.seek(chunk.start)
             data = stream.read(chunk.length)
         if chunk.compression == "none":
             return data
-        if chunk.compression == "bz2":
-            return bz2.BZ2Decompressor().decompress(data)
-        if chunk.compression == "lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-    except (OSError, RuntimeError, ValueError, EOFError) as error:
-        raise SourceError(f"{path}: a chunk cannot be decompressed: {error}") from error
-    raise SourceError(f"{path}: a chunk is compressed with '{chunk.compression}', not bz2 or lz4")
+        if chunk.compression not in ("bz2", "lz4"):
+            raise SourceError(f"it is compressed with '{chunk.compression}', not bz2 or lz4")
+        if chunk.size is not None:
+            max_bytes = min(max_bytes, chunk.size)
+        return decompress(data, chunk.compression, max_bytes)
+    except OSError as error:
+        raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
+    except SourceError as error:
+        raise SourceError(f"{path}: a chunk at byte {chunk.start}: {error}") from error

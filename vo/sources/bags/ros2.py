@@ -10,10 +10,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-import zstandard
-
+from vo.bounded_documents import load_yaml
+from vo.bounded_files import read_text
 from vo.errors import SourceError
+from vo.formats.decompression import copy_decompressed
 from vo.sources.bags.sqlite_file import SqliteFile
 from vo.sources.listing import natural_key
 from vo.sources.logs.log import Entry, Log, Topic, UnreadTopic
@@ -23,6 +23,9 @@ from vo.sources.source import Recording
 from vo.types import Mode
 
 _log = logging.getLogger(__name__)
+_MAX_METADATA_BYTES = 4 * 2**20
+_MIN_FILE_LIMIT = 2**28  # of a decompressed file
+_MAX_RATIO = 200  # of larger ones
 
 
 def open_rosbag2(
@@ -94,12 +97,17 @@ class Bag:
         if self._decompressed is None:
             self._decompressed = Path(tempfile.mkdtemp(prefix="vo-bag-"))
             weakref.finalize(self, shutil.rmtree, self._decompressed, ignore_errors=True)
-        decompressed = self._decompressed / file.stem
+        folder = self._decompressed
+        decompressed = folder / file.stem
         try:
+            max_bytes = max(_MIN_FILE_LIMIT, _MAX_RATIO * file.stat().st_size)
             with file.open("rb") as compressed, decompressed.open("wb") as stream:
-                zstandard.ZstdDecompressor().copy_stream(compressed, stream)
-        except (OSError, zstandard.ZstdError) as error:
-            raise SourceError(f"{file} cannot be decompressed: {error}") from error
+                copy_decompressed(compressed, stream, max_bytes)
+        except OSError as error:
+            reason = error.strerror or error
+            raise SourceError(f"{file} cannot be decompressed in {folder}: {reason}") from error
+        except SourceError as error:
+            raise SourceError(f"{file}: {error}") from error
         return decompressed
 
 
@@ -124,12 +132,12 @@ def _metadata(path: Path) -> _Metadata:
 def _read_metadata(table: Path) -> tuple[list[Path], str]:
     """The files of a bag, and the unit of compression: `file`, `message` or `none`."""
     try:
-        data: Any = yaml.safe_load(table.read_text(encoding="utf-8"))
+        data: Any = load_yaml(read_text(table, _MAX_METADATA_BYTES))
         about = data["rosbag2_bagfile_information"]
         files = [table.parent / Path(str(name)).name for name in about["relative_file_paths"]]
         algorithm = str(about.get("compression_format") or "zstd").lower()
         compression = str(about.get("compression_mode") or "none").lower()
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         _log.warning("%s cannot be read; all files in its folder are read", table)
         return [], "none"
     if compression != "none" and algorithm != "zstd":

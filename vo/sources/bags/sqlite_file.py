@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import logging
+import re
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-import zstandard
-
 from vo.errors import SourceError
 from vo.formats.codecs import find_codec
+from vo.formats.decompression import decompress, size_limit
 from vo.formats.messages import HEAD_BYTES
 from vo.sources.logs.log import Entry, Topic, UnreadTopic
 
 _log = logging.getLogger(__name__)
+_TABLES = ("topics", "messages", "message_definitions")
+_CREATED_TABLE = re.compile(r"\s*CREATE\s+TABLE\b", re.IGNORECASE)
+_COMPUTED = re.compile(r"\bGENERATED\b|\bAS\s*\(", re.IGNORECASE)
+# Instructions of SQLite's virtual machine; a message of a bag takes about 30 bytes and 15 of them.
+_MIN_STEPS, _STEPS_PER_BYTE, _STEPS_PER_CALL = 1_000_000, 20, 100_000
 
 
 class SqliteFile:
@@ -37,12 +42,16 @@ class SqliteFile:
         self.topics: list[Topic] = []
         self.unread: list[UnreadTopic] = []
         with self._opened() as database:
+            _check_tables(path, database)
             definitions = _definitions(database)
             spans = _spans(path, database)
             rows = database.execute("SELECT id, name, type, serialization_format FROM topics")
             for number, name, kind, encoding in sorted(rows, key=lambda row: str(row[1])):
+                if not isinstance(name, str) or not isinstance(kind, str):  # NULL, or a number
+                    _log.warning("%s: a topic without name or type is left out", path)
+                    continue
                 language, text = definitions.get(kind, ("ros2msg", ""))
-                codec = find_codec(str(encoding), str(kind), language, text.encode())
+                codec = find_codec(str(encoding), kind, language, text.encode())
                 count, span_ns = spans.get(number, (0, 0))
                 if codec is None or not count:
                     self.unread.append(UnreadTopic(name, kind, count))
@@ -99,21 +108,51 @@ class SqliteFile:
         if not self._compressed:
             return data
         try:
-            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-        except zstandard.ZstdError as error:
-            raise SourceError(f"{self.path}: a message cannot be decompressed: {error}") from error
+            return decompress(data, "zstd", size_limit(len(data)))
+        except SourceError as error:
+            raise SourceError(f"{self.path}: a message: {error}") from error
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
         try:
             where = f"{self.path.resolve().as_uri()}?mode=ro"
             with closing(sqlite3.connect(where, uri=True)) as database:
+                database.text_factory = lambda text: text.decode(errors="replace")
+                _limit(database, self.path.stat().st_size)
                 yield database
         except sqlite3.Error as error:
             raise SourceError(
                 f"{self.path} cannot be read as a ROS 2 bag: {error}; try to recover a damaged "
                 "one with `sqlite3 FILE .recover`"
             ) from error
+
+
+def _limit(database: sqlite3.Connection, file_bytes: int) -> None:
+    """Allow no more work and no larger values than an intact file of that size needs.
+
+    Damaged or malicious files have pages that refer to each other, and columns that are computed.
+    """
+    database.execute("PRAGMA trusted_schema = OFF")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(max(file_bytes, 2**20), 2**30))
+    left = 1 + (_MIN_STEPS + _STEPS_PER_BYTE * file_bytes) // _STEPS_PER_CALL
+
+    def is_too_much() -> bool:
+        nonlocal left
+        left -= 1
+        return left < 0
+
+    database.set_progress_handler(is_too_much, _STEPS_PER_CALL)
+
+
+def _check_tables(path: Path, database: sqlite3.Connection) -> None:
+    """Refuse views, virtual tables and computed columns, which can be endless."""
+    rows = database.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
+    for kind, name, text in rows:
+        if str(name).lower() not in _TABLES:
+            continue
+        is_stored = kind == "table" and _CREATED_TABLE.match(str(text))
+        if not is_stored or _COMPUTED.search(str(text)):
+            raise SourceError(f"{path} is no ROS 2 bag: {str(name).lower()} is not a plain table")
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
@@ -123,7 +162,7 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
         rows = database.execute(query).fetchall()
     except sqlite3.OperationalError:
         return {}
-    return {kind: (language, text) for kind, language, text in rows if text}
+    return {row[0]: (row[1], row[2]) for row in rows if all(isinstance(x, str) for x in row)}
 
 
 def _spans(path: Path, database: sqlite3.Connection) -> dict[int, tuple[int, int]]:

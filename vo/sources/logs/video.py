@@ -13,6 +13,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import VideoFrame
 
 from vo.errors import SourceError
+from vo.formats.image_header import MAX_PIXELS
 from vo.formats.messages import CompressedVideoMessage
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.sources.video import frame_pixels
@@ -91,6 +92,7 @@ class LogVideo:
     def _restart(self, number: int) -> None:
         decoder = CodecContext.create(_name(self._message(number).codec), "r")
         assert isinstance(decoder, VideoCodecContext)
+        decoder.options = {"max_pixels": str(MAX_PIXELS)}
         decoder.thread_count = 1  # several threads would delay frames
         self._decoder, self._decoded = decoder, {}
         self._next_input = self._next_output = number

@@ -13,6 +13,9 @@ from typing import BinaryIO
 import lz4.frame
 import zstandard
 
+from vo.errors import SourceError
+from vo.formats.decompression import decompress as formats_decompress
+from vo.formats.decompression import size_limit
 from vo.sources.mcap.records import ChunkHeader, Damaged
 
 _MAX_CACHED_BYTES = 64 * 2**20
@@ -53,8 +56,8 @@ def decompress(chunk: Chunk, data: bytes) -> bytes:
     """
     try:
         decompressed = _decompress(chunk, data)
-    except (RuntimeError, zstandard.ZstdError, MemoryError, ValueError) as error:
-        raise Damaged(chunk.header.start, f"a chunk cannot be decompressed: {error}") from error
+    except SourceError as error:
+        raise Damaged(chunk.header.start, f"a chunk: {error}") from error
     if chunk.is_truncated:
         return decompressed
     if len(decompressed) != chunk.header.decompressed_size:
@@ -69,18 +72,12 @@ def decompress(chunk: Chunk, data: bytes) -> bytes:
 
 
 def _decompress(chunk: Chunk, data: bytes) -> bytes:
-    match chunk.header.compression:
-        case "":
-            return data
-        case "zstd":
-            if chunk.is_truncated:
-                return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-            return zstandard.decompress(data, chunk.header.decompressed_size)
-        case "lz4":
-            decompressed = lz4.frame.LZ4FrameDecompressor().decompress(data)
-            return bytes(decompressed)
-        case _:
-            raise _unknown_compression(chunk)
+    if not chunk.is_compressed:
+        return data
+    if chunk.header.compression not in ("zstd", "lz4"):
+        raise _unknown_compression(chunk)
+    max_bytes = min(chunk.header.decompressed_size, size_limit(len(data)))
+    return formats_decompress(data, chunk.header.compression, max_bytes)
 
 
 class DecompressedStream:

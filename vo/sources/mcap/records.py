@@ -15,13 +15,14 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
+from vo.formats.decompression import size_limit
+
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<HIQQ")
 _CHUNK_HEADER = struct.Struct("<QQQII")
 _MAX_OPCODE, _MIN_PRIVATE_OPCODE = 0x0F, 0x80
 _MAX_NAME_BYTES = 16
-_MAX_BYTES = 4 * 2**30
 
 Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Schema, Statistics)
 
@@ -104,10 +105,12 @@ def read_chunk_header(stream: Readable, start: int, end: int) -> ChunkHeader:
         raise Damaged(start, "the file ends inside a chunk")
     first_ns, last_ns, decompressed, crc, name_size = _CHUNK_HEADER.unpack_from(header)
     after = _CHUNK_HEADER.size + name_size
-    if name_size > _MAX_NAME_BYTES or decompressed > _MAX_BYTES or len(header) < after + 8:
+    if name_size > _MAX_NAME_BYTES or len(header) < after + 8:
         raise Damaged(start, "the header of a chunk is invalid")
     compression = header[_CHUNK_HEADER.size : after].decode("ascii", "replace")
     (size,) = struct.unpack_from("<Q", header, after)
+    if decompressed > size_limit(size):
+        raise Damaged(start, f"a chunk of {size} bytes cannot have {decompressed}")
     if start + after + 8 + size > end and end > 0:
         raise Damaged(start, "the data of a chunk exceeds the chunk")
     return ChunkHeader(first_ns, last_ns, decompressed, crc, compression, start + after + 8, size)

@@ -1,0 +1,57 @@
+"""Reading of files that may be anything: only regular files, and only up to a number of bytes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+MAX_TABLE_BYTES = 256 * 2**20  # 3 million poses
+MAX_LINE_BYTES = 100_000
+_NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+
+
+def read_bytes(path: Path | str, max_bytes: int) -> bytes:
+    """The content of a file.
+
+    Raises:
+        OSError: it cannot be read, is a device, a pipe or a folder, or is larger.
+    """
+    number = os.open(path, os.O_RDONLY | _NO_WAITING)
+    try:
+        info = os.fstat(number)
+        if stat.S_ISDIR(info.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(info.st_mode):
+            raise OSError(errno.EINVAL, "it is a device or a pipe, not a file", str(path))
+        if info.st_size > max_bytes:
+            reason = f"it has {info.st_size} bytes; at most {max_bytes} are read"
+            raise OSError(errno.EFBIG, reason, str(path))
+        with open(number, "rb", closefd=False) as file:
+            return file.read(max_bytes)  # it may still grow
+    finally:
+        os.close(number)
+
+
+def read_text(
+    path: Path | str, max_bytes: int = MAX_TABLE_BYTES, encoding: str = "utf-8-sig"
+) -> str:
+    r"""The content of a text file, with `\n` as the only end of lines.
+
+    Raises:
+        OSError: as for `read_bytes`.
+        UnicodeDecodeError: it is not text, has a NUL inside, or a line is longer than
+            `MAX_LINE_BYTES`.
+    """
+    data = read_bytes(path, max_bytes)
+    if b"\0" in data.rstrip(b"\0"):  # a power failure may leave some at the end
+        raise UnicodeDecodeError(encoding, b"\0", 0, 1, "there is a NUL in it")
+    begin = 0
+    while len(data) - begin > MAX_LINE_BYTES:
+        stop = begin + MAX_LINE_BYTES
+        last = max(data.rfind(b"\n", begin, stop), data.rfind(b"\r", begin, stop))
+        if last < 0:
+            raise UnicodeDecodeError(encoding, data[:1], 0, 1, "a line is endless")
+        begin = last + 1
+    return data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
