@@ -33,7 +33,6 @@ class FailureReason(Enum):
     FEW_GOOD_POINTS = "{value:.0f} of {needed:.0f} inliers make good points, too few"
     LITTLE_PARALLAX = "{value:.2f}° of parallax, {needed}° needed"
     NO_DEPTH = "the right image, or depth, is missing"
-    SWAPPED_CAMERAS = "disparities are negative: left and right images seem to be swapped"
     FEW_LANDMARKS = "{value:.0f} landmarks with a depth, {needed:.0f} needed"
     FEW_INLIERS = "too few landmarks agree on a pose"
     IMAGE_DEFECT = "the {side}image is {defect}"

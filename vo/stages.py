@@ -12,6 +12,8 @@ from vo.backend.window_problem import FactorSource
 from vo.config import Config
 from vo.frontend.contracts import FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
+from vo.frontend.pair_check import PairCheck
+from vo.frontend.pair_matching import PairMatcher
 from vo.frontend.preprocessing import FramePreprocessor
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
@@ -117,7 +119,7 @@ def make_stages(
     return Stages(
         _preprocessor(rectified, frontend, config, threads),
         tracker,
-        StereoInitializer(local_map, mapper, frontend.stereo, start.min_points),
+        StereoInitializer(local_map, mapper, start.min_points),
         MonocularInitializer(local_map, mapper, frontend, start, search_ratio),
         policy,
         KeyframeForecast(policy),
@@ -135,4 +137,8 @@ def _preprocessor(
     vertical_disparity = VerticalDisparityCorrection(
         rig, frontend.matcher, frontend.patches, config.stereo
     )
-    return FramePreprocessor(rig, frontend.extractor, vertical_disparity, threads=threads)
+    matcher = PairMatcher(frontend.matcher, frontend.patches, config.stereo.max_disparity_ratio)
+    pair_check = PairCheck(rig, frontend.extractor, matcher)
+    return FramePreprocessor(
+        rig, frontend.extractor, vertical_disparity, pair_check, threads=threads
+    )

@@ -11,7 +11,8 @@ import pytest
 from vo.config import Config, StereoConfig
 from vo.faults import FaultKind
 from vo.frontend.frontend import make_frontend
-from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
+from vo.frontend.pair_matching import View
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera_error import right_camera_error
 from vo.geometry.vertical_disparity_model import VerticalDisparity

@@ -72,7 +72,7 @@ def test_swapped_cameras_are_detected_in_the_images(walk: Path) -> None:
         (mav0 / "cam1" / name).rename(mav0 / "cam0" / name)
         (mav0 / f"{name}.left").rename(mav0 / "cam1" / name)
     report = report_of(walk)
-    assert finding(report, "swapped").level == "error"
+    assert finding(report, "exchanged").level == "error"
     assert report.command.endswith("--mode mono")
 
 

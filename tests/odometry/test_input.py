@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vo.config import Config, load_config
-from vo.failures import FailureReason, describe
+from vo.config import Config, StereoConfig, load_config
+from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
 from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
@@ -69,28 +69,24 @@ def _rms(errors: Floats) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def test_swapped_cameras_never_start_and_the_reason_says_so(recording: Recording) -> None:
-    swapped = []
-    for frame in recording.frames[:4]:
-        assert frame.image1 is not None
-        swapped.append(replace(frame, images=frame.images[::-1]))
-    run = _run(recording.rig, swapped)
-    assert {e.state for e in run.estimates} == {State.STARTING}
-    assert all("swapped" in describe(e.failure) for e in run.estimates)
-    assert {e.failure and e.failure.reason for e in run.estimates} == {
-        FailureReason.SWAPPED_CAMERAS
-    }
-    assert run.numbers == []
+def test_swapped_cameras_are_refused(recording: Recording) -> None:
+    frame = recording.frames[0]
+    with pytest.raises(SourceError, match="left and right images are exchanged"):
+        _run(recording.rig, [replace(frame, images=frame.images[::-1])])
 
 
-def test_right_images_of_something_else_are_not_said_to_be_swapped(recording: Recording) -> None:
-    upside_down = [
-        replace(f, images=(f.image0, np.ascontiguousarray(f.image0[::-1])))
-        for f in recording.frames[:2]
-    ]
-    run = _run(recording.rig, upside_down)
-    assert {e.state for e in run.estimates} == {State.STARTING}
-    assert all("landmarks with a depth" in describe(e.failure) for e in run.estimates)
+def test_the_pair_is_checked_without_row_correction_too(recording: Recording) -> None:
+    config = FAST.model_copy(update={"stereo": StereoConfig(row_correction=False)})
+    frame = recording.frames[0]
+    with pytest.raises(SourceError, match="left and right images are exchanged"):
+        _run(recording.rig, [replace(frame, images=frame.images[::-1])], config)
+
+
+def test_right_images_that_are_upside_down_are_refused(recording: Recording) -> None:
+    frame = recording.frames[0]
+    upside_down = replace(frame, images=(frame.image0, np.ascontiguousarray(frame.image0[::-1])))
+    with pytest.raises(SourceError, match="the right image is mirrored top to bottom"):
+        _run(recording.rig, [upside_down])
 
 
 def test_a_stretch_without_right_images_is_tracked_in_one_segment(recording: Recording) -> None:

@@ -59,7 +59,7 @@ def scene(synthetic_stereo: Path) -> Scene:
     first, later = (preprocessor.submit(f).result() for f in source.frames(0, 4, 2))
     local_map = LocalMap(rig, 4, extractor.descriptor_format)
     mapper = LocalMapper(local_map, frontend, CONFIG.mapping, Stopwatch())
-    initializer = StereoInitializer(local_map, mapper, stereo, CONFIG.start.min_points)
+    initializer = StereoInitializer(local_map, mapper, CONFIG.start.min_points)
     keyframe = initializer.create_map(first, np.eye(4), 0)
     assert isinstance(keyframe, Keyframe)
     last = last_frame(first, as_tracked_frame(local_map, keyframe))

@@ -74,7 +74,7 @@ def scene(synthetic_stereo: Path) -> Scene:
     first, later = (preprocessor.submit(f).result() for f in source.frames(0, 4, 2))
     local_map = LocalMap(rig, 4, extractor.descriptor_format)
     mapper = LocalMapper(local_map, frontend, CONFIG.mapping, Stopwatch())
-    initializer = StereoInitializer(local_map, mapper, stereo, CONFIG.start.min_points)
+    initializer = StereoInitializer(local_map, mapper, CONFIG.start.min_points)
     assert isinstance(initializer.create_map(first, np.eye(4), 0), Keyframe)
     assert len(local_map) > 200
     true = read_tum(synthetic_stereo / "groundtruth.tum").world_from_cam

@@ -13,7 +13,9 @@ from vo.faults import Fault
 from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
 from vo.frontend.lazy_future import LazyFuture, finished
-from vo.frontend.vertical_disparity import VerticalDisparityCorrection, View
+from vo.frontend.pair_check import PairCheck
+from vo.frontend.pair_matching import View
+from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.scheduling import give_way
@@ -102,6 +104,7 @@ class FramePreprocessor:
         rig: the rectified cameras as calibrated.
         extractor: extracts features.
         vertical_disparity: estimates and corrects vertical disparities of pairs.
+        pair_check: refuses pairs whose images are exchanged; None for no check.
         threads: cores to use.
     """
 
@@ -110,6 +113,7 @@ class FramePreprocessor:
         rig: RectifiedRig,
         extractor: FeatureExtractor,
         vertical_disparity: VerticalDisparityCorrection,
+        pair_check: PairCheck | None = None,
         *,
         threads: int,
     ) -> None:
@@ -117,6 +121,7 @@ class FramePreprocessor:
         self._rig = rig
         self._extractor = extractor
         self._vertical_disparity = vertical_disparity
+        self._pair_check = pair_check
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
@@ -179,14 +184,27 @@ class FramePreprocessor:
             return (image0,), (left,)
         image1 = correction.aligned_rig().rectify(frame.image1, 1)
         right = self._extract_right(image1)
-        if correction.needs_next_pair():
+        is_corrected, is_checked = correction.needs_next_pair(), self._compare(frame)
+        if is_corrected or is_checked:
             # Extracted here: the thread of the left images, which this is, cannot wait for itself.
             left = finished(self._extract_left(image0))
             pair = View(image0, left.result()), View(image1, right.result())
-            if correction.update(*pair):
+            has_changed = is_corrected and correction.update(*pair)
+            if self._pair_check is not None:
+                points = correction.points if is_corrected else None
+                self._pair_check.update(frame.index, *pair, points)
+            if has_changed:
                 image1 = correction.aligned_rig().rectify(frame.image1, 1)
                 right = self._extract_right(image1)
         return (image0, image1), (left, right)
+
+    def _compare(self, frame: Frame) -> bool:
+        """Compare the recorded images of a pair; whether their disparities are to be checked."""
+        if self._pair_check is None:
+            return False
+        is_checked = self._pair_check.needs_next_pair()
+        self._pair_check.compare(frame)
+        return is_checked
 
     def _pool_of_left(self) -> ThreadPoolExecutor | None:
         """The thread for features of camera 0; with a single camera the second, idle one."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from vo.config import StereoConfig
 from vo.frontend.contracts import EpipolarSegments, FeatureExtractor, Matcher, feature_set
 from vo.frontend.depth import disparity_from_depth
-from vo.frontend.lazy_future import finished
 from vo.frontend.patch_alignment import PatchAligner, patches_of
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import NEIGHBOURS, median_of_nearest
@@ -101,19 +98,6 @@ class StereoMatcher:
         disparity[found] = self._measure_in_pair(image0, image1, xy[found], guess, rig)
         disparity = self._fill_from_neighbours(disparity, xy, image0, image1, rig)
         return self._measure_on_surfaces(disparity, xy, image0, image1, rig)
-
-    def looks_swapped(self, frame: PreprocessedFrame, rig: RectifiedRig, min_points: int) -> bool:
-        """Whether left and right seem exchanged: enough features match on the wrong side."""
-        if frame.right is None:
-            return False
-        image1, right = frame.right
-        mirrored = replace(
-            frame,
-            images=(image1, frame.image0),
-            features=(finished(right.result()), finished(frame.keypoints)),
-        )
-        disparity = self.disparities(mirrored, np.arange(len(right.result())), rig)
-        return int((disparity >= self._config.min_disparity_px).sum()) >= min_points
 
     def _measure_in_pair(
         self,

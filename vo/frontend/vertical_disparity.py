@@ -13,14 +13,14 @@ of the right camera from rows).
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import NamedTuple
 
 import numpy as np
 
 from vo.config import StereoConfig
 from vo.faults import Fault, FaultKind
-from vo.frontend.contracts import EpipolarSegments, Matcher, feature_set
-from vo.frontend.patch_alignment import PatchAligner, patches_of
+from vo.frontend.contracts import Matcher
+from vo.frontend.pair_matching import PairMatcher, PairPoints, View
+from vo.frontend.patch_alignment import PatchAligner
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.right_camera_error import (
     is_plausible,
@@ -29,21 +29,11 @@ from vo.geometry.right_camera_error import (
     max_row_error,
 )
 from vo.geometry.vertical_disparity_model import VerticalDisparity, VerticalDisparityFit
-from vo.types import Bytes, Floats, Keypoints
 
-_MAX_OFFSET_RATIO = 0.06  # search range across rows, ratio of the image height
 _MIN_POINTS = 100  # minimum points that fit, and
 _MIN_INLIER_RATIO = 0.5  # minimum ratio of them to all matches
-_RATIO = 0.8  # ratio test; stricter than in tracking, as the search range is wide
 _MAX_PAIRS = 30  # pairs without a result after which estimation is given up
 _MIN_CHANGE_PX = 0.05  # of a correction at the image corners; smaller changes are ignored
-
-
-class View(NamedTuple):
-    """A rectified image and its features."""
-
-    image: Bytes
-    keypoints: Keypoints
 
 
 class VerticalDisparityCorrection:
@@ -56,6 +46,7 @@ class VerticalDisparityCorrection:
         estimated: vertical disparities as estimated until now, None without a result.
         corrected: the part of them that is corrected.
         faults: vertical disparities that are too large to be corrected.
+        points: points of the newest pair, as it was corrected, None if too few agreed.
 
     Args:
         rig: the rectified cameras as calibrated.
@@ -70,10 +61,10 @@ class VerticalDisparityCorrection:
         self.estimated: VerticalDisparity | None = None
         self.corrected = VerticalDisparity()
         self.faults: tuple[Fault, ...] = ()
+        self.points: PairPoints | None = None
         self._rig = rig
-        self._matcher = matcher
-        self._patches = patches
-        self._config = config
+        self._matcher = PairMatcher(matcher, patches, config.max_disparity_ratio)
+        self._is_enabled = config.row_correction
         self._fit = VerticalDisparityFit()
         self._aligned: RectifiedRig | None = None
         self._pairs = 0
@@ -83,7 +74,7 @@ class VerticalDisparityCorrection:
         """Whether to estimate from the next pair; to be called once for every pair."""
         self._pairs += 1
         is_over = self.estimated is None and self._pairs > _MAX_PAIRS
-        return self._config.row_correction and self._pairs > self._next and not is_over
+        return self._is_enabled and self._pairs > self._next and not is_over
 
     def update(self, left: View, right: View) -> bool:
         """Estimate from a pair as it is corrected now; whether the correction has changed."""
@@ -112,37 +103,18 @@ class VerticalDisparityCorrection:
 
     def _add(self, left: View, right: View) -> bool:
         """Add a pair to the fit; whether enough of its points agree."""
-        xy, found = self._match(left, right)
-        if len(xy) < _MIN_POINTS:
+        self.points = None
+        points = self._matcher.match(left, right)
+        if len(points.left) < _MIN_POINTS:
             return False
+        xy, found = points
         centre, focal = (self._rig.cx, self._rig.cy), (self._rig.fx, self._rig.fy)
         x, y = ((np.column_stack([found[:, 0], xy[:, 1]]) - centre) / focal).T
         rows_px = found[:, 1] - xy[:, 1] + self.corrected.vertical_px(x, y)
         fit = deepcopy(self._fit)
-        inliers = np.count_nonzero(fit.add(x, y, rows_px))
-        if inliers < max(_MIN_POINTS, _MIN_INLIER_RATIO * len(xy)):
+        inlier = fit.add(x, y, rows_px)
+        if np.count_nonzero(inlier) < max(_MIN_POINTS, _MIN_INLIER_RATIO * len(xy)):
             return False
+        self.points = points.select(inlier)
         self._fit = fit
         return True
-
-    def _match(self, left: View, right: View) -> tuple[Floats, Floats]:
-        """Pixels (N, 2) of features in the left image, and of the same points in the right one."""
-        height, width = left.image.shape
-        xy = left.keypoints.xy.astype(np.float64)
-        reach = _MAX_OFFSET_RATIO * height
-        region = EpipolarSegments(
-            xy - (self._config.max_disparity_ratio * width, 0.0),
-            xy + (reach, 0.0),
-            np.full(len(right.keypoints), reach),
-        )
-        matches = self._matcher.match(
-            feature_set(left.keypoints),
-            feature_set(right.keypoints),
-            region,
-            ratio=_RATIO,
-            check_rotation=False,
-        )
-        start = right.keypoints.xy[matches.train].astype(np.float64)
-        found = self._patches.align(patches_of(left.image, xy[matches.query]), right.image, start)
-        good = self._patches.is_found(found)
-        return xy[matches.query[good]], found.xy[good]

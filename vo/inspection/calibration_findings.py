@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.errors import CalibrationError
 from vo.geometry.rectification import rectified_rig
-from vo.inspection.image_records import CameraReport
+from vo.inspection.image_records import CameraReport, StereoReport
 from vo.inspection.records import Finding, LensReport, Report
 from vo.types import Rig
 
@@ -19,7 +19,7 @@ _MAX_OFFSET_PX = 1.0
 _MAX_SPREAD_PX = 1.5
 _MAX_CORRECTED_PX = 15.0  # search range of `vo run`, which is larger in tall images
 _MIN_POSITIVE = 0.3
-"""Fraction of positive disparities below which the cameras are taken as swapped."""
+"""Fraction of positive disparities below which something is wrong with the pair."""
 
 
 def calibration_findings(report: Report, rig: Rig | None) -> Iterator[Finding]:
@@ -62,14 +62,17 @@ def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
     except CalibrationError as error:
         yield Finding("error", str(error))
     stereo = report.stereo
+    if stereo is not None and (unusable := _unusable_images(stereo)):
+        yield unusable
+        return
     if stereo is not None and stereo.positive < _MIN_POSITIVE:
         yield Finding(
-            "error",
-            f"left and right are swapped: {100 * (1 - stereo.positive):.0f} % of the points are "
-            "farther right in the right image",
-            "swap the cameras and their calibration, or use --mode mono",
+            "warning",
+            f"{1 - stereo.positive:.0%} of the points are farther right in the right image, by a "
+            "few pixels",
+            "the right camera was turned since its calibration, or left and right are exchanged",
         )
-    elif stereo is not None and stereo.rectified:
+    if stereo is not None and stereo.rectified:
         right = stereo.right_camera
         if right is not None and right.rows_px < _MAX_CORRECTED_PX:
             yield Finding(
@@ -92,6 +95,31 @@ def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
                 f"with this baseline, the median depth of points is {stereo.depth_m:.3g} m",
                 "check the unit of the baseline, which must be in metres",
             )
+
+
+def _unusable_images(stereo: StereoReport) -> Finding | None:
+    """Why images cannot be those of the calibrated pair."""
+    if stereo.is_same_camera:
+        return Finding(
+            "error",
+            "left and right show the same image: the same camera twice?",
+            "give the topics or folders of both cameras, or use --mode mono",
+        )
+    if stereo.right_is:
+        return Finding(
+            "error",
+            f"the right image is {stereo.right_is}, or the left one is",
+            "revert it in the camera's driver, or use --mode mono",
+        )
+    if stereo.are_exchanged:
+        return Finding(
+            "error",
+            "left and right images are exchanged, or both are mirrored or turned by 180°: "
+            f"{1 - stereo.positive:.0%} of the points are farther right in the right image",
+            "exchange them (--topic left=… --topic right=…, or the folders), turn them, or use "
+            "--mode mono",
+        )
+    return None
 
 
 def _without_pair(report: Report) -> Iterator[Finding]:

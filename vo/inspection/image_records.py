@@ -134,6 +134,10 @@ class StereoReport:
         disparity_px: median disparity.
         depth_m: depth of that disparity; None without calibration.
         right_camera: error of the right camera's calibration, if significant.
+        is_same_camera: whether both images are of the same camera.
+        are_exchanged: whether disparities are negative, and too large for a turned camera.
+        right_is: how the right image is mirrored or turned against the left one; the other values
+            are then those of the reverted image. Empty if it is not.
     """
 
     rectified: bool
@@ -145,3 +149,6 @@ class StereoReport:
     disparity_px: float
     depth_m: float | None
     right_camera: RightCameraError | None = None
+    is_same_camera: bool = False
+    are_exchanged: bool = False
+    right_is: str = ""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from vo.calibration_errors import RightCameraError
 from vo.errors import CalibrationError
+from vo.frontend.pair_check import TURNS, disparity_signs
+from vo.frontend.same_view import is_same_view
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.right_camera_error import is_worth_correcting, right_camera_error
 from vo.geometry.vertical_disparity_model import VerticalDisparityFit
@@ -20,17 +23,43 @@ _MIN_MATCHES = 15
 _OUTLIER_PX = 1.0
 _NEAR_PX = 3.0
 _PATCH_PX = 15
+_MAX_SPREAD_PX = 15.0  # of rows, by an error of the calibration
+_MIN_TURNED_MATCHES = 50  # in a pair
+_Pairs = Sequence[tuple[Bytes, Bytes]]
 _MIN_DISPARITY_PX = 1.0
 """Smaller disparities have an unreliable sign."""
 
 
-def compare_stereo_images(
-    pairs: Sequence[tuple[Bytes, Bytes]], rig: Rig | None
-) -> StereoReport | None:
+def compare_stereo_images(pairs: _Pairs, rig: Rig | None) -> StereoReport | None:
     """Match pairs of images, rectified if there is a calibration; None with too few matches."""
     working = _working(rig)
+    is_same = [is_same_view(a, b) for a, b in pairs]
     if working is not None:
         pairs = [(working.rectify(a, 0), working.rectify(b, 1)) for a, b in pairs]
+    compared = _compare(pairs, working)
+    if compared is None or abs(compared.row_spread_px) > _MAX_SPREAD_PX:
+        compared = _compare_turned(pairs, working) or compared
+    if compared is None:
+        return None
+    return replace(compared, is_same_camera=any(is_same) and False not in is_same)
+
+
+def _compare_turned(pairs: _Pairs, working: RectifiedRig | None) -> StereoReport | None:
+    """Comparison with mirrored or turned right images, None if rows do not agree then either."""
+    for how, code in TURNS.items():
+        turned = [(a, np.asarray(cv2.flip(b, code), dtype=np.uint8)) for a, b in pairs]
+        compared = _compare(turned, working)
+        if (
+            compared is not None
+            and compared.matches >= _MIN_TURNED_MATCHES * compared.pairs
+            and compared.row_spread_px < _NEAR_PX
+            and abs(compared.row_offset_px) < _MAX_SPREAD_PX
+        ):
+            return replace(compared, right_is=how)
+    return None
+
+
+def _compare(pairs: _Pairs, working: RectifiedRig | None) -> StereoReport | None:
     found = [
         (pair, points) for pair in pairs if len(points := match_features(*pair)) >= _MIN_MATCHES
     ]
@@ -56,6 +85,7 @@ def compare_stereo_images(
         disparity_px=median,
         depth_m=depth,
         right_camera=None if working is None else _right_camera(found, working),
+        are_exchanged=working is not None and disparity_signs(disparity, working.fx).are_exchanged,
     )
 
 
@@ -97,7 +127,10 @@ def match_features(left: Bytes, right: Bytes) -> Floats:
         return np.empty((0, 4))
     a = np.array([left_points[pair.queryIdx].pt for pair in pairs])
     b = np.array([right_points[pair.trainIdx].pt for pair in pairs])
-    _, agree = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, _OUTLIER_PX, 0.999, 2000)
+    try:
+        _, agree = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, _OUTLIER_PX, 0.999, 2000)
+    except cv2.error:  # as between two images of one camera
+        agree = np.abs(a - b).max(axis=1, keepdims=True) <= _OUTLIER_PX
     if agree is None:
         return np.empty((0, 4))
     return np.asarray(np.hstack([a, b])[agree.ravel() > 0], dtype=np.float64)

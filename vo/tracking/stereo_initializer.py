@@ -6,7 +6,6 @@ import numpy as np
 
 from vo.failures import Failure, FailureReason
 from vo.frontend.preprocessing import PreprocessedFrame
-from vo.frontend.stereo_matching import StereoMatcher
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
 from vo.mapping.local_mapper import LocalMapper
@@ -19,16 +18,12 @@ class StereoInitializer:
     Args:
         local_map: the map.
         mapper: adds keyframes and landmarks to it.
-        stereo: measures disparities.
         min_points: minimum number of landmarks of the map.
     """
 
-    def __init__(
-        self, local_map: LocalMap, mapper: LocalMapper, stereo: StereoMatcher, min_points: int
-    ) -> None:
+    def __init__(self, local_map: LocalMap, mapper: LocalMapper, min_points: int) -> None:
         self._map = local_map
         self._mapper = mapper
-        self._stereo = stereo
         self._min_points = min_points
 
     def create_map(
@@ -44,6 +39,4 @@ class StereoInitializer:
             keyframe = self._mapper.add_first_keyframe(frame, world_from_cam, segment, every)
             self._mapper.add_stereo_landmarks(keyframe, features)
             return keyframe
-        if self._stereo.looks_swapped(frame, self._map.rig, self._min_points):
-            return Failure(FailureReason.SWAPPED_CAMERAS)
         return Failure(FailureReason.FEW_LANDMARKS, len(features), self._min_points)
