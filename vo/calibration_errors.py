@@ -59,10 +59,15 @@ class CalibrationResidual(NamedTuple):
             (1,) the error of the radial distortion: ideal points x, in focal lengths, should be at
             x (1 - value r^2).
         information: (2, 2) or (1, 1), the inverse of its covariance.
+        bend: in mono what such an error does not explain: if both are estimated together, points
+            should be at x (1 - value r^2 - bend r^4), with another value.
+        bend_sigma: its standard deviation.
     """
 
     value: Floats
     information: Floats
+    bend: float = 0.0
+    bend_sigma: float = float("inf")
 
 
 class CalibrationErrors(NamedTuple):

@@ -114,6 +114,22 @@ def test_k1_of_a_single_camera_is_found(k1: float, seed: int) -> None:
     assert abs(found.value - k1) < max(4.0 * found.sigma, 0.1 * abs(k1))
 
 
+@pytest.mark.parametrize("bend", [-0.05, 0.0, 0.03])
+@pytest.mark.parametrize("seed", range(3))
+def test_what_k1_cannot_explain_is_told_from_it(bend: float, seed: int) -> None:
+    window = _bent(0.0, seed)
+    p = window.problem
+    fx, fy, cx, cy = p.intrinsics
+    ray = (p.xy - (cx, cy)) / (fx, fy)
+    ray *= 1.0 + 0.01 * np.sum(ray**2, axis=1, keepdims=True)
+    ray *= 1.0 + bend * np.sum(ray**2, axis=1, keepdims=True) ** 2
+    problem = replace(p, xy=ray * (fx, fy) + (cx, cy))
+    found = solve(problem, CONFIG).calibration_residual
+    assert found is not None
+    assert abs(found.bend - bend) < max(4.0 * found.bend_sigma, 0.25 * abs(bend))
+    assert found.bend_sigma < 0.02
+
+
 def test_noise_does_not_pass_for_an_error_of_the_lens() -> None:
     # Derivatives where points were measured, not where they should be, made it 0.0014.
     found = [_estimate(_bent(0.0, seed)).value for seed in range(20)]

@@ -13,6 +13,7 @@ from recorded_walk import CONFIG, Recording, Run, aligned, track
 from vo.backend.optimizer import InProcessOptimizer
 from vo.backend.window_problem import WindowProblem
 from vo.config import KeyframeConfig
+from vo.faults import FaultKind
 from vo.types import Frame, Rig
 
 
@@ -95,14 +96,25 @@ def _estimated(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     return estimated
 
 
-def _with_k1(recording: Recording, k1: float) -> Rig:
-    """A calibration that is wrong by k1: the lens of the recording has no distortion."""
+def _with_k1(recording: Recording, k1: float, k2: float = 0.0) -> Rig:
+    """A calibration that is wrong by k1 and k2: the lens of the recording has no distortion."""
     cam0 = recording.rig.cam0
-    return Rig(replace(cam0, distortion_model="radtan", distortion=(k1, 0.0, 0.0, 0.0)))
+    return Rig(replace(cam0, distortion_model="radtan", distortion=(k1, k2, 0.0, 0.0)))
 
 
 def test_a_lens_that_is_as_calibrated_is_not_corrected(mono: Run) -> None:
     assert mono.odometry.calibration_errors.lens_error is None
+    assert not any(estimate.faults for estimate in mono.estimates)
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(-0.3, 0.1), (0.25, 0.0)])
+def test_quite_another_lens_is_a_fault_whatever_is_corrected(
+    recording: Recording, k1: float, k2: float
+) -> None:
+    run = track(_with_k1(recording, k1, k2), recording.mono())
+    faults = {fault for estimate in run.estimates for fault in estimate.faults}
+    assert {fault.kind for fault in faults} == {FaultKind.WRONG_LENS}
+    assert not any(fault.is_handled for fault in faults)
 
 
 @pytest.mark.parametrize("k1", [-0.02, -0.01, 0.02])
@@ -114,6 +126,7 @@ def test_an_error_of_the_lens_is_found_and_corrected(
     assert found is not None
     assert found.k1 == pytest.approx(-k1, rel=0.1)  # three pixels in the corners, or six
     radius = np.hypot(240.0, 150.0) / 264.0
+    assert not any(estimate.faults for estimate in run.estimates)
     assert found.edge_px == pytest.approx(found.k1 * 264.0 * radius**3, rel=0.1)
     ate, _ = aligned(run, recording, with_scale=True)
     right, _ = aligned(mono, recording, with_scale=True)

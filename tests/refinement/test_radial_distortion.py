@@ -99,3 +99,19 @@ def test_an_error_that_one_coefficient_cannot_correct_is_a_fault(
     assert watch.applied == pytest.approx(k1, rel=1e-3)
     assert [fault.kind for fault in watch.faults] == [FaultKind.WRONG_LENS] * is_open
     assert not any(fault.is_handled for fault in watch.faults)
+
+
+@pytest.mark.parametrize(
+    ("bend", "sigma", "is_open"),
+    [(0.05, 0.002, True), (-0.05, 0.002, True), (0.004, 0.0002, False), (0.05, 0.02, False)],
+)
+def test_points_that_stay_bent_make_any_correction_a_fault(
+    bend: float, sigma: float, is_open: bool
+) -> None:
+    watch, none = RadialDistortionEstimator(_rig()), RadialDistortionEstimator(_rig())
+    for _ in range(3):
+        error = np.array([0.006 - watch.applied])
+        watch.update(CalibrationResidual(error, np.array([[1e6]]), bend, sigma))
+        none.update(CalibrationResidual(np.zeros(1), np.array([[1e6]]), bend, sigma))
+    for each in (watch, none):
+        assert [fault.kind for fault in each.faults] == [FaultKind.WRONG_LENS] * is_open

@@ -159,6 +159,8 @@ def _differentiate(  # type: ignore[no-untyped-def]
         else:  # at the predicted pixel, because noise of the measured one would not average out
             stretch = s * (x * x + y * y)
             by_rest[ju], by_rest[jv] = stretch * intrinsics.fx * x, stretch * intrinsics.fy * y
+            square = x * x + y * y  # the next power of the radius, see `CalibrationResidual.bend`
+            by_rest[ju + 1], by_rest[jv + 1] = square * by_rest[ju], square * by_rest[jv]
         in_cam = point_derivatives(s * intrinsics.fx, s * intrinsics.fy, t * fb, x, y, 1.0, near)
         by_u, by_v, by_d = by_world_from_cam(in_cam, x * z, y * z, z)
         by_pose[ju], by_pose[ju + 1], by_pose[ju + 2] = by_u[0], by_u[1], by_u[2]

@@ -46,6 +46,7 @@ class Bundle:
 
     Attributes:
         calibration_size: number of parameters of the calibration residual.
+        check_size: number of further parameters, which show errors that those cannot explain.
     """
 
     def __init__(self, problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> None:
@@ -54,7 +55,7 @@ class Bundle:
         self._views = views_of(problem, point_ok, config)
         self._slot = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
         self._config = config
-        self.calibration_size = 2 if problem.baseline_m > 0.0 else 1
+        self.calibration_size, self.check_size = (2, 0) if problem.baseline_m > 0.0 else (1, 1)
 
     def cost(self, world_from_cam: Floats) -> float:
         """Half the robust sum of squares for poses (K, 4, 4), every point at its optimum."""
@@ -77,7 +78,9 @@ class Bundle:
         hessian, gradient = block_kernels.reduced(
             at.points, poses, self._slot, with_calibration, self._views
         )
-        size = 6 * (self._slot.max() + 1) + (self.calibration_size if with_calibration else 0)
+        size = 6 * (self._slot.max() + 1)
+        if with_calibration:
+            size += self.calibration_size + self.check_size
         return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)
 
     def _at(self, world_from_cam: Floats) -> _Optimum:

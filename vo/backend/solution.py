@@ -99,4 +99,4 @@ def _calibration_residual(
     free = replace(problem, points=adjusted.points, fixed=only_first)
     bundle = Bundle(free, adjusted.point_ok, config)
     normal = bundle.normal_equations(poses, with_calibration=True)
-    return estimate_calibration_residual(normal, bundle.calibration_size)
+    return estimate_calibration_residual(normal, bundle.calibration_size, bundle.check_size)

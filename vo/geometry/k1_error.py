@@ -33,6 +33,13 @@ def residual_per_k1(rig: RectifiedRig) -> float:
     return float(-np.nansum(moved * cubic) / np.nansum(cubic**2) / _STEP)
 
 
+def corner_radius(rig: RectifiedRig) -> float:
+    """Distance of the farthest image corner from the principal point, in focal lengths."""
+    x = max(rig.cx, rig.width - rig.cx) / rig.fx
+    y = max(rig.cy, rig.height - rig.cy) / rig.fy
+    return float(np.hypot(x, y))
+
+
 def _grid(rig: RectifiedRig) -> Floats:
     u, v = np.meshgrid(np.linspace(0, rig.width - 1, _GRID), np.linspace(0, rig.height - 1, _GRID))
     return np.column_stack([u.ravel(), v.ravel()])
