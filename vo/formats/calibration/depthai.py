@@ -98,7 +98,7 @@ def _size(camera: Mapping[str, Any]) -> tuple[Any, Any]:
 def _camera(document: Document, cameras: _Cameras, number: int) -> Camera:
     where, camera = f"{document.path}: camera {number}", cameras[number]
     kind = camera.get("cameraType", 0)
-    if kind not in _LENSES:
+    if not isinstance(kind, int) or kind not in _LENSES:
         raise CalibrationError(
             f"{where}: cameraType {shortened(kind)[:40]} is not supported; supported are 0 "
             "(perspective) and 1 (fisheye)"
