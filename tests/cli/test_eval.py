@@ -56,6 +56,19 @@ def test_table_for_people(run_folder: Path, truth: Path) -> None:
     assert "\x1b" not in result.output
 
 
+@pytest.mark.parametrize("columns", [30, 60, 200])
+def test_numbers_and_names_are_whole_in_any_terminal(
+    run_folder: Path, truth: Path, columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    odd = run_folder.rename(run_folder.with_name("out[bold]"))
+    lines = vo_eval(odd, truth).output.splitlines()
+    assert f"estimate   {odd}/trajectory.tum (41 poses)" in lines
+    row = next(line for line in lines if line.startswith("RPE per frame, translation"))
+    assert [len(number) for number in row.split()[-4:]] == [len("0.000000")] * 4
+    assert "…" not in "".join(lines)
+
+
 def test_scale_error_is_printed_when_scale_is_not_aligned(run_folder: Path, truth: Path) -> None:
     result = vo_eval(run_folder, truth, "--align", "se3")
     assert "se3 (as requested)" in result.output

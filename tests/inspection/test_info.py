@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -139,7 +140,7 @@ def test_repeated_images_and_gaps_are_found(walk: Path) -> None:
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join([*lines[:21], *lines[24:]]))  # frames 20, 21, 22
     report = report_of(walk, None)
-    assert "frames 7;" in f"{finding(report, 'copies of the previous image').what};"
+    assert "frame 7;" in f"{finding(report, 'identical to the previous image').what};"
     assert "1 gap, about 3 images missing" in finding(report, "gap").what
     assert report.cameras[0].timing.gaps[0].after_frame == 19
     assert "0 left and 3 right images have no counterpart" in finding(report, "no counterpart").what
@@ -148,7 +149,7 @@ def test_repeated_images_and_gaps_are_found(walk: Path) -> None:
 def test_damaged_images_are_reported(walk: Path) -> None:
     file = sorted((walk / "mav0" / "cam0" / "data").iterdir())[4]
     file.write_bytes(file.read_bytes()[:500])
-    assert finding(report_of(walk, None), "unreadable").what.endswith("frames 4")
+    assert finding(report_of(walk, None), "unreadable").what.endswith("frame 4")
 
 
 def test_images_are_inspected_without_calibration(walk: Path) -> None:
@@ -254,3 +255,20 @@ def test_a_camera_above_the_other_is_described(walk: Path) -> None:
     assert report.calibration.cam1_turned_deg == pytest.approx(0.0, abs=1e-3)
     assert report.stereo is not None and report.stereo.positive > 0.95
     assert abs(report.stereo.row_offset_px) < 0.2
+
+
+def test_the_command_keeps_the_options_that_were_given(walk: Path, tmp_path: Path) -> None:
+    file = tmp_path / "my camera.yaml"
+    (walk / "calibration.yaml").rename(file)
+    opened = open_leniently(walk, calibration=file, mode="mono")
+    command = inspect(opened, 4).command
+    assert shlex.split(command)[-4:] == ["--mode", "mono", "--calibration", str(file)]
+
+
+def test_no_command_where_the_same_error_would_come_again(walk: Path, tmp_path: Path) -> None:
+    file = tmp_path / "other.yaml"
+    file.write_text("cam0: {resolution: [64, 48], intrinsics: [50, 50, 32, 24]}\n")
+    report = inspect(open_leniently(walk, calibration=file), 4)
+    assert report.command == ""
+    problems = [each.what for each in report.findings if each.level == "error"]
+    assert len(problems) == 1 and "is for 64x48; give a calibration" in problems[0]

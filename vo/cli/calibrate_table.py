@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from vo.calibrating.advice import coverage, tilts_deg, warnings_of
 from vo.calibrating.calibrate import CalibrationResult
 from vo.calibrating.report import baseline, camera_parameters, camera_rms_px, epipolar_rms_px
+from vo.cli.console import print_table
 from vo.geometry.transforms import rotation_angle
 
 
@@ -24,9 +26,9 @@ def print_result(
     """Print the cameras, their accuracy, warnings, and the paths of the files."""
     console = console or Console(highlight=False)
     for name, value in _facts(result):
-        console.print(f"[bold]{name:<9}[/]", value, soft_wrap=True)
+        console.print(f"[bold]{name:<9}[/]", escape(value), soft_wrap=True)
     console.print()
-    console.print(_parameters(result, plain=not console.is_terminal))
+    print_table(console, _parameters(result, plain=not console.is_terminal))
     for line in warnings_of(result):
         console.print(f"\nwarning: {line}", markup=False, soft_wrap=True)
     console.print(f"\ncalibration: {output}", markup=False, soft_wrap=True)

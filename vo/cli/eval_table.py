@@ -6,8 +6,10 @@ from pathlib import Path
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from vo.cli.console import print_table
 from vo.evaluation.inputs import Inputs
 from vo.evaluation.report import Evaluation
 from vo.evaluation.statistics import PoseErrors, Statistics
@@ -21,12 +23,12 @@ def print_evaluation(
     """Print the inputs, the alignment, the errors and the path of the plot."""
     console = console or Console(highlight=False)
     for name, value in _facts(evaluation, inputs):
-        console.print(f"[bold]{name:<10}[/]", value, soft_wrap=True)
+        console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
     console.print()
-    console.print(_errors_table(evaluation, plain=not console.is_terminal))
+    print_table(console, _errors_table(evaluation, plain=not console.is_terminal))
     if evaluation.segments is not None:
         console.print()
-        console.print(_segments_table(evaluation, plain=not console.is_terminal))
+        print_table(console, _segments_table(evaluation, plain=not console.is_terminal))
     for note in (*inputs.notes, *evaluation.notes):
         console.print("\nnote:", note, markup=False, soft_wrap=True)
     if plot is not None:

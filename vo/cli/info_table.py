@@ -102,10 +102,8 @@ def _camera(camera: CameraReport) -> str:
     )
     rate = f"{timing.rate_hz:.4g} Hz (± {timing.jitter_ms:.2g} ms)" if timing.rate_hz else "no rate"
     gaps = {0: ", no gaps", 1: ", 1 gap"}.get(len(timing.gaps), f", {len(timing.gaps)} gaps")
-    return (
-        f"{timing.count} images, {camera.width}x{camera.height}{bits}, {timing.span_s:.2f} s at "
-        f"{rate}{gaps}"
-    )
+    size = f"{camera.width}x{camera.height}" if camera.width else "size unknown"
+    return f"{timing.count} images, {size}{bits}, {timing.span_s:.2f} s at {rate}{gaps}"
 
 
 def _image_quality(camera: CameraReport) -> str:

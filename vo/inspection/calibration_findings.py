@@ -22,13 +22,22 @@ _MIN_POSITIVE = 0.3
 """Fraction of positive disparities below which something is wrong with the pair."""
 
 
-def calibration_findings(report: Report, rig: Rig | None) -> Iterator[Finding]:
-    """Findings about each lens, and about the stereo pair."""
+def calibration_findings(
+    report: Report, rig: Rig | None, *, is_refused: bool = False
+) -> Iterator[Finding]:
+    """Findings about each lens, and about the stereo pair.
+
+    Args:
+        report: the report so far.
+        rig: the cameras.
+        is_refused: whether the reason why `vo run` refuses the recording is reported already, such
+            as a calibration for another image size.
+    """
     calibration = report.calibration
     if calibration is None or rig is None:
         return
     for lens, camera in zip(calibration.lenses, report.cameras, strict=False):
-        yield from _lens(lens, camera)
+        yield from _lens(lens, camera, is_refused)
     if calibration.baseline_m is None:
         yield from _without_pair(report)
         return
@@ -135,8 +144,12 @@ def _without_pair(report: Report) -> Iterator[Finding]:
         )
 
 
-def _lens(lens: LensReport, camera: CameraReport) -> Iterator[Finding]:
-    if camera.width and (lens.width, lens.height) != (camera.width, camera.height):
+def _lens(lens: LensReport, camera: CameraReport, is_refused: bool) -> Iterator[Finding]:
+    if (
+        not is_refused
+        and camera.width
+        and (lens.width, lens.height) != (camera.width, camera.height)
+    ):
         yield Finding(
             "error",
             f"{lens.name}: the calibration is for {lens.width}x{lens.height}, but the images are "

@@ -41,7 +41,7 @@ def with_findings(report: Report, opened: OpenedRecording, imu_warnings: Sequenc
     for camera in report.cameras:
         findings += [*_timing_findings(camera), *_image_findings(camera)]
     findings += _pair_findings(report)
-    findings += calibration_findings(report, opened.rig)
+    findings += calibration_findings(report, opened.rig, is_refused=bool(opened.refusal))
     findings += _truth_findings(report)
     for imu in report.imu:
         findings += imu_findings(imu)
@@ -96,14 +96,14 @@ def _image_findings(camera: CameraReport) -> Iterator[Finding]:
     if camera.unreadable:
         yield Finding(
             "warning",
-            f"{camera.name}: unreadable images: frames {_listed(camera.unreadable)}",
+            f"{camera.name}: unreadable images: {_frames(camera.unreadable)}",
             "these frames are skipped",
         )
     if camera.other_sizes:
         yield Finding(
             "error",
-            f"{camera.name}: images of other sizes than {camera.width}x{camera.height}: frames "
-            f"{_listed(camera.other_sizes)}",
+            f"{camera.name}: images of other sizes than {camera.width}x{camera.height}: "
+            f"{_frames(camera.other_sizes)}",
             "remove them, or split the recording by image size",
         )
     dark = [look for look in camera.looks if look.mean_grey < _MIN_GREY]
@@ -120,7 +120,7 @@ def _image_findings(camera: CameraReport) -> Iterator[Finding]:
         camera, untextured, "nearly without texture", "tracking is difficult; see --contact-sheet"
     )
     yield from _quality_finding(
-        camera, repeats, "copies of the previous image", "remove them; check the camera driver"
+        camera, repeats, "identical to the previous image", "remove them; check the camera driver"
     )
 
 
@@ -132,10 +132,11 @@ def _quality_finding(
         parts = frame_ranges(frames, [look.frame for look in camera.looks])
         where = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in parts[:_MAX_RANGES])
         more = ", …" if len(parts) > _MAX_RANGES else ""
+        are, word = ("are", "frames") if len(frames) > 1 else ("is", "frame")
         yield Finding(
             "warning",
-            f"{camera.name}: {len(looks)} of {len(camera.looks)} checked images are {what}: "
-            f"frames {where}{more}",
+            f"{camera.name}: {len(looks)} of {len(camera.looks)} checked images {are} {what}: "
+            f"{word} {where}{more}",
             advice,
         )
 
@@ -180,9 +181,11 @@ def _counted(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
-def _listed(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, numbers[:_MAX_LISTED])) + (
-        ", …" if len(numbers) > _MAX_LISTED else ""
+def _frames(numbers: Sequence[int]) -> str:
+    return (
+        ("frame " if len(numbers) == 1 else "frames ")
+        + ", ".join(map(str, numbers[:_MAX_LISTED]))
+        + (", …" if len(numbers) > _MAX_LISTED else "")
     )
 
 
@@ -190,16 +193,19 @@ def _run_command(report: Report, opened: OpenedRecording) -> str:
     """A `vo run` command with the options that this recording needs; empty if none can work."""
     if not any(camera.looks for camera in report.cameras):
         return ""
-    path = opened.path
-    words = ["vo", "run", str(path), "-o", f"out/{path.resolve().stem or 'run'}"]
+    path, options = opened.path, list(opened.options)
     if not opened.roles_known and len(report.cameras) > 1:
-        words += ["--topic", f"left={report.cameras[0].name}"]
-        words += ["--topic", f"right={report.cameras[1].name}"]
-    if opened.rig is None:
-        words += ["--calibration", "camera.yaml"]
-    elif _is_pair_unusable(report, opened.rig):
-        words += ["--mode", "mono"]
-    return shlex.join(words)
+        options += ["--topic", f"left={report.cameras[0].name}"]
+        options += ["--topic", f"right={report.cameras[1].name}"]
+    if opened.rig is None and "--calibration" not in options:
+        options += ["--calibration", "camera.yaml"]
+    elif opened.rig is not None and "--mode" not in options:
+        options += ["--mode", "mono"] if _is_pair_unusable(report, opened.rig) else []
+    if opened.refusal and options == list(opened.options):
+        return ""  # the same error again
+    return shlex.join(
+        ["vo", "run", str(path), "-o", f"out/{path.resolve().stem or 'run'}", *options]
+    )
 
 
 def _is_pair_unusable(report: Report, rig: Rig) -> bool:

@@ -71,6 +71,7 @@ class OpenedRecording:
         pose_names: topics with poses of a log, and pairs of frames that move.
         refusal: the error message of `vo run`; empty if there is none.
         warnings: warnings logged while the recording was opened.
+        options: the options that chose how it is read, as words of a command.
         close: closes the files used by images.
     """
 
@@ -87,6 +88,7 @@ class OpenedRecording:
     pose_names: tuple[str, ...] = ()
     refusal: str = ""
     warnings: tuple[LoggedWarning, ...] = ()
+    options: tuple[str, ...] = ()
     close: Callable[[], None] = field(default=lambda: None)
 
 
@@ -109,7 +111,22 @@ def open_leniently(
             found = _open_log(path, name, calibration, mode, topics)
         else:
             found = _open_files(path, name, calibration, mode)
-    return replace(found, warnings=tuple(dict.fromkeys(warnings)))
+    options = _options(format, calibration, mode, topics)
+    return replace(found, warnings=tuple(dict.fromkeys(warnings)), options=options)
+
+
+def _options(
+    format: str | None, calibration: Path | None, mode: Mode, topics: Sequence[str]
+) -> tuple[str, ...]:
+    """The arguments of `open_source` that differ from its defaults, as words of a command."""
+    words = [word for topic in topics for word in ("--topic", topic)]
+    if mode != "auto":
+        words += ["--mode", mode]
+    if format is not None:
+        words += ["--format", format]
+    if calibration is not None:
+        words += ["--calibration", str(calibration)]
+    return tuple(words)
 
 
 def _open_files(path: Path, name: str, calibration: Path | None, mode: Mode) -> OpenedRecording:
