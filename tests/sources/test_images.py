@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from vo.errors import SourceError
-from vo.sources.images import ImageFile, estimate_bit_depth, read_grey
+from vo.sources.grey_levels import GreyLevels
+from vo.sources.images import ImageFile, estimate_bit_depth
 from vo.types import Bytes
 
 RNG = np.random.default_rng(3)
@@ -15,7 +16,7 @@ GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)
 
 
 def read(path: Path, bit_depth: int = 16) -> Bytes:
-    return read_grey(ImageFile(path), bit_depth)
+    return GreyLevels(bit_depth).to_8_bits(ImageFile(path).read(), 0)
 
 
 def bits_of(paths: list[Path]) -> int:

@@ -11,7 +11,8 @@ import numpy as np
 from vo.errors import SourceError
 from vo.frontend.image_quality import blur
 from vo.inspection.image_records import ImageStatistics
-from vo.sources.images import StoredImage, estimate_bit_depth, is_colour, read_grey
+from vo.sources.grey_levels import GreyLevels, find_grey_levels
+from vo.sources.images import StoredImage, is_colour
 from vo.types import Bytes
 
 _DARK, _BRIGHT = 10, 250
@@ -23,15 +24,15 @@ class ImageReader:
 
     def __init__(self, images: Sequence[StoredImage]) -> None:
         self._images = images
-        self._bits = 8
+        self._levels = GreyLevels(8)
         self.unreadable: dict[int, str] = {}
         if images:
-            self._bits = estimate_bit_depth(images)
+            self._levels = find_grey_levels(images)
 
     @property
     def bits(self) -> int:
         """Bits per pixel used by the camera."""
-        return self._bits
+        return self._levels.bit_depth
 
     @property
     def has_colour(self) -> bool:
@@ -41,7 +42,7 @@ class ImageReader:
     def read(self, number: int) -> Bytes | None:
         """An image (H, W); None if it is unreadable."""
         try:
-            return read_grey(self._images[number], self._bits)
+            return self._levels.to_8_bits(self._images[number].read(), number)
         except SourceError as error:
             self.unreadable[number] = str(error)
             return None

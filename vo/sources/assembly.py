@@ -16,7 +16,8 @@ import numpy as np
 from vo.errors import CalibrationError, SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
-from vo.sources.images import Pixels, StoredImage, estimate_bit_depth
+from vo.sources.grey_levels import GreyLevels, find_grey_levels
+from vo.sources.images import Pixels, StoredImage
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
@@ -68,7 +69,6 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     rig = _choose_rig(contents, calibration, mode)
     partners = _pair(contents, rig, mode)
     depth = None if partners else _depth(contents, calibration, mode)
-    images = [shot.image for shot in contents.left]
     return ImageSequence(
         name=contents.name,
         format=contents.format,
@@ -77,7 +77,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
         images=ListedImages(
             contents.left,
             partners,
-            8 if first.dtype == np.uint8 else estimate_bit_depth(images),
+            _grey_levels(contents, first, partners),
             depth,
         ),
         close=contents.close,
@@ -117,6 +117,26 @@ def _first_image(shots: Sequence[Shot]) -> Pixels:
         except SourceError as error:
             reason = reason or str(error)
     raise SourceError(f"none of {len(shots)} images can be read; first error: {reason}")
+
+
+def _grey_levels(
+    contents: RecordingContents, first: Pixels, partners: Sequence[StoredImage | None] | None
+) -> GreyLevels:
+    """The conversion to 8 bits; a stretch is reported."""
+    if first.dtype == np.uint8:
+        return GreyLevels(8)
+    levels = find_grey_levels([shot.image for shot in contents.left], partners)
+    stretch = levels.stretch
+    if stretch is not None:
+        _log.warning(
+            "%s: the images use only values from about %.0f to %.0f of %d bits; their contrast is "
+            "stretched to 8 bits",
+            contents.name,
+            stretch.low.min(),
+            stretch.high.max(),
+            levels.bit_depth,
+        )
+    return levels
 
 
 def _size_of(image: Pixels) -> ImageSize:

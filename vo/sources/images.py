@@ -22,7 +22,6 @@ from vo.bounded_files import read_bytes
 from vo.errors import SourceError
 from vo.formats import png
 from vo.formats.image_header import MAX_PIXELS, stated_size
-from vo.types import Bytes
 
 Pixels = NDArray[np.unsignedinteger]
 """(H, W) grey or (H, W, 3) BGR; uint8 or uint16."""
@@ -112,32 +111,6 @@ class _QuietOpenCv:
 
 
 _quiet_opencv = _QuietOpenCv()
-
-
-def read_grey(stored: StoredImage, bit_depth: int = 16) -> Bytes:
-    """Read an image as (H, W) uint8.
-
-    Args:
-        stored: the image.
-        bit_depth: number of bits that the camera uses, for images with 16 bits per pixel; the
-            upper 8 of these are kept.
-
-    Raises:
-        SourceError: the image is missing, damaged, truncated or not an image.
-    """
-    return _to_8_bits(stored.read(), bit_depth)
-
-
-def read_image(stored: StoredImage, kind: ImageKind, bit_depth: int = 16) -> Pixels:
-    """Read an image of any kind; otherwise like `read_grey`."""
-    image = stored.read(colour=kind != "grey")
-    return image if kind == "recorded" else _to_8_bits(image, bit_depth)
-
-
-def _to_8_bits(image: Pixels, bit_depth: int) -> Bytes:
-    if image.dtype == np.uint8:
-        return np.asarray(image, dtype=np.uint8)
-    return np.asarray(np.minimum(image >> (bit_depth - 8), 255), dtype=np.uint8)
 
 
 def estimate_bit_depth(images: Sequence[StoredImage]) -> int:

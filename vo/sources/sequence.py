@@ -19,7 +19,8 @@ from vo.errors import SourceError
 from vo.faults import Fault
 from vo.scheduling import give_way
 from vo.sources.depth import DepthImages, read_depth
-from vo.sources.images import ImageFile, ImageKind, Pixels, StoredImage, read_image
+from vo.sources.grey_levels import GreyLevels
+from vo.sources.images import ImageFile, ImageKind, Pixels, StoredImage
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.types import Bytes, Camera, Floats32, Frame, Ints, Rig, Skipped, Trajectory
@@ -41,13 +42,13 @@ class ListedImages(NamedTuple):
     Attributes:
         left: images of cam0 in time order.
         right: right image of each, None where it is missing; None in mono.
-        bit_depth: number of bits that the camera uses, for images with 16 bits per pixel.
+        levels: conversion of images with 16 bits per pixel to 8 bits.
         depth: depth of each image of cam0; None without a depth camera.
     """
 
     left: Sequence[Shot]
     right: Sequence[StoredImage | None] | None = None
-    bit_depth: int = 16
+    levels: GreyLevels = GreyLevels()
     depth: DepthImages | None = None
 
 
@@ -97,7 +98,7 @@ class ImageSequence:
         self.faults: list[Fault] = []
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
-        self._depth_bits = images.bit_depth
+        self._levels = images.levels
         self._depth = images.depth
         self._close = close
         self._next_frames: Callable[[], list[FrameImages] | None] | None = None
@@ -206,11 +207,11 @@ class ImageSequence:
         """Decode the next frames while this one is processed; OpenCV releases the GIL."""
         waiting: deque[tuple[int, _Image, _Image | None, _Depth | None]] = deque()
         for index in numbers:
-            left = cam0.submit(self._image, self._left[index].image, self.rig.cam0, kind)
+            left = cam0.submit(self._image, index, self._left[index].image, self.rig.cam0, kind)
             partner = None if self._right is None else self._right[index]
             right = None
             if partner is not None and self.rig.cam1 is not None:
-                right = cam1.submit(self._image, partner, self.rig.cam1, kind)
+                right = cam1.submit(self._image, index, partner, self.rig.cam1, kind)
             measured = None if self._depth is None else self._depth.images[index]
             depth = None if measured is None else cam1.submit(self._metres, measured)
             waiting.append((index, left, right, depth))
@@ -218,10 +219,10 @@ class ImageSequence:
                 yield waiting.popleft()
         yield from waiting
 
-    def _image(self, stored: StoredImage, camera: Camera, kind: ImageKind) -> Pixels:
-        image = read_image(stored, kind, self._depth_bits)
+    def _image(self, index: int, stored: StoredImage, camera: Camera, kind: ImageKind) -> Pixels:
+        image = stored.read(colour=kind != "grey")
         _check_size(stored, image.shape, camera)
-        return image
+        return image if kind == "recorded" else self._levels.to_8_bits(image, index)
 
     def _metres(self, stored: StoredImage) -> Floats32:
         assert self._depth is not None
