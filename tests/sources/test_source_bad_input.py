@@ -341,3 +341,16 @@ def test_other_number_of_poses_than_images(
     assert truth is not None
     assert truth.stamps_ns.tolist() == layouts.STAMPS_NS[:used]
     assert f"has {rows} poses for 6 images; the first {used} are used" in caplog.text
+
+
+def test_a_calibration_of_another_name_is_mentioned(tmp_path: Path) -> None:
+    layouts.write_folder(tmp_path)
+    other = (tmp_path / "calibration.yaml").rename(tmp_path / "camera params.yml")
+    with pytest.raises(CalibrationError) as caught:
+        open_source(tmp_path)
+    assert f"{other} is one: if it is that of these images, give --calibration {other}" in str(
+        caught.value
+    )
+    other.unlink()
+    with pytest.raises(CalibrationError, match=r"give one with --calibration FILE \(format"):
+        open_source(tmp_path)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import CalibrationError, SourceError, VoError
-from vo.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.formats.calibration import Calibration, ImageSize, calibration_format, read_calibration
 from vo.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.sources.images import Pixels, StoredImage
@@ -24,6 +24,8 @@ from vo.sources.pairing import pair_by_stamp
 from vo.sources.sequence import ImageSequence, ListedImages
 from vo.types import Camera, Mode, Rig, Trajectory
 
+_CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".conf", ".ini", ".txt")
+_MAX_TRIED = 20
 _log = logging.getLogger(__name__)
 
 
@@ -94,13 +96,24 @@ def calibration_reader(
         existing = [path for path in candidates if path.is_file()]
         if chosen is None and not existing:
             looked_for = ", ".join(str(path) for path in candidates)
-            raise CalibrationError(
-                f"no calibration found; looked for {looked_for}; give one with --calibration FILE "
-                "(format: docs/calibration.md)"
+            found = _calibration_beside(candidates)
+            advice = (
+                "give one with --calibration FILE (format: docs/calibration.md)"
+                if found is None
+                else f"{found} is one: if it is that of these images, give --calibration {found}"
             )
+            raise CalibrationError(f"no calibration found; looked for {looked_for}; {advice}")
         return read_calibration(chosen or existing[0], size)
 
     return read
+
+
+def _calibration_beside(candidates: Sequence[Path]) -> Path | None:
+    """A calibration file of another name in the folders of the candidates, for advice."""
+    folders = dict.fromkeys(path.parent for path in candidates)
+    beside = [path for folder in folders if folder.is_dir() for path in sorted(folder.iterdir())]
+    texts = [path for path in beside if path.suffix.lower() in _CALIBRATION_SUFFIXES]
+    return next((path for path in texts[:_MAX_TRIED] if calibration_format(path)), None)
 
 
 def first_existing(candidates: Sequence[Path]) -> Path | None:

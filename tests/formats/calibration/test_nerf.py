@@ -91,7 +91,7 @@ def test_poses_are_those_of_a_camera_with_z_forward(tmp_path: Path) -> None:
         ('"file_path"', '"path"', "frame 0: file_path is missing"),
         ('"frames"', '"images"', "has no list `frames` with poses"),
         ("      1.0,\n", "      2.0,\n", "frame 0: transform_matrix: the rotation is not"),
-        ("]\n}", "", "is not YAML"),
+        ("]\n}", "", "is not JSON"),
     ],
 )
 def test_errors_of_poses(tmp_path: Path, old: str, new: str, expected: str) -> None:
@@ -100,3 +100,15 @@ def test_errors_of_poses(tmp_path: Path, old: str, new: str, expected: str) -> N
     with pytest.raises(SourceError) as caught:
         read_nerf_poses(path)
     assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_thousands_of_poses_in_one_line(tmp_path: Path) -> None:
+    data = json.loads(nerf())
+    data["frames"] *= 700
+    path = write_file(tmp_path, json.dumps(data), "transforms.json")
+    assert path.stat().st_size > 300_000
+    assert len(read_nerf_poses(path)) == 2100
+    path = write_file(tmp_path, json.dumps(data, indent=4)[:-9], "transforms.json")
+    assert path.stat().st_size > 1_000_000
+    with pytest.raises(SourceError, match="is not JSON"):
+        read_nerf_poses(path)

@@ -2,6 +2,13 @@
 
 from vo.formats.calibration.document import Calibration, ImageSize
 from vo.formats.calibration.own import write_calibration
-from vo.formats.calibration.registry import FORMATS, read_calibration
+from vo.formats.calibration.registry import FORMATS, calibration_format, read_calibration
 
-__all__ = ["FORMATS", "Calibration", "ImageSize", "read_calibration", "write_calibration"]
+__all__ = [
+    "FORMATS",
+    "Calibration",
+    "ImageSize",
+    "calibration_format",
+    "read_calibration",
+    "write_calibration",
+]

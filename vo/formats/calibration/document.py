@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vo.bounded_files import read_text
+from vo.bounded_files import read_bytes, read_text
 from vo.errors import CalibrationError
-from vo.formats.calibration.markup import sections_of
+from vo.formats.calibration.markup import MAX_YAML_BYTES, sections_of
 from vo.types import Floats, Rig
 
 ImageSize = tuple[int, int]
 
-_MAX_BYTES = 500_000
-"""YAML takes about 7 s per megabyte; calibration files with all board corners have 0.1 MB."""
+_MAX_JSON_BYTES = 16 * 2**20
+"""JSON is parsed fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,17 @@ def load_document(path: Path) -> Document:
         CalibrationError: the file is missing, far too large or not text.
     """
     try:
-        if path.is_file() and path.stat().st_size > _MAX_BYTES:
+        is_json = path.suffix.lower() == ".json"
+        max_bytes = _MAX_JSON_BYTES if is_json else MAX_YAML_BYTES
+        if path.is_file() and path.stat().st_size > max_bytes:
             raise CalibrationError(
                 f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "
-                f"only the cameras, below {_MAX_BYTES} bytes"
+                f"only the cameras, below {max_bytes} bytes"
             )
-        text = read_text(path, _MAX_BYTES)
+        if is_json:  # perhaps one long line
+            text = read_bytes(path, max_bytes).decode("utf-8-sig")
+        else:
+            text = read_text(path, max_bytes)
     except FileNotFoundError as error:
         raise CalibrationError(f"calibration file {path} does not exist") from error
     except UnicodeDecodeError as error:

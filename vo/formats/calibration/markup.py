@@ -21,6 +21,8 @@ _FAILURES = (
     TypeError,
     ValueError,
 )
+MAX_YAML_BYTES = 500_000
+"""YAML takes about 7 s per megabyte; calibration files with all board corners have 0.1 MB."""
 _OPENCV_HEADER = re.compile(r"\A\s*%YAML[: ]1\.\d[^\n]*\n")
 _KEY_WITHOUT_SPACE = re.compile(r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", re.MULTILINE)
 
@@ -42,22 +44,27 @@ def sections_of(text: str) -> tuple[Mapping[str, Any], str]:
     Only the first document of a YAML stream is read: `ros2 topic echo` writes several.
     """
     start = text.lstrip()[:1]
+    language = {"<": "XML", "{": "JSON"}.get(start, "YAML")
     try:
         if start == "<":
             return _xml(text), ""
-        data = load_json(text) if start == "{" and _is_json(text) else _yaml(text)
+        data = _json(text) if start == "{" else _yaml(text)
     except _FAILURES as error:
-        language = "XML" if start == "<" else "YAML"
         return {}, f"is not {language}: {' '.join(str(error).split())}"
     return (data, "") if isinstance(data, Mapping) else ({}, "")
 
 
-def _is_json(text: str) -> bool:
+def _json(text: str) -> Any:
+    """The value of a JSON text, or of YAML that begins like JSON."""
     try:
-        load_json(text)
-    except ValueError:
-        return False
-    return True
+        return load_json(text)
+    except ValueError as error:
+        if len(text) > MAX_YAML_BYTES:
+            raise
+        try:
+            return _yaml(text)
+        except _FAILURES:
+            raise error from None
 
 
 def _yaml(text: str) -> Any:

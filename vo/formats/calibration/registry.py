@@ -91,6 +91,15 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
     raise CalibrationError(f"{path} {reason}")
 
 
+def calibration_format(path: Path | str) -> str | None:
+    """Name of the format of a file, a key of `FORMATS`; None if it is no calibration."""
+    try:
+        document = load_document(Path(path))
+        return next((name for name, kind in FORMATS.items() if kind.recognises(document)), None)
+    except CalibrationError:
+        return None
+
+
 def _load(path: Path) -> Document:
     """The document, or the camera chain that settings of OpenVINS name."""
     document = load_document(path)
