@@ -38,7 +38,9 @@ _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # nor a 
 
 def path_of(name: str, fingerprint: str, types: str) -> Path:
     """File of the machine code of a function for some types of arguments."""
-    made_for = hashlib.sha256(f"{machine_code.toolchain()}\n{types}".encode()).hexdigest()
+    # The format counts as well: versions of this program may share a folder.
+    about = f"{_MAGIC!r}{machine_code.toolchain()}\n{types}"
+    made_for = hashlib.sha256(about.encode()).hexdigest()
     return folder() / f"{name}-{made_for[:16]}-{fingerprint[:16]}.bin"
 
 
