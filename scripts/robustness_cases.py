@@ -94,7 +94,7 @@ def _moving() -> Iterator[Case]:
             quick = percent == 60
             fault = faults.chain(faults.standing, train)
             yield Case("train, camera stands", f"{percent} %", clip, fault, is_quick=quick)
-            there = faults.chain(faults.standing, overlays.train(percent / 100, first=-40))
+            there = faults.chain(faults.standing, overlays.train(percent / 100, 12.0, first=-150))
             yield Case("train there from the start, camera stands", f"{percent} %", clip, there)
     for clip in ("kitti06 stereo", "kitti07 mono", "hall stereo"):
         yield from _shares("train, camera moves", clip, overlays.train, ())

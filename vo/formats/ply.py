@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -23,19 +25,36 @@ end_header
 """
 
 
-def write_ply(path: Path, xyz: Floats, grey: Bytes, comment: str) -> None:
-    """Write points (M, 3) with their grey levels (M,).
+def write_ply(path: Path, count: int, parts: Iterable[tuple[Floats, Bytes]], comment: str) -> None:
+    """Write points with their grey levels; the file appears when it is complete.
 
     Args:
         path: the file; an existing one is replaced.
-        xyz: (M, 3) positions.
-        grey: (M,) grey levels.
+        count: number of points.
+        parts: positions (M, 3) and grey levels (M,), `count` of them altogether.
         comment: comment in the header, one line.
 
     Raises:
         OSError: the file cannot be written.
     """
-    rows = np.empty(len(xyz), dtype=_ROW)
-    rows["xyz"], rows["rgb"] = xyz, grey[:, None]
-    header = _HEADER.format(comment=" ".join(comment.split()), count=len(rows))
-    path.write_bytes(header.encode("ascii", "replace") + rows.tobytes())
+    header = _HEADER.format(comment=" ".join(comment.split()), count=count)
+    target = Path(os.path.realpath(path))  # through links
+    if target.exists() and not target.is_file():  # a pipe or a device
+        _write(target, header, parts)
+        return
+    partial = target.with_name(target.name + ".partial")
+    try:
+        _write(partial, header, parts)
+        os.replace(partial, target)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _write(path: Path, header: str, parts: Iterable[tuple[Floats, Bytes]]) -> None:
+    with path.open("wb") as file:
+        file.write(header.encode("ascii", "replace"))
+        for xyz, grey in parts:
+            rows = np.empty(len(xyz), dtype=_ROW)
+            rows["xyz"], rows["rgb"] = xyz, grey[:, None]
+            file.write(rows.tobytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -10,25 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.errors import OutputError
-from vo.formats.colmap import (
-    MODEL_FILES,
-    ModelObservations,
-    ModelPoints,
-    has_colmap_model,
-    write_model,
-)
+from vo.formats.colmap import MODEL_FILES, ModelPoints, ModelWriter, has_colmap_model
 from vo.geometry import cameras
 from vo.geometry.rectification import rectified_rig
+from vo.recording.checkpoints import Checkpoints
 from vo.recording.image_folder import ImageFolder
-from vo.recording.reconstruction import Model, Reconstruction, camera_of, pinhole_of
+from vo.recording.model import Model
+from vo.recording.reconstruction import Reconstruction, camera_of, pinhole_of
 from vo.recording.recorder import TakeSnapshot
 from vo.types import Camera, Estimate, Floats32, Rig, Trajectory, View
 
 _IMAGES, _MODELS = "images", "sparse"
+_PARTIAL_SUFFIX = ".partial"
 
 
 class ColmapRecorder:
-    """Writes `images/` during the run, and `sparse/0`, `sparse/1`, … at its end.
+    """Writes `images/`, and again and again `sparse/0`, `sparse/1`, …; the final ones at the end.
 
     Each segment is a model, because the relative poses of segments are unknown; the one with most
     keyframes is first. Images are those used by the odometry: rectified in stereo, as recorded in
@@ -40,7 +38,7 @@ class ColmapRecorder:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._reconstruction = Reconstruction()
+        self._checkpoints = Checkpoints()
         self._images = ImageFolder(folder / _IMAGES)
         self._is_rectified = False
         self._names: dict[int, str] = {}
@@ -56,6 +54,7 @@ class ColmapRecorder:
         self._is_rectified = rectified_rig(rig).maps[0] is not None
         try:
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
+            self._reconstruction = Reconstruction(self._folder)
             for old in (self._folder / _MODELS).glob("[0-9]*"):
                 if {each.name for each in old.iterdir()} <= set(MODEL_FILES):
                     shutil.rmtree(old)
@@ -77,6 +76,10 @@ class ColmapRecorder:
             self._camera, self._maps = _output_camera(current.view)
         if estimate.is_keyframe:
             self._names[estimate.frame_index] = self._write_image(estimate, current.view)
+        if self._checkpoints.is_due:
+            self._checkpoints.begin()
+            self._write_models(None)
+            self._checkpoints.end()
 
     def _write_image(self, estimate: Estimate, view: View) -> str:
         image = view.image0
@@ -94,24 +97,39 @@ class ColmapRecorder:
         Raises:
             OSError: the disk is full.
         """
+        self._write_models(smoothed)
+        self._reconstruction.close()
+
+    def _write_models(self, smoothed: Trajectory | None) -> None:
         models = self._reconstruction.models(smoothed, self._names)
-        with_points = [model for model in models if len(model.xyz)]
+        with_points = [model for model in models if model.point_count]
         for number, model in enumerate(with_points or models[:1]):
-            self._write(self._folder / _MODELS / str(number), model)
+            folder = self._folder / _MODELS / str(number)
+            partial = folder.with_name(f"{number}{_PARTIAL_SUFFIX}")
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir(parents=True)
+            try:
+                self._write(partial, model)
+                shutil.rmtree(folder, ignore_errors=True)
+                partial.rename(folder)
+            except OSError:
+                shutil.rmtree(partial, ignore_errors=True)
+                raise
 
     def _write(self, folder: Path, model: Model) -> None:
         assert self._camera is not None
         is_pinhole = self._maps is not None
-        xy = _undistorted(model.camera, self._camera, model.xy) if is_pinhole else model.xy
-        write_model(
-            folder,
-            # Of recorded images, with the correction of the lens that was estimated during the run.
-            camera=self._camera if is_pinhole else model.camera,
-            names=[self._names[int(frame)] for frame in model.frame_index],
-            world_from_cam=model.world_from_image0,
-            points=ModelPoints(model.xyz, model.grey, model.error_px),
-            observations=ModelObservations(model.keyframe, model.point, xy),
-        )
+        # Of recorded images, with the correction of the lens that was estimated during the run.
+        with closing(ModelWriter(folder, self._camera if is_pinhole else model.camera)) as writer:
+            for image, points in model.walk():
+                frame, pose = int(model.frame_index[image.keyframe]), model.world_from_image0
+                xy = image.xy
+                if is_pinhole:
+                    xy = _undistorted(model.camera, self._camera, xy)
+                pose = pose[image.keyframe]
+                writer.add_image(image.keyframe, self._names[frame], pose, xy, image.point)
+                if points is not None:
+                    writer.add_points(ModelPoints(*points))
 
 
 def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None]:

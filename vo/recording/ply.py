@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from vo.errors import OutputError
 from vo.formats.ply import write_ply
+from vo.recording.checkpoints import Checkpoints
 from vo.recording.reconstruction import Reconstruction
 from vo.recording.recorder import TakeSnapshot
 from vo.types import Estimate, Rig, Trajectory
 
 
 class PlyRecorder:
-    """Writes all points that were in the map during the run, at its end.
+    """Writes all points that were in the map, again and again during the run, and at its end.
 
     Args:
         path: the file; an existing one is replaced.
@@ -22,7 +21,7 @@ class PlyRecorder:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._reconstruction = Reconstruction()
+        self._checkpoints = Checkpoints()
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Check that the file can be written.
@@ -33,7 +32,8 @@ class PlyRecorder:
         self._name = name
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            write_ply(self._path, np.empty((0, 3)), np.empty(0, np.uint8), name)
+            write_ply(self._path, 0, (), name)
+            self._reconstruction = Reconstruction(self._path.parent)
         except OSError as error:
             raise OutputError(
                 f"points {self._path} cannot be written: {error.strerror or error}; "
@@ -41,8 +41,16 @@ class PlyRecorder:
             ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """Add a frame."""
+        """Add a frame.
+
+        Raises:
+            OSError: the disk is full.
+        """
         self._reconstruction.add(estimate, snapshot())
+        if self._checkpoints.is_due:
+            self._checkpoints.begin()
+            self._write(None)
+            self._checkpoints.end()
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the points.
@@ -50,7 +58,11 @@ class PlyRecorder:
         Raises:
             OSError: the disk is full.
         """
+        self._write(smoothed)
+        self._reconstruction.close()
+
+    def _write(self, smoothed: Trajectory | None) -> None:
         models = self._reconstruction.models(smoothed)
-        xyz = np.concatenate([np.empty((0, 3)), *(model.xyz for model in models)])
-        grey = np.concatenate([np.empty(0, np.uint8), *(model.grey for model in models)])
-        write_ply(self._path, xyz, grey, self._name)
+        count = sum(model.point_count for model in models)
+        parts = ((part.xyz, part.grey) for model in models for part in model.points())
+        write_ply(self._path, count, parts, self._name)
