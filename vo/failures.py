@@ -35,6 +35,7 @@ class FailureReason(Enum):
     NO_DEPTH = "the right image, or depth, is missing"
     FEW_LANDMARKS = "{value:.0f} landmarks with a depth, {needed:.0f} needed"
     FEW_INLIERS = "too few landmarks agree on a pose"
+    REPEATED_IMAGE = "the image repeats the one before while the camera moves"
     IMAGE_DEFECT = "the {side}image is {defect}"
 
 

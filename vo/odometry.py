@@ -62,6 +62,7 @@ class Odometry:
         self._preprocessor = stages.preprocessor
         self._window_optimizer = stages.window_optimizer
         self._tracker = stages.tracker
+        self._frozen_camera = stages.frozen_camera
         self._stereo_initializer = stages.stereo_initializer
         self._monocular_initializer = stages.monocular_initializer
         self._policy = stages.policy
@@ -139,6 +140,8 @@ class Odometry:
 
     def _track(self, frame: PreprocessedFrame) -> FrameResult:
         """Track one frame, make it a keyframe if the map needs one, and extend the map."""
+        if self._frozen_camera.is_frozen(frame, self._segment):
+            return FrameResult(frame, failure=Failure(FailureReason.REPEATED_IMAGE))
         before, last_from_cam = self._tracker.last, None
         if self._state is State.TRACKING:
             # The window is optimised at the same time: the result does not depend on it.
@@ -146,19 +149,21 @@ class Odometry:
         self._updater.next_frame()
         if self._state is State.STARTING:
             return self._start(frame)
-        is_lost = self._state is State.LOST
+        is_lost = self._state is State.LOST or self._frozen_camera.has_withheld
         tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)
         if tracked is None:
             self._state = State.LOST
             self._lost.append(frame)
             return FrameResult(frame, failure=Failure(FailureReason.FEW_INLIERS))
         self._state, self._lost = State.TRACKING, []
+        newest = self._map.keyframes[-1]
+        for each in self._frozen_camera.resume(tracked):
+            self._trajectory.add_frame(each, newest, self._tracker.last_pose)
         self._tracker.update(frame, tracked)
         keyframe = None
         if self._needs_keyframe(frame, tracked):
             keyframe = self._add_keyframe(frame, tracked)
         else:
-            newest = self._map.keyframes[-1]
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
         return FrameResult(frame, tracked, keyframe, before)
 
@@ -241,7 +246,7 @@ class Odometry:
             matches=0 if tracked is None else len(tracked.observed),
             inliers=0 if tracked is None else tracked.inliers,
             median_disparity_px=None if tracked is None else tracked.median_disparity_px,
-            faults=frame.faults + result.faults + self._updater.faults,
+            faults=result.every_fault + self._updater.faults,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,
             stage_ms=self.stopwatch.take(),

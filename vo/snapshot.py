@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.failures import Failure
-from vo.faults import Fault
+from vo.failures import Failure, FailureReason
+from vo.faults import Fault, FaultKind
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
@@ -29,6 +29,9 @@ from vo.types import (
     View,
 )
 
+# Failures that leave out a frame which would mislead; the path goes on without it.
+_FAULTS_OF_FAILURES = {FailureReason.REPEATED_IMAGE: FaultKind.REPEATED_IMAGES}
+
 
 class FrameResult(NamedTuple):
     """Result of a frame.
@@ -48,6 +51,13 @@ class FrameResult(NamedTuple):
     before: LastFrame | None = None
     failure: Failure | None = None
     faults: tuple[Fault, ...] = ()
+
+    @property
+    def every_fault(self) -> tuple[Fault, ...]:
+        """Faults of the images, of tracking, and that for which a frame was left out."""
+        kind = None if self.failure is None else _FAULTS_OF_FAILURES.get(self.failure.reason)
+        left_out = () if kind is None else (Fault(kind, is_handled=True),)
+        return self.frame.faults + self.faults + left_out
 
     @property
     def world_from_cam(self) -> Floats | None:

@@ -24,6 +24,7 @@ from vo.mapping.local_mapper import LocalMapper
 from vo.refinement.calibration_refiner import CalibrationRefiner
 from vo.scheduling import available_cores
 from vo.stopwatch import Stopwatch
+from vo.tracking.frozen_camera import FrozenCamera
 from vo.tracking.keyframe_forecast import KeyframeForecast
 from vo.tracking.keyframe_policy import KeyframePolicy
 from vo.tracking.monocular_initializer import MonocularInitializer
@@ -60,6 +61,7 @@ class Stages(NamedTuple):
 
     preprocessor: FramePreprocessor
     tracker: Tracker
+    frozen_camera: FrozenCamera
     stereo_initializer: StereoInitializer
     monocular_initializer: MonocularInitializer
     policy: KeyframePolicy
@@ -119,6 +121,7 @@ def make_stages(
     return Stages(
         _preprocessor(rectified, frontend, config, threads),
         tracker,
+        FrozenCamera(tracker),
         StereoInitializer(local_map, mapper, start.min_points),
         MonocularInitializer(local_map, mapper, frontend, start, search_ratio),
         policy,

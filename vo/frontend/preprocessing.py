@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from vo.faults import Fault
+from vo.faults import Fault, FaultKind
 from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
+from vo.frontend.image_repetition import Repetition, RepetitionDetector, is_right_frozen
 from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
@@ -38,6 +39,7 @@ class PreprocessedFrame:
         vertical_disparity: that of recorded pairs as estimated until this frame, or None.
         corrected: the part of them that is corrected in images[1].
         faults: faults that the images show.
+        repetition: whether the image of camera 0 repeats the one before.
     """
 
     index: int
@@ -50,6 +52,7 @@ class PreprocessedFrame:
     vertical_disparity: VerticalDisparity | None = None
     corrected: VerticalDisparity = VerticalDisparity()
     faults: tuple[Fault, ...] = ()
+    repetition: Repetition = Repetition.NONE
 
     @property
     def image0(self) -> Bytes:
@@ -95,6 +98,7 @@ class FramePreprocessor:
     """Preprocesses frames, left and right images in a thread each where there are cores for it.
 
     Vertical disparities of pairs are corrected on the way, see `vo.frontend.vertical_disparity`.
+    A right image that repeats the one before it, while the left one does not, is left out.
 
     Attributes:
         is_eager: whether features, too, are extracted a frame ahead. Features that turn out not to
@@ -122,6 +126,7 @@ class FramePreprocessor:
         self._extractor = extractor
         self._vertical_disparity = vertical_disparity
         self._pair_check = pair_check
+        self._repetition = RepetitionDetector()
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
@@ -155,6 +160,11 @@ class FramePreprocessor:
             pool.shutdown(cancel_futures=True)
 
     def _preprocess(self, frame: Frame) -> PreprocessedFrame:
+        left_change, *right_change = self._repetition.update(frame.images)
+        faults: tuple[Fault, ...] = ()
+        if self._rig.is_stereo and any(is_right_frozen(left_change, each) for each in right_change):
+            frame = replace(frame, images=frame.images[:1])
+            faults = (Fault(FaultKind.REPEATED_RIGHT_IMAGES, is_handled=True),)
         images, features = self._images_and_features(frame)
         image0 = images[0]
         assert image0 is not None
@@ -168,7 +178,8 @@ class FramePreprocessor:
             frame.path,
             self._vertical_disparity.estimated,
             self._vertical_disparity.corrected,
-            self._vertical_disparity.faults,
+            self._vertical_disparity.faults + faults,
+            left_change.repetition,
         )
         if self.is_eager:
             preprocessed.start_features()

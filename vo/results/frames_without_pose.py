@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.failures import ImageDefect, describe
+from vo.failures import FailureReason, ImageDefect, describe
 from vo.results.run_statistics import RunStatistics
 from vo.types import Ints, Skipped, State
 
@@ -72,6 +72,8 @@ def _single_frame(
         reason = "its pose was discarded later"
         return FrameRange(frame, frame, 1, State.LOST.value, reason)
     state, failure = statistics.without_pose[frame]
+    if failure is not None and failure.reason is FailureReason.REPEATED_IMAGE:
+        return FrameRange(frame, frame, 1, _SKIPPED, describe(failure))
     shown = State.STARTING if state is State.STARTING else State.LOST
     defect = None if failure is None else failure.defect
     return FrameRange(frame, frame, 1, shown.value, describe(failure), defect)

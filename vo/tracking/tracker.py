@@ -16,7 +16,8 @@ from vo.config import StartConfig, TrackingConfig
 from vo.frontend.contracts import Circles, FeatureSet, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.preprocessing import PreprocessedFrame
-from vo.geometry.transforms import inverse
+from vo.geometry.quantiles import median
+from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import LocalMap
 from vo.mapping.octaves import predicted_octave
 from vo.mapping.tracked_frame import TrackedFrame
@@ -49,6 +50,7 @@ class Tracker:
 
     Attributes:
         last: the last tracked frame, None before the first of a segment.
+        knows_velocity: whether two frames of the segment have been tracked.
         stopwatch: counts stages `match` and `align`.
 
     Args:
@@ -70,6 +72,7 @@ class Tracker:
         stopwatch: Stopwatch,
     ) -> None:
         self.last: LastFrame | None = None
+        self.knows_velocity = False
         self.stopwatch = stopwatch
         self._map = local_map
         self._matcher = frontend.matcher
@@ -89,11 +92,13 @@ class Tracker:
         """Begin at the frame that a new map was made of, with unknown velocity."""
         self._motion.restart(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
+        self.knows_velocity = False
 
     def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
         """Continue from a tracked frame."""
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
+        self.knows_velocity = True
 
     def forget_last_frame(self) -> None:
         """Forget the last frame, before a new segment."""
@@ -102,6 +107,18 @@ class Tracker:
     def move(self, motion: Floats) -> None:
         """Follow the map's newest keyframe, which optimisation has moved by (4, 4)."""
         self._motion.move(motion)
+
+    def predicted_motion_px(self, ids: Ints, stamp_ns: int) -> float:
+        """Median motion of landmarks in the image from the last frame to a time; 0 if unknown."""
+        rows = self._map.rows(ids)
+        xyz = self._map.xyz[rows[rows >= 0]]
+        poses = self._motion.last, self._motion.predict(stamp_ns)
+        before, after = (transform_points(inverse(pose), xyz) for pose in poses)
+        seen = (before[:, 2] > 0) & (after[:, 2] > 0)
+        if not seen.any():
+            return 0.0
+        motion = self._map.rig.project(after[seen]) - self._map.rig.project(before[seen])
+        return median(np.hypot(motion[:, 0], motion[:, 1]))
 
     @timed("match")
     def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import adjoint, inverse
-from vo.mapping.keyframe import Keyframe
+from vo.mapping.keyframe import FrameId, Keyframe
 from vo.trajectory.store import TrajectoryStore
 from vo.types import Floats, KeyframePose
 
@@ -32,7 +32,7 @@ class TrajectoryBuilder:
         self._adjoint = adjoint(cam0_from_rectified)
 
     def add_frame(
-        self, frame: PreprocessedFrame, keyframe: Keyframe, world_from_cam: Floats
+        self, frame: PreprocessedFrame | FrameId, keyframe: Keyframe, world_from_cam: Floats
     ) -> None:
         """Add a frame with its pose (4, 4), relative to a keyframe that is stored already."""
         segment, pose = keyframe.frame.segment, self.world_from_cam0(world_from_cam)
