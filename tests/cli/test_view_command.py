@@ -97,9 +97,41 @@ def test_serves_page_and_recording_to_this_machine_only(page: str, recorded: Pat
         assert b"<html" in answer.read().lower()
     with urllib.request.urlopen(data) as answer:
         assert answer.read() == (recorded / "run.rrd").read_bytes()
-        assert answer.headers["Access-Control-Allow-Origin"] == "*"
+        assert "Access-Control-Allow-Origin" not in answer.headers
     with pytest.raises(urllib.error.HTTPError):
         urllib.request.urlopen(data.rpartition("/")[0] + "/../summary.json")
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen("/".join([*data.split("/")[:3], "recording.rrd"]))
+
+
+@pytest.mark.parametrize(
+    ("origin", "is_allowed"),
+    [
+        ("http://127.0.0.1:{port}", True),
+        ("http://localhost:{port}", True),
+        ("https://127.0.0.1:{port}", False),
+        ("http://127.0.0.1:1", False),
+        ("http://evil.example:{port}", False),
+        ("http://127.0.0.1.evil.example:{port}", False),
+        ("http://127.0.0.1:x", False),
+        ("null", False),
+    ],
+)
+def test_only_pages_of_the_viewer_can_read_the_recording(
+    page: str, origin: str, is_allowed: bool
+) -> None:
+    viewer, _, data = page.partition("?url=")
+    given = origin.format(port=viewer.rstrip("/").rpartition(":")[2])
+    with urllib.request.urlopen(urllib.request.Request(data, headers={"Origin": given})) as answer:
+        allowed = answer.headers["Access-Control-Allow-Origin"]
+    assert allowed == (given if is_allowed else None)
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "10.0.0.1", ""])
+def test_requests_to_other_hosts_are_refused(page: str, host: str) -> None:
+    data = page.partition("?url=")[2]
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(urllib.request.Request(data, headers={"Host": host}))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")

@@ -71,13 +71,17 @@ def view_command(
 
 
 def _serve(file: Path, port: int, bind: str) -> None:
-    from vo.recording.file_server import NAME, FileServer
+    from urllib.parse import urlsplit
+
+    from vo.recording.file_server import FileServer
     from vo.recording.viewer import host_of, start_web
 
-    with FileServer(file, bind) as server:
-        viewer = start_web(port=port, bind=bind)
+    viewer = start_web(port=port, bind=bind)
+    with contextlib.ExitStack() as stack:
+        stack.callback(viewer.stop)
         page, _, _ = str(viewer.page).partition("?")
-        data = f"http://{host_of(bind)}:{server.port}/{NAME}"
+        server = stack.enter_context(FileServer(file, bind, urlsplit(page).port or 0))
+        data = f"http://{host_of(bind)}:{server.port}{server.path}"
         typer.echo(f"{file} is at {page}?url={data}")
         typer.echo(f"data on port {server.port}; press Ctrl-C to end")
         _wait(viewer)
