@@ -15,7 +15,7 @@ BASE = {
     f"vo.{name}"
     for name in (
         *("errors", "types", "failures", "faults", "calibration_errors"),
-        *("bounded_documents", "bounded_files"),
+        *("bounded_documents", "bounded_files", "printable"),
         *("config", "settings", "scheduling", "stopwatch"),
     )
 }

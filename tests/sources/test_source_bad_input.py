@@ -354,3 +354,20 @@ def test_a_calibration_of_another_name_is_mentioned(tmp_path: Path) -> None:
     other.unlink()
     with pytest.raises(CalibrationError, match=r"give one with --calibration FILE \(format"):
         open_source(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/{parent}/secret.png", "rgb/../../secret.png"])
+@pytest.mark.parametrize("layout", ["tum", "euroc"])
+def test_images_outside_of_the_recording(layout: str, name: str, tmp_path: Path) -> None:
+    layouts.WRITERS[layout](tmp_path / layout)
+    table = {"tum": "rgb.txt", "euroc": "mav0/cam0/data.csv"}[layout]
+    (tmp_path / "secret.png").touch()
+    file = tmp_path / layout / table
+    lines = file.read_text("utf-8").splitlines()
+    up = "../" * (table.count("/") + 1)
+    escaped = name.format(parent=tmp_path).replace("../secret", f"{up}secret")
+    end = lines[-1].replace(",", " ").split()[-1]
+    lines[-1] = lines[-1].replace(end, escaped)
+    file.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(SourceError, match=r"secret\.png is outside of the recording"):
+        open_source(tmp_path / layout)

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from vo.cli.calibrate import calibrate_command
 from vo.cli.convert import convert_command
 from vo.cli.demo import demo_command
+from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.info import info_command
 from vo.cli.report import report_command
@@ -39,13 +40,13 @@ class _Group(TyperGroup):
         try:
             return super().invoke(ctx)
         except VoError as error:
-            typer.echo(f"error: {error}", err=True)
+            echo(f"error: {error}", err=True)
             raise typer.Exit(1) from error
         except OSError as error:
             if error.errno is None or error.errno == errno.EPIPE:  # a closed pipe is no error
                 raise
             where = "standard output" if error.filename is None else error.filename
-            typer.echo(f"error: {where}: {error.strerror}", err=True)
+            echo(f"error: {where}: {error.strerror}", err=True)
             _discard_stdout()
             raise typer.Exit(1) from error
 
@@ -58,7 +59,7 @@ def _refuse_empty_arguments(arguments: list[str]) -> None:
             continue
         option = name if equals else arguments[number - 1] if number else ""
         what = f"the value of {option}" if option.startswith("-") else "an argument"
-        typer.echo(f"error: {what} is empty; is a shell variable not set?", err=True)
+        echo(f"error: {what} is empty; is a shell variable not set?", err=True)
         raise typer.Exit(2)
 
 
@@ -86,7 +87,7 @@ def _print_version(is_given: bool) -> None:
     if is_given:
         from vo import __version__
 
-        typer.echo(f"vo {__version__}")
+        echo(f"vo {__version__}")
         raise typer.Exit()
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from vo.cli import options
+from vo.cli.echo import echo, echo_json
 from vo.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
@@ -191,11 +192,9 @@ def calibrate_command(
     request = _Request(source, format, mode, topics, start, end, look_at, model.value, views)
     result = _calibrate_and_write(request, made, output, picture)
     if json_output:
-        import json
-
         from vo.calibrating.report import to_dict
 
-        typer.echo(json.dumps(to_dict(result), indent=2, allow_nan=False))
+        echo_json(to_dict(result))
     else:
         from vo.cli.calibrate_table import print_result
 
@@ -206,7 +205,7 @@ def _print_board(path: Path, board: Board) -> None:
     from vo.calibrating.printing import save_board
 
     save_board(path, board)
-    typer.echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
+    echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
 
 
 class _Request(NamedTuple):
@@ -230,24 +229,23 @@ def _calibrate_and_write(
     try:
         result = _calibrate(request, board)
     except KeyboardInterrupt:
-        typer.echo(f"interrupted; {output} was not written", err=True)
+        echo(f"interrupted; {output} was not written", err=True)
         raise typer.Exit(130) from None
     _write(result, output, picture)
     return result
 
 
 def _calibrate(request: _Request, board: Board) -> CalibrationResult:
-    from rich.console import Console
-
     from vo.calibrating.calibrate import calibrate
     from vo.calibrating.fit import MIN_VIEWS
     from vo.calibrating.missing_board import explain_missing_board
     from vo.calibrating.views import detect_views, least_motion_frames
+    from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
     from vo.errors import CalibrationError
     from vo.sources.uncalibrated import open_uncalibrated
 
-    console = Console(stderr=True, highlight=False)
+    console = standard_error()
     path, format, mode, topics, start, end, max_frames, model, max_views = request
     with warnings_on(console):
         source = open_uncalibrated(path, format=format, mode=mode.value, topics=topics)

@@ -13,7 +13,7 @@ from rich.table import Table
 from vo.calibrating.advice import coverage, tilts_deg, warnings_of
 from vo.calibrating.calibrate import CalibrationResult
 from vo.calibrating.report import baseline, camera_parameters, camera_rms_px, epipolar_rms_px
-from vo.cli.console import print_table
+from vo.cli.console import print_table, standard_output
 from vo.geometry.transforms import rotation_angle
 
 
@@ -24,7 +24,7 @@ def print_result(
     console: Console | None = None,
 ) -> None:
     """Print the cameras, their accuracy, warnings, and the paths of the files."""
-    console = console or Console(highlight=False)
+    console = console or standard_output()
     for name, value in _facts(result):
         console.print(f"[bold]{name:<9}[/]", escape(value), soft_wrap=True)
     console.print()

@@ -1,21 +1,41 @@
-"""Console for progress and warnings, whose failures never end a run, and tables of numbers."""
+"""Consoles of rich, in which text from files has no control characters, and tables of numbers."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import IO, Any, cast
 
 from rich.console import Console, ConsoleOptions, RenderResult
+from rich.segment import Segment
 from rich.table import Table
+
+from vo.printable import printable
 
 _ANY_WIDTH = 1000
 
 
-def standard_error() -> Console:
+class SafeConsole(Console):
+    """A console that prints control characters of text as `printable` writes them."""
+
+    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
+        """The text of the terminal, with rich's own control codes."""
+        return super()._render_buffer(
+            segment if segment.control else segment._replace(text=printable(segment.text))
+            for segment in buffer
+        )
+
+
+def standard_output(*, quiet: bool = False) -> Console:
+    """A console on standard output."""
+    return SafeConsole(highlight=False, quiet=quiet)
+
+
+def standard_error(*, quiet: bool = False) -> Console:
     """A console on standard error; output to a closed pipe or a full disk is discarded."""
     file = None if sys.stderr is None else cast("IO[str]", _FailSafeFile(sys.stderr))
-    return Console(file=file, stderr=True, highlight=False)
+    return SafeConsole(file=file, stderr=True, highlight=False, quiet=quiet)
 
 
 def print_table(console: Console, table: Table) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli import options
+from vo.cli.echo import echo
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,15 +101,14 @@ def convert_command(
 
       vo convert kitti/06 small.mcap --resize 0.5 --codec jpeg --format mcap-ros2
     """
-    from rich.console import Console
-
+    from vo.cli.console import standard_error
     from vo.cli.conversion import Conversion
     from vo.cli.progress import warnings_on
     from vo.inspection.opening import open_leniently
     from vo.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (output,))
-    console = Console(stderr=True, highlight=False, quiet=quiet)
+    console = standard_error(quiet=quiet)
     chosen = _output_format(format, output)
     settings = Conversion(chosen, codec, start, end, stride, _size(resize), gray)
     opened = open_leniently(
@@ -120,7 +120,7 @@ def convert_command(
         with warnings_on(console):
             _convert(opened, output, settings, force, console)
     except KeyboardInterrupt:
-        typer.echo(f"interrupted; {output} was not written", err=True)
+        echo(f"interrupted; {output} was not written", err=True)
         raise typer.Exit(130) from None
 
 
@@ -145,7 +145,7 @@ def _convert(
     truth = f"{len(made.body_truth.stamps_ns)} ground truth poses"
     imu = "" if made.imu is None else f", {len(made.imu.stamps_ns)} inertial samples"
     if not console.quiet:
-        typer.echo(
+        echo(
             f"{output}: {len(made.stamps_ns[0])} {kind} frames, {camera.width}x{camera.height} "
             f"{'colour' if made.has_colour else 'grey'}, {settings.format} ({settings.codec}), "
             f"{truth}{imu}"

@@ -37,9 +37,9 @@ def demo_command(
 
       vo demo
     """
-    from rich.console import Console
+    from vo.cli.console import standard_output
 
-    console = Console(highlight=False)
+    console = standard_output()
     sequence = _find_or_make_sequence(output, console)
     results = output / "run"
     rrd, plot = results / "run.rrd", results / "eval.png"
@@ -68,7 +68,7 @@ def _find_or_make_sequence(output: Path, console: Console) -> Path:
         recipe = load_recipe("demo")
         sequence = cached_sequence(recipe, output, "recording", on_frame=show)
         origin = "" if bar.tasks[0].total else " (made earlier)"
-    console.print(f"recording   {sequence}{origin}: {recipe.about}", soft_wrap=True)
+    console.print(f"recording   {sequence}{origin}: {recipe.about}", markup=False, soft_wrap=True)
     return sequence
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli import options
+from vo.cli.echo import echo_json
 
 if TYPE_CHECKING:
     from vo.evaluation.inputs import Inputs
@@ -183,7 +184,6 @@ def _title(inputs: Inputs) -> str:
 
 
 def _print_json(evaluation: Evaluation, inputs: Inputs, plot: Path | None) -> None:
-    import json
 
     result = {
         "estimate": str(inputs.estimate_path),
@@ -193,4 +193,4 @@ def _print_json(evaluation: Evaluation, inputs: Inputs, plot: Path | None) -> No
         "plot": None if plot is None else str(plot),
     }
     result["notes"] = [*inputs.notes, *evaluation.notes]
-    typer.echo(json.dumps(result, indent=2, allow_nan=False))
+    echo_json(result)

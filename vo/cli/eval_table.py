@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from vo.cli.console import print_table
+from vo.cli.console import print_table, standard_output
 from vo.evaluation.inputs import Inputs
 from vo.evaluation.report import Evaluation
 from vo.evaluation.statistics import PoseErrors, Statistics
@@ -21,7 +21,7 @@ def print_evaluation(
     evaluation: Evaluation, inputs: Inputs, plot: Path | None = None, console: Console | None = None
 ) -> None:
     """Print the inputs, the alignment, the errors and the path of the plot."""
-    console = console or Console(highlight=False)
+    console = console or standard_output()
     for name, value in _facts(evaluation, inputs):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
     console.print()

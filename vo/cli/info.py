@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import options
+from vo.cli.echo import echo_json
 
 ContactSheet = Annotated[
     Path | None,
@@ -49,18 +50,16 @@ def info_command(
     Exit status: 0 no problem, 1 at least one problem (not for warnings),
     2 wrong usage.
     """
-    import json
     from dataclasses import asdict
 
-    from rich.console import Console
-
+    from vo.cli.console import standard_error
     from vo.inspection.opening import open_leniently
     from vo.inspection.report import DEFAULT_IMAGES, inspect
     from vo.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (contact_sheet,))
 
-    with Console(stderr=True).status("checking images"):
+    with standard_error().status("checking images"):
         opened = open_leniently(
             source, format=format, calibration=calibration, mode=mode.value, topics=topic or ()
         )
@@ -72,7 +71,7 @@ def info_command(
 
             write_contact_sheet(contact_sheet, opened)
     if json_output:
-        typer.echo(json.dumps(asdict(report), indent=2, allow_nan=False))
+        echo_json(asdict(report))
     else:
         from vo.cli.info_table import print_report
 

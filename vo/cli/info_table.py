@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
+from vo.cli.console import standard_output
 from vo.inspection.image_records import CameraReport, PairReport
 from vo.inspection.records import CalibrationReport, ImuReport, LensReport, Report
 
@@ -22,7 +23,7 @@ _MIN_TURN_DEG = 10.0  # smaller rotations between the cameras are usual
 
 def print_report(report: Report, sheet: Path | None, console: Console | None = None) -> None:
     """Print facts, findings, and the command to try."""
-    console = console or Console(highlight=False)
+    console = console or standard_output()
     for name, value in _facts(report):
         console.print(f"[bold]{name:<11}[/]", escape(value), soft_wrap=True)
     if sheet is not None:

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 import typer
 
+from vo.cli.echo import echo
+
 
 @contextlib.contextmanager
 def live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[str | None]:
@@ -37,9 +39,9 @@ def live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[st
     else:
         viewer = start_web()
         try:
-            typer.echo(f"viewer at {viewer.page}", err=True)
+            echo(f"viewer at {viewer.page}", err=True)
             yield viewer.url
-            typer.echo(f"viewer still at {viewer.page}; press Ctrl-C to end", err=True)
+            echo(f"viewer still at {viewer.page}; press Ctrl-C to end", err=True)
             with contextlib.suppress(KeyboardInterrupt):
                 viewer.wait()
         finally:

@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
+from vo.cli.console import standard_error
 from vo.failures import describe
 from vo.progress import NullProgress, Progress
 from vo.types import Estimate, State
@@ -25,7 +26,7 @@ _WAITING = "getting ready"
 
 def make_progress(console: Console | None = None, *, quiet: bool = False) -> Progress:
     """Progress display for the console: a bar on a terminal, else lines; none if quiet."""
-    console = console or Console(stderr=True, highlight=False)
+    console = console or standard_error()
     if quiet:
         return NullProgress()
     return BarProgress(console) if console.is_terminal else LineProgress(console)

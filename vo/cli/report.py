@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.cli.echo import echo
+
 if TYPE_CHECKING:
     from vo.report.entry import Entry
     from vo.report.run_folder import RunRecord
@@ -68,10 +70,10 @@ def report_command(
         entries = _entries(runs, truth, images)
     figures = list(draw_all(entries))
     write_page(output, make_page(entries, figures))
-    typer.echo(f"report      {output}")
+    echo(f"report      {output}")
     if plots is not None:
         written = write_plots(plots, figures)
-        typer.echo(f"plots       {len(written)} files in {plots}")
+        echo(f"plots       {len(written)} files in {plots}")
 
 
 def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from vo.cli.advice import advice, verdict_sentence
+from vo.cli.console import standard_output
 from vo.results.profile import Profile
 from vo.results.summary import Summary
 
@@ -19,7 +20,7 @@ def print_summary(
     summary: Summary, output: Path, rrd: Path | None = None, console: Console | None = None
 ) -> None:
     """Print the verdict on a run, figures, warnings, advice and next commands."""
-    console = console or Console(highlight=False)
+    console = console or standard_output()
     colour, sentence = _COLOURS[summary.verdict.grade], verdict_sentence(summary)
     console.print(f"[bold]{'result':<10} {colour}{escape(sentence)}[/][/]", soft_wrap=True)
     for name, value in _facts(summary, output, rrd):

@@ -13,6 +13,8 @@ from types import FrameType
 
 import typer
 
+from vo.cli.echo import echo
+
 _SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 
 
@@ -40,7 +42,7 @@ def stop_signals_as_interrupts(output: Path) -> Iterator[None]:
         written = f"; the results so far are in {output}"
         if status is None:
             written = " before the first frame; nothing was written"
-        typer.echo(f"interrupted{written}", err=True)
+        echo(f"interrupted{written}", err=True)
         raise typer.Exit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
     finally:
         for number, handler in previous.items():

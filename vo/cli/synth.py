@@ -159,9 +159,9 @@ def synth_command(
       vo synth out/hard --preset euroc --effects blur=2,noise=3,dark=1 --seed 7
       vo synth log.mcap --preset phone --format mcap-ros2 --codec jpeg
     """
-    from rich.console import Console
+    from vo.cli.console import standard_output
 
-    console = Console(highlight=False, quiet=quiet)
+    console = standard_output(quiet=quiet)
     if list_:
         from vo.cli.synth_list import print_choices
 
@@ -217,5 +217,6 @@ def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> None
     console.print(
         f"{output}: {len(recording)} {kind} frames, {recipe.seconds:g} s, "
         f"{recording.path_m:.1f} m of path, {recipe.format}",
+        markup=False,
         soft_wrap=True,
     )

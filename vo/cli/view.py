@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.cli.echo import echo
+
 if TYPE_CHECKING:
     from vo.recording.viewer import ViewerProcess
 
@@ -82,8 +84,8 @@ def _serve(file: Path, port: int, bind: str) -> None:
         page, _, _ = str(viewer.page).partition("?")
         server = stack.enter_context(FileServer(file, bind, urlsplit(page).port or 0))
         data = f"http://{host_of(bind)}:{server.port}{server.path}"
-        typer.echo(f"{file} is at {page}?url={data}")
-        typer.echo(f"data on port {server.port}; press Ctrl-C to end")
+        echo(f"{file} is at {page}?url={data}")
+        echo(f"data on port {server.port}; press Ctrl-C to end")
         _wait(viewer)
 
 
@@ -114,6 +116,8 @@ def find_recording(path: Path) -> Path:
         file = found[-1]
     if not file.exists():
         raise SourceError(f"{file} does not exist; record it: vo run RECORDING --rrd {file}")
+    if not file.is_file():  # opening a pipe would wait
+        raise SourceError(f"{file} is not a file; give a file written by vo run --rrd")
     try:
         with file.open("rb") as opened:
             first_bytes = opened.read(len(_MAGIC))

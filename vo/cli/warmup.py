@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-import typer
+from vo.cli.echo import echo
 
 
 def warmup_command() -> None:
@@ -28,4 +28,4 @@ def warmup_command() -> None:
     with warnings_on(standard_error()):
         has_compiled = warm_up(Odometry)
     elapsed = f"compiled in {time.monotonic() - begin:.0f} s"
-    typer.echo(elapsed if has_compiled else "nothing to compile")
+    echo(elapsed if has_compiled else "nothing to compile")

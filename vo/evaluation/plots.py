@@ -9,6 +9,7 @@ import numpy as np
 
 from vo.errors import OutputError
 from vo.evaluation.report import Evaluation
+from vo.printable import printable
 from vo.types import Floats, Trajectory
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figu
     figure = Figure(figsize=(12.0, 6.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(printable(title), fontsize=12, parse_math=False)
     _draw_path(figure.add_subplot(grid[:, 0]), evaluation, reference)
     upper = figure.add_subplot(grid[0, 1])
     lower = figure.add_subplot(grid[1, 1], sharex=upper)

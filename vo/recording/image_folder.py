@@ -43,7 +43,9 @@ class ImageFolder:
         """
         if path is not None and path.parent.resolve() == self._folder.resolve():
             raise OSError(f"{self._folder} contains the images of the recording")
-        recorded = _in_colour(path) if is_recorded and path is not None else None
+        # A link may lead to a file that is no part of the recording: only its pixels are written.
+        may_copy = is_recorded and path is not None and not path.is_symlink()
+        recorded = _in_colour(path) if may_copy and path is not None else None
         suffix = ".png" if recorded is None else recorded.suffix
         stem = "frame" if path is None else re.sub(r"\s", "_", path.stem)
         name = f"{stem}{suffix}"

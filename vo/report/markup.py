@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import html
 
+from vo.printable import printable
+
 
 class Markup(str):
     """Text that is HTML, to be inserted without escaping."""
 
 
 def element(tag: str, *children: str, **attributes: str) -> Markup:
-    """An HTML element; its text is escaped, `Markup` is not.
+    """An HTML element; its text is escaped, `Markup` is not; control characters become visible.
 
     In names of attributes, a trailing underscore is removed (`class_`), others become hyphens.
     """
     formatted = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{html.escape(value, quote=True)}"'
+        f' {name.rstrip("_").replace("_", "-")}="{html.escape(printable(value), quote=True)}"'
         for name, value in attributes.items()
     )
     return Markup(f"<{tag}{formatted}>{join(*children)}</{tag}>")
@@ -23,7 +25,9 @@ def element(tag: str, *children: str, **attributes: str) -> Markup:
 
 def join(*children: str) -> Markup:
     """Pieces one after another; text is escaped."""
-    return Markup("".join(c if isinstance(c, Markup) else html.escape(c) for c in children))
+    return Markup(
+        "".join(c if isinstance(c, Markup) else html.escape(printable(c)) for c in children)
+    )
 
 
 def table(heading: list[str], rows: list[list[str]], **attributes: str) -> Markup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import statistics
 from collections.abc import Callable, Sequence
@@ -99,14 +100,15 @@ def shots_from_table(
         stamp_ns: parses a stamp; raises ValueError.
 
     Raises:
-        SourceError: a line is invalid, stamps do not increase, or none of the files exists.
+        SourceError: a line is invalid or names a file outside of the folder of the table, stamps
+            do not increase, or none of the files exists.
     """
     shots, files = [], []
     for location, text in read_lines(table):
         fields = [field.strip() for field in text.split(separator, 1)]
         if len(fields) != 2 or not fields[1]:
             raise SourceError(f"{location}: '{text}' is not a stamp and a file name")
-        files.append(folder / fields[1])
+        files.append(_inside(table.parent, folder / fields[1], location))
         stamp = _parse(location, fields[0], stamp_ns)
         shots.append(Shot(stamp, ImageFile(files[-1]), location))
     check_increasing(shots)
@@ -115,6 +117,19 @@ def shots_from_table(
             f"none of the {len(shots)} images listed in {table} exists; the first is {files[0]}"
         )
     return shots
+
+
+def _inside(root: Path, file: Path, location: str) -> Path:
+    """The file, unless its name leads out of a folder; images are copied into exports.
+
+    Raises:
+        SourceError: it does.
+    """
+    if not Path(os.path.abspath(file)).is_relative_to(os.path.abspath(root)):
+        raise SourceError(
+            f"{location}: {file} is outside of the recording; images are read from {root} only"
+        )
+    return file
 
 
 def shots_from_times(times: Path, images: Sequence[Path]) -> list[Shot]:
