@@ -37,6 +37,8 @@ class RunOptions(TypedDict, total=False):
         calibration: file that replaces the recording's calibration.
         format: of the recording; by default detected from the path.
         topics: of a log, `left=/a` and `right=/b`, or a single name; by default detected.
+        right_offset_ns: added to the stamps of right images before they are paired; by default the
+            constant offset of all right stamps, if there is one.
         follow: whether the log is still being written; frames are tracked as they arrive.
         source_name: name of the recording in the summary, instead of its path.
         rrd: file to record for the rerun viewer.
@@ -57,6 +59,7 @@ class RunOptions(TypedDict, total=False):
     calibration: Path | None
     format: str | None
     topics: Sequence[str]
+    right_offset_ns: int | None
     follow: bool
     source_name: str | None
     rrd: Path | None
@@ -148,6 +151,7 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
         mode=options.get("mode", "auto"),
         topics=options.get("topics", ()),
         follow=follow,
+        right_offset_ns=options.get("right_offset_ns"),
     )
 
 
@@ -164,6 +168,7 @@ def _request(
         options.get("stride", 1),
         options.get("calibration"),
         tuple(options.get("topics", ())),
+        options.get("right_offset_ns"),
         options.get("follow", False),
         options.get("profile_since"),
     )

@@ -46,6 +46,7 @@ class Request:
         stride: step between frames.
         calibration: file that replaces the recording's calibration, or None.
         topics: of a log, as given.
+        right_offset_ns: added to the stamps of right images, None if it was not given.
         follow: whether it may still grow.
         profile_since: start of the profile on `time.perf_counter`, None for no profile.
     """
@@ -58,6 +59,7 @@ class Request:
     stride: int = 1
     calibration: Path | None = None
     topics: tuple[str, ...] = ()
+    right_offset_ns: int | None = None
     follow: bool = False
     profile_since: float | None = None
 
@@ -81,6 +83,7 @@ class Request:
             every=self.config.tracking.every,
             calibration=None if self.calibration is None else str(self.calibration),
             topics=self.topics,
+            right_offset_ns=self.right_offset_ns,
         )
 
     def with_public_name(self, text: str) -> str:

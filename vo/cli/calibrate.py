@@ -157,6 +157,7 @@ def calibrate_command(
     mode: options.Mode = options.ModeChoice.AUTO,
     format: options.Format = None,
     topic: options.Topics = None,
+    right_offset: options.RightOffset = None,
     start: options.Start = 0,
     end: options.End = None,
     look_at: LookAt = 400,
@@ -189,7 +190,10 @@ def calibrate_command(
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
     topics = tuple(topic or ())
-    request = _Request(source, format, mode, topics, start, end, look_at, model.value, views)
+    offset_ns = options.offset_ns(right_offset)
+    request = _Request(
+        source, format, mode, topics, offset_ns, start, end, look_at, model.value, views
+    )
     result = _calibrate_and_write(request, made, output, picture)
     if json_output:
         from vo.calibrating.report import to_dict
@@ -215,6 +219,7 @@ class _Request(NamedTuple):
     format: str | None
     mode: options.ModeChoice
     topics: tuple[str, ...]
+    right_offset_ns: int | None
     start: int
     end: int | None
     max_frames: int
@@ -246,9 +251,11 @@ def _calibrate(request: _Request, board: Board) -> CalibrationResult:
     from vo.sources.uncalibrated import open_uncalibrated
 
     console = standard_error()
-    path, format, mode, topics, start, end, max_frames, model, max_views = request
+    path, format, mode, topics, offset_ns, start, end, max_frames, model, max_views = request
     with warnings_on(console):
-        source = open_uncalibrated(path, format=format, mode=mode.value, topics=topics)
+        source = open_uncalibrated(
+            path, format=format, mode=mode.value, topics=topics, right_offset_ns=offset_ns
+        )
         count = max(min(end or len(source), len(source)) - start, 1)
         group_size = min(-(-count // max_frames), _MAX_GROUP)
         stride = -(-count // (max_frames * group_size))

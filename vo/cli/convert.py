@@ -84,6 +84,7 @@ def convert_command(
     calibration: options.Calibration = None,
     source_format: SourceFormat = None,
     topic: options.Topics = None,
+    right_offset: options.RightOffset = None,
     force: Force = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -112,7 +113,12 @@ def convert_command(
     chosen = _output_format(format, output)
     settings = Conversion(chosen, codec, start, end, stride, _size(resize), gray)
     opened = open_leniently(
-        source, format=source_format, calibration=calibration, mode=mode.value, topics=topic or ()
+        source,
+        format=source_format,
+        calibration=calibration,
+        mode=mode.value,
+        topics=topic or (),
+        right_offset_ns=options.offset_ns(right_offset),
     )
     for line in opened.warnings:
         console.print(f"warning: {line}", markup=False, soft_wrap=True)

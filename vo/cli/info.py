@@ -36,6 +36,7 @@ def info_command(
     calibration: options.Calibration = None,
     format: options.Format = None,
     topic: options.Topics = None,
+    right_offset: options.RightOffset = None,
     mode: options.Mode = options.ModeChoice.AUTO,
 ) -> None:
     """Show what a recording contains, its problems, and how to run it.
@@ -61,7 +62,12 @@ def info_command(
 
     with standard_error().status("checking images"):
         opened = open_leniently(
-            source, format=format, calibration=calibration, mode=mode.value, topics=topic or ()
+            source,
+            format=format,
+            calibration=calibration,
+            mode=mode.value,
+            topics=topic or (),
+            right_offset_ns=options.offset_ns(right_offset),
         )
         report = inspect(opened, None if all_images else DEFAULT_IMAGES)
         if not opened.cameras:

@@ -12,6 +12,24 @@ import typer
 INPUT, OUTPUT = "Input", "Output"
 
 
+_MAX_OFFSET_MS = 1e12  # 30 years
+
+
+def offset_ns(right_offset_ms: float | None) -> int | None:
+    """`--right-offset` in nanoseconds, None if it was not given.
+
+    Raises:
+        ConfigError: it is not a usual number.
+    """
+    from vo.errors import ConfigError
+
+    if right_offset_ms is None:
+        return None
+    if not abs(right_offset_ms) <= _MAX_OFFSET_MS:
+        raise ConfigError(f"--right-offset is {right_offset_ms:g}; give milliseconds, such as -50")
+    return round(1e6 * right_offset_ms)
+
+
 class ModeChoice(StrEnum):
     """Choices of `--mode`."""
 
@@ -60,6 +78,17 @@ Format = Annotated[
         help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
         "nerf, video, glob or folder.",
         show_default="detected from the files",
+        rich_help_panel=INPUT,
+    ),
+]
+
+RightOffset = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MS",
+        help="Milliseconds to add to the stamps of right images before they are paired; negative "
+        "if they are stamped too late.",
+        show_default="0, or the constant offset of all right stamps",
         rich_help_panel=INPUT,
     ),
 ]

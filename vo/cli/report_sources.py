@@ -53,6 +53,7 @@ def open_recording(run: RunRecord) -> tuple[Recording | None, str]:
             calibration=run.summary.get("calibration"),
             mode=mode,
             topics=run.summary.get("topics", ()),
+            right_offset_ns=run.summary.get("right_offset_ns"),
         )
     except VoError as error:
         return None, f"the recording can no longer be read: {error}"

@@ -152,6 +152,7 @@ def run_command(
     calibration: options.Calibration = None,
     mode: options.Mode = options.ModeChoice.AUTO,
     topic: options.Topics = None,
+    right_offset: options.RightOffset = None,
     format: options.Format = None,
     follow: Follow = False,
     start: options.Start = 0,
@@ -199,7 +200,18 @@ def run_command(
     topics = tuple(topic or ())
     execute(
         RunRequest(
-            Input(source, calibration, mode.value, topics, format, follow, start, end, stride),
+            Input(
+                source,
+                calibration,
+                mode.value,
+                topics,
+                options.offset_ns(right_offset),
+                format,
+                follow,
+                start,
+                end,
+                stride,
+            ),
             Settings(config, tuple(overrides or ()), threads),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(output, mcap, colmap, ply, begun if profile else None, quiet),

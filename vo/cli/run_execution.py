@@ -86,6 +86,7 @@ def _run(
         calibration=given.calibration,
         format=given.format,
         topics=given.topics,
+        right_offset_ns=given.right_offset_ns,
         follow=given.follow or given.is_piped,
         source_name=NAME if given.is_piped else None,
         progress=make_progress(console, quiet=outputs.quiet),

@@ -13,6 +13,7 @@ class Input(NamedTuple):
     calibration: Path | None
     mode: Literal["auto", "mono", "stereo"]
     topics: tuple[str, ...]
+    right_offset_ns: int | None
     format: str | None
     follow: bool
     start: int

@@ -27,7 +27,8 @@ from vo.sources.logs.opening import open_log
 from vo.sources.logs.poses import choose_pose_source, list_pose_sources, read_poses
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.registry import FORMATS, choose_format, gather, open_container
-from vo.sources.source import Recording
+from vo.sources.right_offset import shifted
+from vo.sources.sequence import ImageSequence as SourceSequence
 from vo.types import Camera, Ints, Mode, Rig, Trajectory
 
 
@@ -82,7 +83,7 @@ class OpenedRecording:
     topics: tuple[Topic, ...] = ()
     unread: tuple[UnreadTopic, ...] = ()
     imus: tuple[Imu, ...] = ()
-    source: Recording | None = None
+    source: SourceSequence | None = None
     rig: Rig | None = None
     truth: Trajectory | None = None
     pose_names: tuple[str, ...] = ()
@@ -99,6 +100,7 @@ def open_leniently(
     calibration: Path | None = None,
     mode: Mode = "auto",
     topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
 ) -> OpenedRecording:
     """Open a recording as far as possible; arguments as in `open_source`.
 
@@ -108,11 +110,18 @@ def open_leniently(
     with collected_warnings() as warnings:
         name = choose_format(path, format)
         if FORMATS[name].log:
-            found = _open_log(path, name, calibration, mode, topics)
+            found = _open_log(path, name, calibration, mode, topics, right_offset_ns)
         else:
-            found = _open_files(path, name, calibration, mode)
+            found = _open_files(path, name, calibration, mode, right_offset_ns)
+    offset_ns = (right_offset_ns or 0) if found.source is None else found.source.right_offset_ns
+    cameras = found.cameras
+    if found.roles_known and len(cameras) == 2 and offset_ns:
+        cameras = (cameras[0], replace(cameras[1], shots=shifted(cameras[1].shots, offset_ns)))
     options = _options(format, calibration, mode, topics)
-    return replace(found, warnings=tuple(dict.fromkeys(warnings)), options=options)
+    if right_offset_ns is not None:
+        options += ("--right-offset", f"{1e-6 * right_offset_ns:g}")
+    unique = tuple(dict.fromkeys(warnings))
+    return replace(found, cameras=cameras, warnings=unique, options=options)
 
 
 def _options(
@@ -129,9 +138,12 @@ def _options(
     return tuple(words)
 
 
-def _open_files(path: Path, name: str, calibration: Path | None, mode: Mode) -> OpenedRecording:
+def _open_files(
+    path: Path, name: str, calibration: Path | None, mode: Mode, right_offset_ns: int | None
+) -> OpenedRecording:
     try:
         listed = gather(path, name, calibration, mode)
+        listed = replace(listed, right_offset_ns=right_offset_ns)
     except VoError as error:
         return OpenedRecording(path, name, refusal=str(error))
     cameras = [ImageSequence("cam0", listed.left)]
@@ -171,7 +183,12 @@ def _truth_alone(listed: RecordingContents) -> Trajectory | None:
 
 
 def _open_log(
-    path: Path, name: str, calibration: Path | None, mode: Mode, requested_topics: Sequence[str]
+    path: Path,
+    name: str,
+    calibration: Path | None,
+    mode: Mode,
+    requested_topics: Sequence[str],
+    right_offset_ns: int | None,
 ) -> OpenedRecording:
     log = open_container(path, name)
     found = OpenedRecording(
@@ -199,7 +216,7 @@ def _open_log(
         chosen["cam1"] = choice.right
     found = replace(found, cameras=_cameras(log, chosen))
     try:
-        source = open_log(log, name, calibration, mode, requested_topics)
+        source = open_log(log, name, calibration, mode, requested_topics, right_offset_ns)
     except VoError as error:
         return replace(found, refusal=str(error))
     return replace(

@@ -43,9 +43,10 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "supports: {frames}",
     ),
     FaultKind.RIGHT_TIME_OFFSET: (
-        "right images are {value:+.1f} ms late, which is taken into account",
-        "right images seem to be taken {value:+.1f} ms after the left ones: disparities change "
-        "with the motion; use --right-offset, or trigger the cameras together",
+        "right stamps are {value:+.1f} ms from left ones in all pairs, which is taken into account",
+        "right images show the scene {value:+.0f} ms from the left ones of the same stamp, as rows "
+        "that differ with the motion show: lengths are wrong; try --right-offset {value:.0f}, and "
+        "trigger the cameras together",
     ),
     FaultKind.WRONG_STEREO_CALIBRATION: (
         "the stereo calibration was wrong by {value:+.2f} px and has been corrected",

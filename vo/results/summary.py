@@ -35,8 +35,8 @@ _LONG_START = 0.1  # fraction of the frames before the first map that is reporte
 class RunFacts:
     """Properties of a run that are known before its first frame.
 
-    Of the `requested` frames every `every`-th is tracked. `calibration` and `topics` are those
-    given by the user.
+    Of the `requested` frames every `every`-th is tracked. `calibration`, `topics` and
+    `right_offset_ns` are those given by the user.
     """
 
     source: str
@@ -51,6 +51,7 @@ class RunFacts:
     every: int = 1
     calibration: str | None = None
     topics: tuple[str, ...] = ()
+    right_offset_ns: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import CalibrationError, SourceError, VoError
+from vo.faults import Fault, FaultKind
 from vo.formats.calibration import Calibration, ImageSize, calibration_format, read_calibration
 from vo.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.sources.grey_levels import GreyLevels, find_grey_levels
@@ -21,6 +22,7 @@ from vo.sources.images import Pixels, StoredImage
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot
 from vo.sources.pairing import pair_by_stamp
+from vo.sources.right_offset import constant_offset_ns, shifted
 from vo.sources.sequence import ImageSequence, ListedImages
 from vo.types import Camera, Mode, Rig, Trajectory
 
@@ -44,6 +46,7 @@ class RecordingContents:
         find_imus: lists the inertial sensors, the preferred one first, without reading their
             samples; its argument is the calibration, None if unknown.
         depth: depth images registered to cam0, with increasing stamps; None without depth.
+        right_offset_ns: to be added to the stamps of `right`; None to find a constant offset.
     """
 
     name: str
@@ -55,6 +58,7 @@ class RecordingContents:
     depth: Sequence[Shot] | None = None
     close: Callable[[], None] | None = None
     find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
+    right_offset_ns: int | None = None
 
 
 def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
@@ -69,9 +73,10 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     calibration = contents.calibrate(size)
     _check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
-    partners = _pair(contents, rig, mode)
+    offset_ns = _right_offset(contents, rig)
+    partners = _pair(contents, rig, mode, offset_ns)
     depth = None if partners else _depth(contents, calibration, mode)
-    return ImageSequence(
+    sequence = ImageSequence(
         name=contents.name,
         format=contents.format,
         rig=rig if partners else Rig(rig.cam0, has_depth=depth is not None),
@@ -85,6 +90,12 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
         close=contents.close,
         imus=contents.find_imus(calibration),
     )
+    if partners:
+        sequence.right_offset_ns = offset_ns
+        if offset_ns and contents.right_offset_ns is None:
+            found = Fault(FaultKind.RIGHT_TIME_OFFSET, is_handled=True, value=-1e-6 * offset_ns)
+            sequence.faults.append(found)
+    return sequence
 
 
 def calibration_reader(
@@ -193,16 +204,36 @@ def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mod
     return rig
 
 
-def _pair(contents: RecordingContents, rig: Rig, mode: Mode) -> list[StoredImage | None] | None:
+def _right_offset(contents: RecordingContents, rig: Rig) -> int:
+    """What to add to right stamps: as given, or else a constant offset, with a warning."""
+    if contents.right_offset_ns is not None or rig.cam1 is None or not contents.right:
+        return contents.right_offset_ns or 0
+    offset_ns = constant_offset_ns(contents.left, contents.right)
+    if offset_ns:
+        _log.warning(
+            "%s: right stamps are %+.3f ms from left ones in all pairs, and images are paired by "
+            "that; --right-offset sets it",
+            contents.name,
+            -1e-6 * offset_ns,
+        )
+    return offset_ns
+
+
+def _pair(
+    contents: RecordingContents, rig: Rig, mode: Mode, offset_ns: int
+) -> list[StoredImage | None] | None:
     if rig.cam1 is None or not contents.right:
         return None
-    partners = pair_by_stamp(contents.left, contents.right)
+    partners = pair_by_stamp(contents.left, shifted(contents.right, offset_ns))
     if any(partners):
         return partners
     message = f"{contents.name}: no left image has a right image close enough in time"
     if mode == "stereo":
-        raise SourceError(f"{message}; check the stamps or use --mode mono")
-    _log.warning("%s; only the left camera is used", message)
+        raise SourceError(
+            f"{message}; check the stamps, shift right ones by --right-offset MS, or use --mode "
+            "mono"
+        )
+    _log.warning("%s; only the left camera is used (see --right-offset)", message)
     return None
 
 

@@ -36,8 +36,8 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredIma
     """
     stamps_left = np.array([shot.stamp_ns for shot in left], dtype=np.int64)
     stamps_right = np.array([shot.stamp_ns for shot in right], dtype=np.int64)
-    of_left = _nearest(stamps_left, stamps_right)
-    of_right = _nearest(stamps_right, stamps_left)
+    of_left = nearest(stamps_left, stamps_right)
+    of_right = nearest(stamps_right, stamps_left)
     mutual = of_right[of_left] == np.arange(len(left))
     close = np.abs(stamps_right[of_left] - stamps_left) <= tolerance_ns(stamps_left)
     partners = [
@@ -83,7 +83,7 @@ def copy_stamps(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:
     return sorted(shots, key=lambda shot: shot.stamp_ns)
 
 
-def _nearest(stamps: Ints, others: Ints) -> Ints:
+def nearest(stamps: Ints, others: Ints) -> Ints:
     """Index of the nearest of `others` (M,) for each stamp (N,); the earlier one of a tie."""
     after = np.clip(np.searchsorted(others, stamps), 1, max(len(others) - 1, 1))
     before = after - 1

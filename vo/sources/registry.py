@@ -6,6 +6,7 @@ import fnmatch
 import glob
 import importlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from vo.sources.logs.log import Log
 
 Opener = Callable[..., Recording]
-"""Opens a log, given path, calibration (Path or None), mode and topics."""
+"""Opens a log, given path, calibration (Path or None), mode, topics and right_offset_ns."""
 
 Gather = Callable[[Path, Path | None, Mode], RecordingContents]
 """Lists any other recording, given path, calibration and mode."""
@@ -92,6 +93,7 @@ def open_source(
     mode: Mode = "auto",
     topics: Sequence[str] = (),
     follow: bool = False,
+    right_offset_ns: int | None = None,
 ) -> Recording:
     """Open a recording.
 
@@ -103,6 +105,8 @@ def open_source(
             one with a calibration.
         topics: topics of a log, `left=/a` and `right=/b`, or one name; by default detected.
         follow: whether it is still being written; frames are then read as they arrive.
+        right_offset_ns: added to the stamps of right images before they are paired; by default 0,
+            or the offset that all right stamps have against left ones.
 
     Raises:
         SourceError: the recording is missing, empty, damaged or of unknown format.
@@ -116,12 +120,13 @@ def open_source(
         if not FORMATS[name].can_grow:
             growing = ", ".join(n for n, entry in FORMATS.items() if entry.can_grow)
             raise SourceError(f"{path} ({name}) cannot be followed; these formats can: {growing}")
-        return cast(Opener, open_it)(path, chosen, mode, topics, follow=True)
+        return cast(Opener, open_it)(path, chosen, mode, topics, right_offset_ns, follow=True)
     if FORMATS[name].has_topics:
-        return cast(Opener, open_it)(path, chosen, mode, topics)
+        return cast(Opener, open_it)(path, chosen, mode, topics, right_offset_ns)
     if topics:
         raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
-    return assemble(cast(Gather, open_it)(path, chosen, mode), mode)
+    contents = cast(Gather, open_it)(path, chosen, mode)
+    return assemble(replace(contents, right_offset_ns=right_offset_ns), mode)
 
 
 def gather(path: Path, name: str, calibration: Path | None, mode: Mode) -> RecordingContents:

@@ -64,6 +64,7 @@ class ImageSequence:
         unpaired: number of its frames so far without image1 or depth, if the rig has either.
         imus: inertial sensors, the preferred one first.
         faults: faults of the whole recording, as found in its list of images.
+        right_offset_ns: added to the stamps of right images before they were paired.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class ImageSequence:
         self.unpaired = 0
         self.imus = tuple(imus)
         self.faults: list[Fault] = []
+        self.right_offset_ns = 0
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
         self._levels = images.levels

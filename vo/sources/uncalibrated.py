@@ -25,6 +25,7 @@ def open_uncalibrated(
     format: str | None = None,
     mode: Mode = "auto",
     topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
 ) -> ImageSequence:
     """Open a recording with unknown calibration.
 
@@ -36,6 +37,7 @@ def open_uncalibrated(
         format: a key of `FORMATS`; by default detected from the path.
         mode: as in `open_source`.
         topics: as in `open_source`.
+        right_offset_ns: as in `open_source`.
 
     Raises:
         SourceError: the recording is missing, empty, damaged or of unknown format, or the image
@@ -57,6 +59,7 @@ def open_uncalibrated(
             calibrate=lambda size: Calibration(_placeholder(size, right)),
             read_truth=lambda _: None,
             depth=None,
+            right_offset_ns=right_offset_ns,
         ),
         mode,
     )

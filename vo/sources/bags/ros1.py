@@ -38,7 +38,11 @@ _log = logging.getLogger(__name__)
 
 
 def open_rosbag1(
-    path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
+    path: Path,
+    calibration: Path | None,
+    mode: Mode,
+    topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
 ) -> Recording:
     """Open a bag; of a truncated bag, the readable part.
 
@@ -46,7 +50,7 @@ def open_rosbag1(
         SourceError: it is not a bag, has no images, or the choice of topics is ambiguous.
         CalibrationError: the calibration is missing or invalid.
     """
-    return open_log(Bag(path), "rosbag1", calibration, mode, topics)
+    return open_log(Bag(path), "rosbag1", calibration, mode, topics, right_offset_ns)
 
 
 class _Address(NamedTuple):

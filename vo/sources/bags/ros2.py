@@ -29,7 +29,11 @@ _MAX_RATIO = 200  # of larger ones
 
 
 def open_rosbag2(
-    path: Path, calibration: Path | None, mode: Mode, topics: Sequence[str] = ()
+    path: Path,
+    calibration: Path | None,
+    mode: Mode,
+    topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
 ) -> Recording:
     """Open a bag; metadata.yaml is optional, because it is missing after a crash.
 
@@ -37,7 +41,7 @@ def open_rosbag2(
         SourceError: it is not a bag, has no images, or the choice of topics is ambiguous.
         CalibrationError: the calibration is missing or invalid.
     """
-    return open_log(Bag(path), "rosbag2", calibration, mode, topics)
+    return open_log(Bag(path), "rosbag2", calibration, mode, topics, right_offset_ns)
 
 
 class _Metadata(NamedTuple):

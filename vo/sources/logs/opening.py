@@ -34,6 +34,7 @@ def open_log(
     calibration: Path | None,
     mode: Mode,
     topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
 ) -> ImageSequence:
     """Create a source from a log.
 
@@ -43,6 +44,7 @@ def open_log(
         calibration: file that overrides the calibration in the log.
         mode: as in `open_source`.
         topics: values of `--topic`.
+        right_offset_ns: as in `open_source`.
 
     Raises:
         SourceError: there are no images, or the choice of topics is ambiguous.
@@ -72,6 +74,7 @@ def open_log(
         read_truth=opened.truth,
         depth=opened.depth(),
         find_imus=opened.imus,
+        right_offset_ns=right_offset_ns,
     )
     return assemble(contents, mode)
 

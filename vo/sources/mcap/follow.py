@@ -89,11 +89,17 @@ class ArrivingFrames:
     """Frames of a growing file, as they arrive."""
 
     def __init__(
-        self, growing: GrowingFile, file: McapFile, left: Topic, right: Topic | None
+        self,
+        growing: GrowingFile,
+        file: McapFile,
+        left: Topic,
+        right: Topic | None,
+        right_offset_ns: int = 0,
     ) -> None:
         self._growing = growing
         self._file = file
         self._topics = [left] if right is None else [left, right]
+        self._offset_ns = (0, right_offset_ns)  # to be added to stamps
         names = [topic.name for topic in self._topics]
         self._entries = [file.entries(names)[name] for name in names]
         self._images = [
@@ -127,6 +133,7 @@ class ArrivingFrames:
     def _shot(self, side: int, number: int) -> Shot:
         topic, entry = self._topics[side], self._entries[side][number]
         stamp_ns = stamp_of(self._file, topic, entry) or entry.log_ns
+        stamp_ns += self._offset_ns[side]
         return Shot(stamp_ns, self._images[side](number), f"{self._file.path}: {topic.name}")
 
     def _ready(self) -> list[tuple[Shot, StoredImage | None]]:

@@ -18,6 +18,7 @@ def open_mcap(
     calibration: Path | None,
     mode: Mode,
     topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
     follow: bool = False,
 ) -> Recording:
     """Open an MCAP file.
@@ -27,6 +28,7 @@ def open_mcap(
         calibration: file that overrides the calibration in the log.
         mode: as in `open_source`.
         topics: `left=/a`, `right=/b` or one name; by default detected.
+        right_offset_ns: as in `open_source`.
         follow: whether it is still being written; frames are then read as they arrive, until the
             file is closed or has stopped growing.
 
@@ -35,11 +37,12 @@ def open_mcap(
         CalibrationError: the calibration is missing or invalid.
     """
     if not follow:
-        return open_log(McapFile(path), "mcap", calibration, mode, topics)
+        return open_log(McapFile(path), "mcap", calibration, mode, topics, right_offset_ns)
     growing = GrowingFile(path)
     file = growing.wait_for_cameras()
-    source = open_log(file, "mcap", calibration, mode, topics)
+    source = open_log(file, "mcap", calibration, mode, topics, right_offset_ns)
     choice = choose_topics(file.topics, topics, mode)
     right = choice.right if source.rig.is_stereo else None
-    source.follow(ArrivingFrames(growing, file, choice.left, right).next_frames)
+    arriving = ArrivingFrames(growing, file, choice.left, right, source.right_offset_ns)
+    source.follow(arriving.next_frames)
     return source
