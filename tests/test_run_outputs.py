@@ -17,7 +17,7 @@ from vo.run import run
 from vo.types import Mode
 
 SHIFT_PX = 0.5
-FRAMES = 12
+FRAMES = 20
 
 
 def _summary(source: Path, output: Path, mode: Mode = "auto") -> dict[str, Any]:

@@ -28,17 +28,17 @@ def _corrections(offsets: list[float], sigma: float = 0.02) -> list[tuple[int, f
     return found
 
 
-@pytest.mark.parametrize(("offset", "window"), [(-0.8, 2), (-0.22, 4), (0.3, 2)])
+@pytest.mark.parametrize(("offset", "window"), [(-0.8, 2), (0.4, 2), (0.3, 9)])
 def test_a_large_offset_is_corrected_after_a_few_windows(offset: float, window: int) -> None:
     (number, wanted), *_ = _corrections([offset] * 20)
     assert number == window
     assert wanted == pytest.approx(offset, abs=1e-9)
 
 
-@pytest.mark.parametrize("offset", [-0.15, 0.14])
+@pytest.mark.parametrize("offset", [-0.22, 0.18])
 def test_a_small_offset_is_corrected_when_it_has_lasted(offset: float) -> None:
-    (number, wanted), *_ = _corrections([offset] * 40)
-    assert 5 < number < 30
+    (number, wanted), *_ = _corrections([offset] * 60)
+    assert 20 < number < 50
     assert wanted == pytest.approx(offset, abs=1e-9)
 
 
@@ -49,10 +49,24 @@ def test_what_windows_differ_by_is_no_offset(seed: int) -> None:
     assert _corrections(waves.tolist()) == []
 
 
-def test_a_wave_that_passed_for_an_offset_is_taken_back() -> None:
-    found = _corrections([0.25] * 10 + [-0.05] * 40)
-    assert found[0] == (2, pytest.approx(0.25))
+def test_windows_that_do_not_agree_on_a_small_offset_have_none() -> None:
+    # kitti_raw, well calibrated, after which there is nothing.
+    waves = [-0.04, 0.17, 0.3, 0.47, 0.34, 0.16, 0.08, 0.07, 0.0, -0.04]
+    assert _corrections(waves) == []
+    assert _corrections([w + 0.3 for w in waves] + [0.01] * 40) == []
+
+
+def test_a_correction_that_later_windows_refute_is_taken_back() -> None:
+    found = _corrections([0.8] * 10 + [-0.05] * 40)
+    assert found[0] == (2, pytest.approx(0.8))
     assert found[-1][1] == 0.0
+    assert found[-1][0] < 20
+
+
+def test_what_later_windows_confirm_stays() -> None:
+    found = _corrections([0.8] * 10 + [0.6] * 100)
+    assert found[-1][1] == pytest.approx(0.62, abs=0.03)
+    assert min(offset for _, offset in found) > 0.6
 
 
 def test_less_than_a_tenth_of_a_pixel_is_never_corrected() -> None:
@@ -81,7 +95,8 @@ def test_what_a_curve_is_at_the_sides_of_the_image_counts() -> None:
 def test_a_real_offset_is_corrected_soon_and_then_left_alone(truth_px: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     found = _corrections((truth_px + 0.05 * rng.standard_normal(50)).tolist(), sigma=0.05)
-    assert found[0] == (2, pytest.approx(truth_px, abs=0.15))
+    assert found[0][0] <= 5
+    assert found[0][1] == pytest.approx(truth_px, abs=0.15)
     assert found[-1][1] == pytest.approx(truth_px, abs=0.08)
     assert len(found) <= 5
 
@@ -95,9 +110,9 @@ def test_sure_windows_count_more_than_unsure_ones() -> None:
     watch = DisparityBiasEstimator(RIG)
     watch.update(_left(5.0, 10.0))
     for _ in range(2):
-        wanted = watch.update(_left(0.4, 0.02))
+        wanted = watch.update(_left(0.8, 0.02))
     assert wanted is not None
-    assert wanted[0] == pytest.approx(0.4, abs=0.01)
+    assert wanted[0] == pytest.approx(0.8, abs=0.01)
 
 
 def test_a_trace_of_an_offset_beside_a_curve_is_left_out() -> None:
