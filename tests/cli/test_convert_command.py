@@ -326,3 +326,14 @@ def test_imu_noise_is_preserved_and_an_unknown_pose_stays_unknown(
     assert open_source(tmp_path / "a.mcap").imus[0].cam0_from_imu is None
     result = vo_convert(walk, tmp_path / "kitti", "--format", "kitti", "--end", 3)
     assert "format kitti does not support it" in " ".join(result.stderr.split())
+
+
+def test_warnings_are_sentences(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (48, 64), dtype=np.uint8)
+    source = tmp_path / "images [old]"
+    source.mkdir()
+    for name in ("a.png", "b.png"):
+        assert cv2.imwrite(str(source / name), noise)
+    result = vo_convert(source, tmp_path / "copy")
+    words = "warning: " + str(source) + " has no times.txt or timestamps.txt and no stamps in its"
+    assert words in result.output and "LoggedWarning" not in result.output

@@ -263,3 +263,9 @@ def test_images_without_light_are_listed_by_their_numbers() -> None:
     spans = [(r.first, r.last) for r in summary.without_pose]
     assert spans == [(0, 2), (3, 6), (7, 7), (8, 11)]
     assert "images 0 to 2, 7 are almost black" in summary.warnings
+
+
+def test_a_single_image_without_light() -> None:
+    failures = [dark(camera=1) if f == 7 else few_matches(3) for f in range(12)]
+    summary = summary_of([estimate(f, State.STARTING, failures[f]) for f in range(12)], path_of([]))
+    assert "image 7 is almost black" in summary.warnings

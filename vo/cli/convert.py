@@ -120,8 +120,8 @@ def convert_command(
         topics=topic or (),
         right_offset_ns=options.offset_ns(right_offset),
     )
-    for line in opened.warnings:
-        console.print(f"warning: {line}", markup=False, soft_wrap=True)
+    for warning in opened.warnings:
+        console.print(f"warning: {warning.text}", markup=False, soft_wrap=True)
     try:
         with warnings_on(console):
             _convert(opened, output, settings, force, console)

@@ -126,9 +126,9 @@ class _Counts:
             parts.append(describe(estimate.failure))
         else:
             parts.append(f"{estimate.inliers} of {estimate.matches} matches agree")
-        parts.append(f"{self._keyframes} keyframes")
+        parts.append(f"{self._keyframes} keyframe{'s' * (self._keyframes != 1)}")
         if self._lost:
-            parts.append(f"lost in {self._lost} frames")
+            parts.append(f"lost in {self._lost} frame{'s' * (self._lost != 1)}")
         if abs(estimate.disparity_offset_px) >= _MIN_SHOWN_OFFSET_PX:
             parts.append(f"disparity bias {estimate.disparity_offset_px:+.2f} px")
         return ", ".join(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -110,12 +111,13 @@ def find_recording(path: Path) -> Path:
         found = sorted(path.glob("*.rrd"), key=lambda file: file.stat().st_mtime)
         if not found:
             raise SourceError(
-                f"{path} contains no .rrd file; record one: vo run RECORDING -o {path} "
-                f"--rrd {path / 'run.rrd'}"
+                f"{path} contains no .rrd file; record one: vo run RECORDING -o OUT "
+                "--rrd OUT/run.rrd"
             )
         file = found[-1]
     if not file.exists():
-        raise SourceError(f"{file} does not exist; record it: vo run RECORDING --rrd {file}")
+        command = shlex.join(["vo", "run", "RECORDING", "--rrd", str(file)])
+        raise SourceError(f"{file} does not exist; record it: {command}")
     if not file.is_file():  # opening a pipe would wait
         raise SourceError(f"{file} is not a file; give a file written by vo run --rrd")
     try:

@@ -68,6 +68,8 @@ def _image_defect_warning(without_pose: Sequence[FrameRange], defect: ImageDefec
         return []
     frames = [str(r.first) if r.frames == 1 else f"{r.first} to {r.last}" for r in ranges]
     more = ", …" if len(frames) > _MAX_RANGES else ""
+    if frames == [str(ranges[0].first)]:
+        return [f"image {frames[0]} is {defect.value}"]
     return [f"images {', '.join(frames[:_MAX_RANGES])}{more} are {defect.value}"]
 
 
