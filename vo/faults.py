@@ -19,6 +19,9 @@ class FaultKind(StrEnum):
     WRONG_STEREO_CALIBRATION = "wrong_stereo_calibration"
     DIFFERENT_ROWS = "different_rows"
     WRONG_LENS = "wrong_lens"
+    CLOCK_SET_BACK = "clock_set_back"
+    IMPLAUSIBLE_RATE = "implausible_rate"
+    OTHER_STAMP_UNIT = "other_stamp_unit"
 
 
 class Fault(NamedTuple):

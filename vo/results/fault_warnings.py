@@ -65,6 +65,21 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "the lens differs from its calibration by {value:+.1f} px at the image's edges, too much "
         "to correct; the path is inaccurate: vo calibrate",
     ),
+    FaultKind.CLOCK_SET_BACK: (
+        "the clock of the stamps was set back by {size:.3g} s; the order of the log is used, and "
+        "later stamps are moved forward",
+        "the clock of the stamps was set back by {size:.3g} s; check the clock of the recorder",
+    ),
+    FaultKind.IMPLAUSIBLE_RATE: (
+        "the stamps say {size:.3g} images per second, which is implausible: are they in seconds? "
+        "Times and speeds may be wrong, the path does not depend on them",
+        "the stamps say {size:.3g} images per second, which is implausible: are they in seconds?",
+    ),
+    FaultKind.OTHER_STAMP_UNIT: (
+        "the stamps are no seconds (images would be {size:.3g} s apart), and were read in the unit "
+        "that fits",
+        "the stamps are no seconds: images would be {size:.3g} s apart",
+    ),
 }
 
 

@@ -20,10 +20,11 @@ from vo.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.sources.images import Pixels, StoredImage
 from vo.sources.imu import Imu
-from vo.sources.listing import Shot
+from vo.sources.listing import Shot, median_interval_ns
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.right_offset import constant_offset_ns, shifted
 from vo.sources.sequence import ImageSequence, ListedImages
+from vo.sources.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
 from vo.types import Camera, Mode, Rig, Trajectory
 
 _CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".conf", ".ini", ".txt")
@@ -45,6 +46,7 @@ class RecordingContents:
         close: closes the files that images keep open between reads.
         find_imus: lists the inertial sensors, the preferred one first, without reading their
             samples; its argument is the calibration, None if unknown.
+        faults: faults of the stamps.
         depth: depth images registered to cam0, with increasing stamps; None without depth.
         right_offset_ns: to be added to the stamps of `right`; None to find a constant offset.
     """
@@ -59,6 +61,7 @@ class RecordingContents:
     close: Callable[[], None] | None = None
     find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
     right_offset_ns: int | None = None
+    faults: Sequence[Fault] = ()
 
 
 def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
@@ -90,6 +93,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
         close=contents.close,
         imus=contents.find_imus(calibration),
     )
+    sequence.faults += [*contents.faults, *_rate_faults(contents)]
     if partners:
         sequence.right_offset_ns = offset_ns
         if offset_ns and contents.right_offset_ns is None:
@@ -161,6 +165,22 @@ def _grey_levels(
             levels.bit_depth,
         )
     return levels
+
+
+def _rate_faults(contents: RecordingContents) -> list[Fault]:
+    """A rate of images that no camera for odometry has, as of stamps in another unit."""
+    interval_ns = median_interval_ns([shot.stamp_ns for shot in contents.left])
+    if not interval_ns or MIN_INTERVAL_NS <= interval_ns <= MAX_INTERVAL_NS:
+        return []
+    rate_hz = 1e9 / interval_ns
+    _log.warning(
+        "%s: by their stamps, images are %.3g s apart (%.3g Hz), which is implausible; are the "
+        "stamps in another unit?",
+        contents.name,
+        1e-9 * interval_ns,
+        rate_hz,
+    )
+    return [Fault(FaultKind.IMPLAUSIBLE_RATE, is_handled=True, value=rate_hz)]
 
 
 def _size_of(image: Pixels) -> ImageSize:

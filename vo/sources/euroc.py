@@ -6,12 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from vo.errors import CalibrationError, SourceError
+from vo.faults import Fault
 from vo.formats.calibration import Calibration
 from vo.formats.euroc_layout import calibration_files, find_camera_on_body, recording_folder
 from vo.formats.trajectory import read_euroc, read_tum
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.euroc_imu import euroc_imus
-from vo.sources.listing import Shot, list_images, parse_ns, shots_from_table
+from vo.sources.listing import Shot, list_images, shots_from_table
 from vo.sources.naming import shots_from_names
 from vo.types import Floats, Mode, Trajectory
 
@@ -28,21 +29,23 @@ def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
     path = path.resolve()
     root = path / "mav0" if (path / "mav0").is_dir() else path
     top = recording_folder(root)
+    faults: list[Fault] = []
     return RecordingContents(
         name=top.name,
         format="euroc",
-        left=_shots(root / "cam0"),
+        left=_shots(root / "cam0", faults),
         right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
         calibrate=calibration_reader(calibration, calibration_files(root)),
         read_truth=lambda loaded: _truth(root, top, loaded),
         find_imus=lambda loaded: euroc_imus(root, loaded, lambda: _body_from_cam0(root, loaded)),
+        faults=faults,
     )
 
 
-def _shots(camera: Path) -> list[Shot]:
+def _shots(camera: Path, faults: list[Fault] | None = None) -> list[Shot]:
     table, folder = camera / "data.csv", camera / "data"
     if table.is_file():
-        return shots_from_table(table, folder, ",", parse_ns)
+        return shots_from_table(table, folder, ",", "ns", faults)
     shots = shots_from_names(list_images(folder))
     if shots is None:
         raise SourceError(f"{table} is missing, and the file names in {folder} are not stamps")

@@ -12,7 +12,8 @@ from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
 from vo.geometry.transforms import inverse
 from vo.sources.imu import FileImu, ImuSamples, cam0_from_imu_of, make_samples
-from vo.sources.listing import MAX_STAMP_NS, parse_ns, read_lines
+from vo.sources.listing import read_lines
+from vo.sources.stamp_units import MAX_STAMP_NS, parse_ns
 from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)

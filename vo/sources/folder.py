@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vo.errors import SourceError
+from vo.faults import Fault
 from vo.formats.trajectory import read_tum
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
@@ -34,7 +35,8 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
     is_pair = (path / "left").is_dir()
     left_folder = path / "left" if is_pair else path
     times = find_times_file(path, left_folder)
-    left, named = assign_stamps(list_images(left_folder), path, times)
+    faults: list[Fault] = []
+    left, named = assign_stamps(list_images(left_folder), path, times, faults)
     return RecordingContents(
         name=path.resolve().name,
         format="folder",
@@ -44,13 +46,23 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
             calibration, [path / "calibration.yaml", path.parent / "calibration.yaml"]
         ),
         read_truth=lambda _: _truth(path),
+        faults=faults,
     )
 
 
 def assign_stamps(
-    images: Sequence[Path], where: Path | str, times: Path | None
+    images: Sequence[Path],
+    where: Path | str,
+    times: Path | None,
+    faults: list[Fault] | None = None,
 ) -> tuple[list[Shot], bool]:
     """Assign stamps to images, from a file, their names, or an assumed frame rate.
+
+    Args:
+        images: the images.
+        where: folder or pattern of the images, for messages.
+        times: file of stamps, if there is one.
+        faults: receives faults of the stamps.
 
     Returns:
         The images with stamps, and whether the stamps come from the names.
@@ -59,7 +71,7 @@ def assign_stamps(
         SourceError: the stamps do not match the images.
     """
     if times is not None:
-        return shots_from_times(times, images), False
+        return shots_from_times(times, images, faults), False
     shots = shots_from_names(images)
     if shots is not None:
         return shots, True

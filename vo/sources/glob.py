@@ -7,6 +7,7 @@ from pathlib import Path
 
 from vo.bounded_files import read_text
 from vo.errors import SourceError
+from vo.faults import Fault
 from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.folder import assign_stamps, find_times_file
 from vo.sources.listing import Shot, is_image_name, natural_key
@@ -29,7 +30,8 @@ def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Recordin
     if not images:
         raise SourceError(f"no image matches {pattern}; check the pattern, and put it in quotes")
     folder = images[0].parent
-    left, _ = assign_stamps(images, str(pattern), _times(folder, len(images)))
+    faults: list[Fault] = []
+    left, _ = assign_stamps(images, str(pattern), _times(folder, len(images)), faults)
     return RecordingContents(
         name=folder.resolve().name,
         format="glob",
@@ -39,6 +41,7 @@ def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Recordin
             calibration, [folder / "calibration.yaml", folder.parent / "calibration.yaml"]
         ),
         read_truth=lambda _: None,
+        faults=faults,
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import SourceError
+from vo.faults import Fault
 from vo.formats.calibration import Calibration, ImageSize, kitti, read_calibration
 from vo.formats.calibration.document import load_document
 from vo.formats.trajectory import read_kitti
@@ -32,7 +33,8 @@ def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         (pair for pair in _PAIRS.items() if (path / pair[0][0]).is_dir()),
         (("image_0", "image_1"), ("P0", "P1")),
     )
-    left = shots_from_times(path / "times.txt", list_images(path / folders[0]))
+    faults: list[Fault] = []
+    left = shots_from_times(path / "times.txt", list_images(path / folders[0]), faults)
     return RecordingContents(
         name=path.resolve().name,
         format="kitti",
@@ -40,6 +42,7 @@ def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         right=_right(path / folders[1], left),
         calibrate=lambda size: _calibration(path, calibration, matrices, size),
         read_truth=lambda loaded: _truth(path / "poses.txt", left, loaded),
+        faults=faults,
     )
 
 

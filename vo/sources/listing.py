@@ -5,18 +5,17 @@ from __future__ import annotations
 import os
 import re
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from vo.bounded_files import read_text
 from vo.errors import SourceError
-from vo.formats.trajectory import stamp_ns_from_seconds
+from vo.faults import Fault
 from vo.sources.images import ImageFile, StoredImage
+from vo.sources.stamp_units import StampText, StampUnit, parse_stamps
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
-
-MAX_STAMP_NS = 2**63 - 1
 
 
 class Line(NamedTuple):
@@ -89,7 +88,11 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
 
 
 def shots_from_table(
-    table: Path, folder: Path, separator: str | None, stamp_ns: Callable[[str], int]
+    table: Path,
+    folder: Path,
+    separator: str | None,
+    unit: StampUnit,
+    faults: list[Fault] | None = None,
 ) -> list[Shot]:
     """Read a table with a stamp and a file name per line.
 
@@ -97,20 +100,25 @@ def shots_from_table(
         table: the text file.
         folder: folder that the file names are relative to.
         separator: separator of stamp and name; None for white space.
-        stamp_ns: parses a stamp; raises ValueError.
+        unit: usual unit of the stamps.
+        faults: receives faults of the stamps.
 
     Raises:
         SourceError: a line is invalid or names a file outside of the folder of the table, stamps
             do not increase, or none of the files exists.
     """
-    shots, files = [], []
+    texts, files = [], []
     for location, text in read_lines(table):
         fields = [field.strip() for field in text.split(separator, 1)]
         if len(fields) != 2 or not fields[1]:
             raise SourceError(f"{location}: '{text}' is not a stamp and a file name")
         files.append(_inside(table.parent, folder / fields[1], location))
-        stamp = _parse(location, fields[0], stamp_ns)
-        shots.append(Shot(stamp, ImageFile(files[-1]), location))
+        texts.append(StampText(location, fields[0]))
+    stamps = parse_stamps(texts, unit, faults)
+    shots = [
+        Shot(stamp, ImageFile(file), text.location)
+        for stamp, file, text in zip(stamps, files, texts, strict=True)
+    ]
     check_increasing(shots)
     if not any(file.is_file() for file in files):
         raise SourceError(
@@ -132,34 +140,27 @@ def _inside(root: Path, file: Path, location: str) -> Path:
     return file
 
 
-def shots_from_times(times: Path, images: Sequence[Path]) -> list[Shot]:
+def shots_from_times(
+    times: Path, images: Sequence[Path], faults: list[Fault] | None = None
+) -> list[Shot]:
     """Assign the stamp of its line to each image: seconds, or integer nanoseconds.
 
     Raises:
         SourceError: the counts differ, a line is invalid, or stamps do not increase.
     """
     lines = read_lines(times)
-    stamps = [(_parse(location, text, _seconds_or_ns), location) for location, text in lines]
+    stamps = parse_stamps([StampText(*line) for line in lines], "s", faults)
     if len(stamps) != len(images):
         raise SourceError(
             f"{images[0].parent} has {len(images)} images but {times} has {len(stamps)} stamps; "
             "there must be one line per image"
         )
-    pairs = zip(stamps, images, strict=True)
-    shots = [Shot(stamp_ns, ImageFile(image), location) for (stamp_ns, location), image in pairs]
+    shots = [
+        Shot(stamp_ns, ImageFile(image), line.location)
+        for stamp_ns, image, line in zip(stamps, images, lines, strict=True)
+    ]
     check_increasing(shots)
     return shots
-
-
-def parse_ns(text: str) -> int:
-    """Parse a stamp in integer nanoseconds.
-
-    Raises:
-        ValueError: the text is not an integer.
-    """
-    if not text.isascii() or not text.isdigit():
-        raise ValueError(f"'{text}' is not a whole number of nanoseconds")
-    return int(text)
 
 
 def check_increasing(shots: Sequence[Shot]) -> None:
@@ -174,21 +175,6 @@ def check_increasing(shots: Sequence[Shot]) -> None:
                 f"{after.location}: stamp {after.stamp_ns} ns is not after {before.stamp_ns} ns "
                 "of the previous image; sort the images by time and remove repeated ones"
             )
-
-
-def _parse(location: str, text: str, stamp_ns: Callable[[str], int]) -> int:
-    try:
-        stamp = stamp_ns(text)
-    except ValueError as error:
-        raise SourceError(f"{location}: stamp {error}") from error
-    if abs(stamp) > MAX_STAMP_NS:
-        raise SourceError(f"{location}: stamp {text} is too large for a time in nanoseconds")
-    return stamp
-
-
-def _seconds_or_ns(text: str) -> int:
-    # As seconds, twelve digits would be more than 3,000 years.
-    return int(text) if text.isdigit() and len(text) >= 12 else stamp_ns_from_seconds(text)
 
 
 def median_interval_ns(stamps_ns: Sequence[int]) -> int:

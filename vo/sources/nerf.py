@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.errors import SourceError
+from vo.faults import Fault
 from vo.formats.nerf_poses import PosedImage, read_nerf_poses
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.folder import assign_stamps, find_times_file
@@ -36,7 +37,8 @@ def gather_nerf(path: Path, calibration: Path | None, mode: Mode) -> RecordingCo
     folders = {image.parent for image in files}
     images = list_images(files[0].parent) if len(folders) == 1 else files
     times = find_times_file(file.parent, files[0].parent)
-    shots, _ = assign_stamps(images, files[0].parent, times)
+    faults: list[Fault] = []
+    shots, _ = assign_stamps(images, files[0].parent, times, faults)
     poses = {image: one.world_from_cam for image, one in zip(files, posed, strict=True)}
     return RecordingContents(
         name=file.resolve().parent.name,
@@ -45,6 +47,7 @@ def gather_nerf(path: Path, calibration: Path | None, mode: Mode) -> RecordingCo
         right=None,
         calibrate=calibration_reader(calibration, [file]),
         read_truth=lambda _: _truth(shots, poses),
+        faults=faults,
     )
 
 

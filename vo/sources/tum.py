@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from vo.errors import SourceError
-from vo.formats.trajectory import read_tum, stamp_ns_from_seconds
+from vo.faults import Fault
+from vo.formats.trajectory import read_tum
 from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.listing import Shot, shots_from_table
 from vo.types import Mode, Trajectory
@@ -21,14 +22,16 @@ def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> RecordingCon
         SourceError: images or stamps are missing or inconsistent.
         CalibrationError: the calibration is missing or invalid.
     """
+    faults: list[Fault] = []
     return RecordingContents(
         name=path.resolve().name,
         format="tum",
-        left=shots_from_table(path / "rgb.txt", path, None, stamp_ns_from_seconds),
+        left=shots_from_table(path / "rgb.txt", path, None, "s", faults),
         right=None,
         calibrate=calibration_reader(calibration, [path / "calibration.yaml"]),
         read_truth=lambda _: _truth(path / "groundtruth.txt"),
         depth=_depth(path) if mode != "mono" else None,
+        faults=faults,
     )
 
 
@@ -37,7 +40,7 @@ def _depth(path: Path) -> list[Shot] | None:
     if not table.is_file():
         return None
     try:
-        return shots_from_table(table, path, None, stamp_ns_from_seconds)
+        return shots_from_table(table, path, None, "s")
     except SourceError as error:
         raise SourceError(f"{error}; to ignore depth, use --mode mono") from error
 

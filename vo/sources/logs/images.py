@@ -6,13 +6,16 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from vo.errors import SourceError, VoError
+from vo.errors import SourceError
+from vo.faults import Fault
 from vo.formats.messages import CompressedImageMessage, CompressedVideoMessage, ImageMessage
 from vo.formats.pixels import colour_pixels, grey_pixels
 from vo.formats.warning_kinds import warning_kind
 from vo.sources.images import Pixels, StoredImage, decode_image
-from vo.sources.listing import MAX_STAMP_NS, Shot
+from vo.sources.listing import Shot
 from vo.sources.logs.log import Entry, Log, Topic
+from vo.sources.logs.stamps import message_stamps
+from vo.sources.stamp_units import MAX_STAMP_NS
 
 _log = logging.getLogger(__name__)
 
@@ -42,23 +45,28 @@ class MessageImage:
         return decode_image(message.data, self.name, colour)
 
 
-def list_images(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[Shot]:
-    """The images of a topic, sorted by stamp.
+def list_images(
+    log: Log, topic: Topic, entries: Sequence[Entry], faults: list[Fault] | None = None
+) -> list[Shot]:
+    """The images of a topic, sorted by stamp (see `message_stamps`).
 
-    The stamp is that of the message header, or else the log time, with a warning. Of messages with
-    the same stamp, the first is used.
+    Of messages with the same stamp, the first is used, with a warning.
 
     Raises:
         SourceError: there are no images.
     """
-    return list_shots(log, topic, entries, image_factory(log, topic, entries))
+    return list_shots(log, topic, entries, image_factory(log, topic, entries), faults)
 
 
 def list_shots(
-    log: Log, topic: Topic, entries: Sequence[Entry], image: Callable[[int], StoredImage]
+    log: Log,
+    topic: Topic,
+    entries: Sequence[Entry],
+    image: Callable[[int], StoredImage],
+    faults: list[Fault] | None = None,
 ) -> list[Shot]:
     """Like `list_images`, for images created by `image(number of the message)`."""
-    ordered = sorted_by_stamp(log, topic, entries)
+    ordered = sorted_by_stamp(log, topic, entries, faults)
     shots: list[Shot] = []
     for stamp_ns, number in ordered:
         if stamp_ns <= MAX_STAMP_NS and (not shots or stamp_ns > shots[-1].stamp_ns):
@@ -76,20 +84,12 @@ def list_shots(
     return shots
 
 
-def sorted_by_stamp(log: Log, topic: Topic, entries: Sequence[Entry]) -> list[tuple[int, int]]:
-    """Pairs of stamp and message number, sorted; the log time replaces a missing stamp."""
-    stamped = [(stamp_of(log, topic, entry), entry) for entry in entries]
-    unstamped = sum(not stamp_ns for stamp_ns, _ in stamped)
-    if unstamped:
-        _log.warning(
-            "%s: %d of %d messages have no stamp; their log time is used",
-            topic.name,
-            unstamped,
-            len(entries),
-        )
-    return sorted(
-        (stamp_ns or entry.log_ns, number) for number, (stamp_ns, entry) in enumerate(stamped)
-    )
+def sorted_by_stamp(
+    log: Log, topic: Topic, entries: Sequence[Entry], faults: list[Fault] | None = None
+) -> list[tuple[int, int]]:
+    """Pairs of stamp and message number, sorted; arguments as of `message_stamps`."""
+    stamps = message_stamps(log, topic, entries, faults)
+    return sorted((stamp_ns, number) for number, stamp_ns in enumerate(stamps))
 
 
 def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[[int], StoredImage]:
@@ -107,14 +107,3 @@ def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[
 
     video = LogVideo(log, topic, entries)
     return lambda number: VideoImage(video, number, entries[number])
-
-
-def stamp_of(log: Log, topic: Topic, entry: Entry) -> int:
-    """The stamp in the header of a message; 0 if there is none."""
-    stamp_ns = entry.stamp_ns
-    if stamp_ns is None:
-        try:
-            stamp_ns = topic.codec.decode(log.read(entry)).stamp_ns
-        except VoError:
-            return 0
-    return stamp_ns if 0 < stamp_ns <= MAX_STAMP_NS else 0

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from vo.errors import CalibrationError, VoError
+from vo.faults import Fault
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.formats.messages import CalibrationMessage, TransformsMessage
 from vo.sources.assembly import RecordingContents, assemble
@@ -52,7 +53,8 @@ def open_log(
     """
     choice = choose_topics(log.topics, topics, mode)
     opened = _ChosenLog(log, choice)
-    left = list_images(log, choice.left, opened.entries[choice.left.name])
+    faults: list[Fault] = []
+    left = list_images(log, choice.left, opened.entries[choice.left.name], faults)
     own = opened.calibration_of_log(mode) if calibration is None else None
     right = None
     if choice.right is not None and mode != "mono" and (own is None or own.rig.is_stereo):
@@ -75,6 +77,7 @@ def open_log(
         depth=opened.depth(),
         find_imus=opened.imus,
         right_offset_ns=right_offset_ns,
+        faults=faults,
     )
     return assemble(contents, mode)
 

@@ -14,9 +14,10 @@ import numpy as np
 from vo.errors import SourceError, VoError
 from vo.formats.messages import PathMessage, PoseMessage, TransformsMessage
 from vo.geometry.transforms import interpolate, inverse
-from vo.sources.listing import MAX_STAMP_NS
 from vo.sources.logs.frame_tree import read_frame_tree
 from vo.sources.logs.log import Entry, Log, Topic
+from vo.sources.logs.stamps import message_stamps
+from vo.sources.stamp_units import MAX_STAMP_NS
 from vo.types import Floats, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -117,7 +118,9 @@ def poses_on_topic(log: Log, topic: Topic, entries: Sequence[Entry]) -> LoggedPo
     poses: dict[int, Floats] = {}
     child, reason, unreadable = "", "", 0
     is_path = issubclass(topic.codec.kind, PathMessage)
-    for entry in reversed(entries) if is_path else entries:
+    stamps = [0] * len(entries) if is_path else message_stamps(log, topic, entries)
+    in_order = list(zip(entries, stamps, strict=True))
+    for entry, stamp in reversed(in_order) if is_path else in_order:
         try:
             message = topic.codec.decode(log.read(entry))
         except SourceError as error:
@@ -126,7 +129,7 @@ def poses_on_topic(log: Log, topic: Topic, entries: Sequence[Entry]) -> LoggedPo
             continue
         known = len(poses)
         for pose in message.poses if isinstance(message, PathMessage) else (message,):
-            stamp_ns = pose.stamp_ns or (0 if is_path else entry.log_ns)
+            stamp_ns = pose.stamp_ns if is_path else stamp
             if isinstance(pose, PoseMessage) and 0 <= stamp_ns <= MAX_STAMP_NS:
                 poses.setdefault(stamp_ns, pose.pose)
                 child = child or pose.child

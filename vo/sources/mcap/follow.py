@@ -10,8 +10,9 @@ from vo.errors import SourceError
 from vo.sources.images import StoredImage
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import IMAGE_KINDS
-from vo.sources.logs.images import image_factory, stamp_of
+from vo.sources.logs.images import image_factory
 from vo.sources.logs.log import Topic
+from vo.sources.logs.stamps import stamp_of
 from vo.sources.mcap.contents import empty_contents, index_truncated_chunk, scan_new_records
 from vo.sources.mcap.file import McapFile, read_error, warn_of_damage
 from vo.sources.mcap.index import ChannelStatistics
