@@ -9,6 +9,8 @@ from pathlib import Path
 
 MAX_TABLE_BYTES = 256 * 2**20  # 3 million poses
 MAX_LINE_BYTES = 100_000
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+_LFS_REASON = "is a Git LFS pointer, not the file: git lfs pull"
 _NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 
 
@@ -16,7 +18,8 @@ def read_bytes(path: Path | str, max_bytes: int) -> bytes:
     """The content of a file.
 
     Raises:
-        OSError: it cannot be read, is a device, a pipe or a folder, or is larger.
+        OSError: it cannot be read, is a device, a pipe or a folder, is larger, or is a pointer of
+            Git LFS.
     """
     number = os.open(path, os.O_RDONLY | _NO_WAITING)
     try:
@@ -29,9 +32,24 @@ def read_bytes(path: Path | str, max_bytes: int) -> bytes:
             reason = f"it has {info.st_size} bytes; at most {max_bytes} are read"
             raise OSError(errno.EFBIG, reason, str(path))
         with open(number, "rb", closefd=False) as file:
-            return file.read(max_bytes)  # it may still grow
+            data = file.read(max_bytes)  # it may still grow
+        if data.startswith(_LFS_POINTER):
+            raise OSError(errno.EINVAL, f"it {_LFS_REASON}", str(path))
+        return data
     finally:
         os.close(number)
+
+
+def lfs_pointer_message(path: Path) -> str:
+    """The error message for a file that Git has not fetched; empty for any other."""
+    try:
+        if not path.is_file():
+            return ""
+        with path.open("rb") as file:
+            begin = file.read(len(_LFS_POINTER))
+    except OSError:
+        return ""
+    return f"{path} {_LFS_REASON}" if begin == _LFS_POINTER else ""
 
 
 def read_text(

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
+from vo.bounded_files import lfs_pointer_message
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
@@ -157,6 +158,7 @@ def choose_format(path: Path, format: str | None) -> str:
         raise SourceError(f"{path} does not exist; give the folder or file of a recording")
     if path.exists() and not path.is_file() and not path.is_dir():  # opening it may never end
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
+    _refuse_lfs_pointer(path)
     name = detect_format(path) if format is None else format
     if name not in FORMATS:
         raise SourceError(f"format '{name}' is unknown; known formats: {', '.join(FORMATS)}")
@@ -171,6 +173,7 @@ def detect_format(path: Path) -> str:
     """
     if not path.exists() and _is_pattern(path):
         return "glob"
+    _refuse_lfs_pointer(path)
     names = [entry.name.lower() for entry in path.iterdir()] if path.is_dir() else []
     for name, entry in FORMATS.items():
         if any(fnmatch.filter(names, pattern) for pattern in entry.folder_patterns):
@@ -188,6 +191,12 @@ def detect_format(path: Path) -> str:
         f"folder {path} has no images and is not a recording of a known format; looked for "
         f"{looked_for} and images ({' '.join(IMAGE_SUFFIXES)})"
     )
+
+
+def _refuse_lfs_pointer(path: Path) -> None:
+    message = lfs_pointer_message(path)
+    if message:
+        raise SourceError(message)
 
 
 def _is_pattern(path: Path) -> bool:

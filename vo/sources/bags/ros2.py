@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vo.bounded_documents import load_yaml
-from vo.bounded_files import read_text
+from vo.bounded_files import lfs_pointer_message, read_text
 from vo.errors import SourceError
 from vo.formats.decompression import copy_decompressed
 from vo.sources.bags.sqlite_file import SqliteFile
@@ -85,6 +85,9 @@ class Bag:
         return self._parts[address[0]].read(address[1])
 
     def _open(self, file: Path, compression: str) -> Log:
+        pointer = lfs_pointer_message(file)
+        if pointer:
+            raise SourceError(pointer)
         if file.suffix == ".zstd":
             file = self._decompress(file)
         if file.suffix == ".mcap":
