@@ -154,7 +154,9 @@ def _lens(lens: LensReport, camera: CameraReport, is_refused: bool) -> Iterator[
             "error",
             f"{lens.name}: the calibration is for {lens.width}x{lens.height}, but the images are "
             f"{camera.width}x{camera.height}",
-            "use the calibration of these images; vo convert --resize scales both",
+            "it seems to be that of images turned by 90 degrees; use that of the images as stored"
+            if (lens.height, lens.width) == (camera.width, camera.height)
+            else "use the calibration of these images; vo convert --resize scales both",
         )
     view = lens.view_deg[0]
     if view is not None and not _USUAL_VIEW_DEG[0] <= view <= _USUAL_VIEW_DEG[1]:

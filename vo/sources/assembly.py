@@ -21,6 +21,7 @@ from vo.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.sources.images import Pixels, StoredImage
 from vo.sources.imu import Imu
 from vo.sources.listing import Shot, median_interval_ns
+from vo.sources.orientation import warn_of_turned
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.right_offset import constant_offset_ns, shifted
 from vo.sources.sequence import ImageSequence, ListedImages
@@ -73,6 +74,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     """
     first = _first_image(contents.left)
     size = _size_of(first)
+    warn_of_turned(contents.name, contents.left)
     calibration = contents.calibrate(size)
     _check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
@@ -194,10 +196,15 @@ def _check_size(
     if (camera.width, camera.height) == size:
         return
     file = f" {calibration.file} ({calibration.kind})" if calibration.file else " of the recording"
+    advice = (
+        "it seems to be that of images turned by 90 degrees; give that of the images as stored"
+        if (camera.height, camera.width) == size
+        else "give a calibration for this image size with --calibration FILE (for resized images, "
+        "scale its fx, fy, cx and cy as well)"
+    )
     raise CalibrationError(
         f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration{file} "
-        f"is for {camera.width}x{camera.height}; give a calibration for this image size with "
-        "--calibration FILE (for resized images, scale its fx, fy, cx and cy as well)"
+        f"is for {camera.width}x{camera.height}; {advice}"
     )
 
 

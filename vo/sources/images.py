@@ -35,7 +35,10 @@ _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
 _BIT_DEPTHS = (8, 10, 12, 14, 16)
-_IN_COLOUR = {False: cv2.IMREAD_ANYDEPTH, True: cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR}
+_AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+_FLAGS = {False: _AS_STORED, True: _AS_STORED | cv2.IMREAD_ANYCOLOR}
+"""How to decode in grey and in colour. EXIF's orientation is ignored: lenses are calibrated for the
+pixels as the sensor has them, and a phone may turn some images of a walk and not others."""
 
 
 class StoredImage(Protocol):
@@ -170,7 +173,7 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
         return grey
     try:
         with _quiet_opencv:
-            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _IN_COLOUR[colour])
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS[colour])
     except cv2.error as error:
         raise SourceError(f"image {name} cannot be decoded: {error.err}") from error
     if image is None:
