@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from vo.backend.sliding_window import SlidingWindow, WindowUpdate
 from vo.faults import Fault
+from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
@@ -19,6 +22,7 @@ class MapUpdater:
 
     Attributes:
         vertical_disparity: as estimated so far, None if it is unknown.
+        corrected: vertical disparities corrected in right images.
         stopwatch: measures the stage `window`.
 
     Args:
@@ -42,6 +46,7 @@ class MapUpdater:
         stopwatch: Stopwatch,
     ) -> None:
         self.vertical_disparity: VerticalDisparity | None = None
+        self.corrected = VerticalDisparity()
         self.stopwatch = stopwatch
         self._map = local_map
         self._mapper = mapper
@@ -55,9 +60,32 @@ class MapUpdater:
         """Errors of the calibration that are known now and cannot be corrected."""
         return self._refiner.faults
 
-    def suspend_refinement(self) -> None:
-        """Estimate no calibration error from the newest keyframes, see `CalibrationRefiner`."""
-        self._refiner.suspend()
+    def follow(self, frame: PreprocessedFrame) -> None:
+        """Adapt the map to what is corrected, and uncertain, in the images of a frame."""
+        self.vertical_disparity = frame.vertical_disparity
+        if frame.corrected != self.corrected:
+            self._correct_vertical_disparity(self.corrected, frame.corrected)
+            self.corrected = frame.corrected
+        if frame.image_fixed.is_ambiguous:
+            self._refiner.suspend()
+
+    def forget_from(self, frame: PreprocessedFrame, segment: int) -> bool:
+        """Go back to the state before a frame of a segment, in order to track it anew.
+
+        Corrections of the calibration are taken back, too.
+
+        Returns:
+            False if this is impossible, since the scale of the segment would be lost.
+        """
+        is_metric = self._map.rig.is_stereo or frame.depth is not None
+        if not is_metric and self._trajectory.store.has_frame(segment, frame.index):
+            return False
+        self.apply()
+        self._refiner.restart()
+        self._map.clear_corrected()
+        pose = self._trajectory.remove_from(frame.index)
+        self._tracker.restart_at(frame.stamp_ns, np.eye(4) if pose is None else pose)
+        return True
 
     def next_frame(self) -> None:
         """Count a frame; apply the pending result if it is due."""
@@ -90,7 +118,9 @@ class MapUpdater:
         self._tracker.move(update.motion_until_now())
 
     @timed("window")
-    def correct_vertical_disparity(self, before: VerticalDisparity, now: VerticalDisparity) -> None:
+    def _correct_vertical_disparity(
+        self, before: VerticalDisparity, now: VerticalDisparity
+    ) -> None:
         """Apply a new correction of right images to disparities measured before, and optimise.
 
         The motion model is not moved: its next prediction starts from the old pose.

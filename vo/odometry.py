@@ -18,7 +18,6 @@ from vo.failures import Failure, FailureReason
 from vo.frontend.image_quality import explained
 from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import PreprocessedFrame
-from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.tracked_frame import TrackedFrame, as_tracked_frame
 from vo.refinement.corrected_errors import corrected_errors
@@ -75,7 +74,6 @@ class Odometry:
         self._state = State.STARTING
         self._segment = 0
         self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
-        self._corrected = VerticalDisparity()  # vertical disparities corrected in right images
         self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
         self._result: FrameResult | None = None  # of the newest frame
         self._has_moved = False  # whether the newest frame has added or moved keyframes
@@ -108,7 +106,7 @@ class Odometry:
     @property
     def calibration_errors(self) -> CalibrationErrors:
         """Errors of the calibration that were found and are corrected."""
-        return corrected_errors(self._map.rig, self._corrected)
+        return corrected_errors(self._map.rig, self._updater.corrected)
 
     def snapshot(self) -> Snapshot:
         """The newest frame and the local map for display, before the next frame is tracked."""
@@ -119,23 +117,30 @@ class Odometry:
 
     def _process(self, pending: LazyFuture[PreprocessedFrame]) -> Estimate:
         frame = self._preprocess(pending)
-        result = self._track(frame)
-        if len(self._lost) > self._config.tracking.recover_frames:
-            for each in self._start_segment():  # a new map may hold the frames that were lost
-                result = self._track(each)
+        if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
+            self._monocular_initializer.restart()
+            self._state, self._lost = State.STARTING, []
+            for each in frame.misled:
+                self._advance(each)
+        result = self._advance(frame)
         is_tracking = self._state is State.TRACKING
         self._preprocessor.is_eager = self._forecast.expects_all or not is_tracking
         return self._estimate(result)
 
+    def _advance(self, frame: PreprocessedFrame) -> FrameResult:
+        """Track a frame, and give up the map after too many lost ones."""
+        self._updater.follow(frame)
+        result = self._track(frame)
+        if len(self._lost) > self._config.tracking.recover_frames:
+            for each in self._start_segment():  # a new map may hold the frames that were lost
+                result = self._track(each)
+        return result
+
     @timed("features")
     def _preprocess(self, pending: LazyFuture[PreprocessedFrame]) -> PreprocessedFrame:
         frame = pending.result()
-        self._updater.vertical_disparity = frame.vertical_disparity
         if self._expects_keyframe or self._state is not State.TRACKING:
             frame.start_features()
-        if frame.corrected != self._corrected:
-            self._updater.correct_vertical_disparity(self._corrected, frame.corrected)
-            self._corrected = frame.corrected
         return frame
 
     def _track(self, frame: PreprocessedFrame) -> FrameResult:

@@ -12,10 +12,12 @@ import numpy as np
 from vo.faults import Fault, FaultKind
 from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
+from vo.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.frontend.image_repetition import Repetition, RepetitionDetector, is_right_frozen
 from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
+from vo.frontend.recent_frames import RecentFrames, RecordedFrame
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
@@ -40,6 +42,8 @@ class PreprocessedFrame:
         corrected: the part of them that is corrected in images[1].
         faults: faults that the images show.
         repetition: whether the image of camera 0 repeats the one before.
+        image_fixed: what stands still in images[0] while the scene moves.
+        misled: frames before this one, to be tracked anew without such content, found just now.
     """
 
     index: int
@@ -53,6 +57,8 @@ class PreprocessedFrame:
     corrected: VerticalDisparity = VerticalDisparity()
     faults: tuple[Fault, ...] = ()
     repetition: Repetition = Repetition.NONE
+    image_fixed: ImageFixed = ImageFixed()
+    misled: tuple[PreprocessedFrame, ...] = ()
 
     @property
     def image0(self) -> Bytes:
@@ -127,6 +133,8 @@ class FramePreprocessor:
         self._vertical_disparity = vertical_disparity
         self._pair_check = pair_check
         self._repetition = RepetitionDetector()
+        self._image_fixed = ImageFixedDetector()
+        self._recent = RecentFrames()
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
@@ -165,57 +173,70 @@ class FramePreprocessor:
         if self._rig.is_stereo and any(is_right_frozen(left_change, each) for each in right_change):
             frame = replace(frame, images=frame.images[:1])
             faults = (Fault(FaultKind.REPEATED_RIGHT_IMAGES, is_handled=True),)
-        images, features = self._images_and_features(frame)
-        image0 = images[0]
-        assert image0 is not None
-        preprocessed = PreprocessedFrame(
+        recorded = RecordedFrame(frame, left_change.repetition, faults)
+        image0 = self._rig.rectify(frame.image0, 0)
+        pyramid = half_size_pyramid(image0)
+        fixed = self._image_fixed.update(pyramid, image0.shape)
+        misled = self._recent.add(recorded, fixed)
+        if misled:
+            self._vertical_disparity.restart()
+        again = tuple(self._without_fixed(each, fixed) for each in misled)
+        preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, self._pair_check)
+        if self.is_eager:
+            preprocessed.start_features()
+        return replace(preprocessed, misled=again) if again else preprocessed
+
+    def _without_fixed(self, recorded: RecordedFrame, fixed: ImageFixed) -> PreprocessedFrame:
+        image0 = self._rig.rectify(recorded.frame.image0, 0)
+        return self._preprocessed(recorded, image0, half_size_pyramid(image0), fixed, None)
+
+    def _preprocessed(
+        self,
+        recorded: RecordedFrame,
+        image0: Bytes,
+        pyramid: tuple[Bytes, ...],
+        fixed: ImageFixed,
+        pair_check: PairCheck | None,
+    ) -> PreprocessedFrame:
+        frame = recorded.frame
+        images, features = self._images_and_features(frame, image0, fixed.mask, pair_check)
+        return PreprocessedFrame(
             frame.index,
             frame.stamp_ns,
             images,
-            half_size_pyramid(image0),
+            pyramid,
             features,
             None if frame.depth is None else self._rig.rectify_depth(frame.depth),
             frame.path,
             self._vertical_disparity.estimated,
             self._vertical_disparity.corrected,
-            self._vertical_disparity.faults + faults,
-            left_change.repetition,
+            self._vertical_disparity.faults + fixed.faults + recorded.faults,
+            recorded.repetition,
+            fixed,
         )
-        if self.is_eager:
-            preprocessed.start_features()
-        return preprocessed
 
     def _images_and_features(
-        self, frame: Frame
+        self, frame: Frame, image0: Bytes, mask: Bytes | None, pair_check: PairCheck | None
     ) -> tuple[tuple[Bytes | None, ...], tuple[LazyFuture[Keypoints] | None, ...]]:
         rig, correction = self._rig, self._vertical_disparity
-        image0 = rig.rectify(frame.image0, 0)
-        left = LazyFuture(lambda: self._extract_left(image0), self._pool_of_left())
+        left = LazyFuture(lambda: self._extract_left(image0, mask), self._pool_of_left())
         if not rig.is_stereo or frame.image1 is None:
             return (image0,), (left,)
         image1 = correction.aligned_rig().rectify(frame.image1, 1)
         right = self._extract_right(image1)
-        is_corrected, is_checked = correction.needs_next_pair(), self._compare(frame)
+        is_corrected, is_checked = correction.needs_next_pair(), _compare(pair_check, frame)
         if is_corrected or is_checked:
             # Extracted here: the thread of the left images, which this is, cannot wait for itself.
-            left = finished(self._extract_left(image0))
+            left = finished(self._extract_left(image0, mask))
             pair = View(image0, left.result()), View(image1, right.result())
             has_changed = is_corrected and correction.update(*pair)
-            if self._pair_check is not None:
+            if pair_check is not None:
                 points = correction.points if is_corrected else None
-                self._pair_check.update(frame.index, *pair, points)
+                pair_check.update(frame.index, *pair, points)
             if has_changed:
                 image1 = correction.aligned_rig().rectify(frame.image1, 1)
                 right = self._extract_right(image1)
         return (image0, image1), (left, right)
-
-    def _compare(self, frame: Frame) -> bool:
-        """Compare the recorded images of a pair; whether their disparities are to be checked."""
-        if self._pair_check is None:
-            return False
-        is_checked = self._pair_check.needs_next_pair()
-        self._pair_check.compare(frame)
-        return is_checked
 
     def _pool_of_left(self) -> ThreadPoolExecutor | None:
         """The thread for features of camera 0; with a single camera the second, idle one."""
@@ -223,14 +244,23 @@ class FramePreprocessor:
             return None
         return self._pools[0 if self._rig.is_stereo else 1]
 
-    def _extract_left(self, image: Bytes) -> Keypoints:
+    def _extract_left(self, image: Bytes, mask: Bytes | None) -> Keypoints:
         # With a single camera nothing in the first thread waits for features, so that extraction,
         # in the second, may wait for the first.
         helper = self._pools[0] if self._pools and not self._rig.is_stereo else None
-        keypoints = self._extractor.extract(image, helper=helper)
+        keypoints = self._extractor.extract(image, mask, helper)
         inside = np.asarray(np.isfinite(self._rig.undistort(keypoints.xy)).all(axis=1))
         return keypoints if inside.all() else keypoints.select(inside)
 
     def _extract_right(self, image: Bytes) -> LazyFuture[Keypoints]:
         pool = self._pools[1] if self._pools else None
         return LazyFuture(lambda: self._extractor.extract(image), pool)
+
+
+def _compare(pair_check: PairCheck | None, frame: Frame) -> bool:
+    """Compare the recorded images of a pair; whether their disparities are to be checked."""
+    if pair_check is None:
+        return False
+    is_checked = pair_check.needs_next_pair()
+    pair_check.compare(frame)
+    return is_checked

@@ -70,6 +70,13 @@ class VerticalDisparityCorrection:
         self._pairs = 0
         self._next = 0
 
+    def restart(self) -> None:
+        """Forget all pairs: what they showed was no rigid scene."""
+        self.estimated, self.corrected = None, VerticalDisparity()
+        self.faults, self.points = (), None
+        self._fit, self._aligned = VerticalDisparityFit(), None
+        self._pairs = self._next = 0
+
     def needs_next_pair(self) -> bool:
         """Whether to estimate from the next pair; to be called once for every pair."""
         self._pairs += 1

@@ -207,6 +207,14 @@ class LocalMap:
         self.reference[rows[chosen]] = keyframe.id
         self.reference_xy[rows[chosen]] = keyframe.image_xy[chosen]
 
+    def clear_corrected(self) -> None:
+        """Remove all keyframes and landmarks, and all corrections of the calibration."""
+        self.clear()
+        rig = replace(
+            self.rig, disparity_offset_px=0.0, disparity_curve_px=0.0, offset_is_yaw=False
+        )
+        self.rig = rig if rig.k1_error == 0.0 else rig.with_k1_error(0.0)
+
     def correct_disparities(self, offset_px: float, curve_px: float, *, is_yaw: bool) -> None:
         """Replace the correction of the disparity bias, for measured disparities too."""
         before = self.rig

@@ -55,12 +55,11 @@ class CalibrationRefiner:
     """
 
     def __init__(self, rig: RectifiedRig, config: RefinementConfig, *, has_depth: bool) -> None:
-        self._estimator: DisparityBiasEstimator | RadialDistortionEstimator
+        self._rig = rig
+        self._estimator = _estimator(rig)
         if rig.is_stereo:
-            self._estimator = DisparityBiasEstimator(rig)
             self._is_enabled = config.disparity_correction and not has_depth
         else:
-            self._estimator = RadialDistortionEstimator(rig)
             self._is_enabled = config.lens_correction
         self._submitted = 0  # windows
         self._resume = 0  # number of the first window that is evaluated after a suspension
@@ -69,6 +68,10 @@ class CalibrationRefiner:
     def faults(self) -> tuple[Fault, ...]:
         """Errors that are known now and cannot be corrected."""
         return self._estimator.faults
+
+    def restart(self) -> None:
+        """Forget all windows: what they observed was no rigid scene."""
+        self._estimator = _estimator(self._rig)
 
     def suspend(self) -> None:
         """Evaluate no window with any of the newest keyframes.
@@ -112,3 +115,7 @@ class CalibrationRefiner:
         offset_px, curve_px = bias.tolist()
         is_yaw = skew_px is not None and is_from_yaw(offset_px, skew_px)
         return DisparityCorrection(offset_px, curve_px, is_yaw)
+
+
+def _estimator(rig: RectifiedRig) -> DisparityBiasEstimator | RadialDistortionEstimator:
+    return DisparityBiasEstimator(rig) if rig.is_stereo else RadialDistortionEstimator(rig)

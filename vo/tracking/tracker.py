@@ -28,7 +28,7 @@ from vo.tracking.last_frame import LastFrame, last_frame
 from vo.tracking.motion_model import MotionModel
 from vo.tracking.pose_estimation import PoseEstimator
 from vo.tracking.sparse_image_alignment import sparse_image_alignment
-from vo.tracking.visibility import visible_landmarks
+from vo.tracking.visibility import outside, visible_landmarks
 from vo.types import Floats, Ints
 
 # Radii of the search windows, tried in turn, in units of the configured one.
@@ -99,6 +99,11 @@ class Tracker:
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
+
+    def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
+        """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""
+        self._motion.restart(stamp_ns, world_from_cam)
+        self.last = None
 
     def forget_last_frame(self) -> None:
         """Forget the last frame, before a new segment."""
@@ -214,6 +219,7 @@ class Tracker:
         None if too few of them agree.
         """
         visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
+        visible = outside(frame.image_fixed.mask, visible)
         observed = self._aligner.align(visible, frame.image0)
         observed = self._aligner.with_disparity(observed, world_from_cam, frame)
         fit = self._estimator.refine(observed, world_from_cam)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from vo.geometry.patch_prediction import points_in_view, predict_patches
 from vo.mapping.local_map import LocalMap
 from vo.mapping.patch_search import BORDER_PX, MAX_SCALE
-from vo.types import Floats, Ints
+from vo.types import Bytes, Floats, Ints
 
 _MAX_COUNT = 20  # times found, from which landmarks are ranked alike
 
@@ -66,3 +66,12 @@ def visible_landmarks(
         local_map.xyz, local_map.normal, reference, rows, here, poses, rig.intrinsics
     )
     return Visible(rows, xy, image_xy, seen.scale, seen.reference_from_target, seen.slope)
+
+
+def outside(mask: Bytes | None, visible: Visible) -> Visible:
+    """The landmarks whose predicted pixels are not where a mask (H, W) is 0; all without a mask."""
+    if mask is None:
+        return visible
+    u, v = np.rint(visible.image_xy).astype(np.int64).T
+    kept = np.flatnonzero(mask[v.clip(0, mask.shape[0] - 1), u.clip(0, mask.shape[1] - 1)])
+    return Visible(*(getattr(visible, field.name)[kept] for field in fields(Visible)))

@@ -59,6 +59,13 @@ class TrajectoryBuilder:
                 KeyframePose(frame.index, frame.stamp_ns, frame.segment, pose, covariance),
             )
 
+    def remove_from(self, frame_index: int) -> Floats | None:
+        """Remove a frame and all after it; the pose (4, 4) of the first, None without any."""
+        pose = self.store.remove_from(frame_index)
+        if pose is None:
+            return None
+        return np.asarray(self._rectified_from_cam0 @ pose @ self._cam0_from_rectified)
+
     def take_moved(self) -> tuple[KeyframePose, ...]:
         """Keyframes that were added or moved since the last call."""
         return self.store.take_moved()

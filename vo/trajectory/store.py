@@ -109,6 +109,23 @@ class TrajectoryStore:
         self._changed = min(self._changed, self._first_after_tracked(first))
         self._changed_keyframe = min(self._changed_keyframe, row)
 
+    def remove_from(self, frame_index: int) -> Floats | None:
+        """Remove a frame and all after it; the pose (4, 4) of the first, None without any."""
+        row = self._first_after_tracked(bisect_left(self.frames["frame_index"], frame_index))
+        pose = None if row == len(self._frames) else self.trajectory(row).world_from_cam[0]
+        keyframe_row = bisect_left(self._keyframes.rows["frame_index"], frame_index)
+        self._moved -= set(self._keyframes.rows["id"][keyframe_row:].tolist())
+        self._frames.truncate(row)
+        self._keyframes.truncate(keyframe_row)
+        self._changed = min(self._changed, row)
+        self._changed_keyframe = min(self._changed_keyframe, keyframe_row)
+        return pose
+
+    def has_frame(self, segment: int, before: int) -> bool:
+        """Whether the newest frame before a frame number is of this segment."""
+        row = bisect_left(self.frames["frame_index"], before)
+        return row > 0 and int(self.frames["segment"][row - 1]) == segment
+
     def take_changes(self) -> tuple[int, int]:
         """First rows of frames and of keyframes that are new or moved since the last call."""
         changed = self._changed, self._changed_keyframe

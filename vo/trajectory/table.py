@@ -25,6 +25,10 @@ class Table:
         """All rows (n,), to be changed in place; invalid after the next `append`."""
         return self._storage[: self._count]
 
+    def truncate(self, count: int) -> None:
+        """Remove all rows but the first `count`."""
+        self._count = min(self._count, count)
+
     def append(self, *fields: Any) -> None:
         """Add a row of these fields."""
         if self._count == len(self._storage):

@@ -1,0 +1,239 @@
+"""Detection of what stands still in the image while the scene moves.
+
+The robot's own body, a bonnet, burnt-in text, or dirt on the lens. Tracking would take its features
+for landmarks, and a camera that does not move explains them perfectly.
+
+Images are compared when the scene has moved clearly: where nearly all textured places have changed
+and the others are exactly as before. Distant places, the focus of expansion, and vehicles ahead
+move a little too: such images are passed over until they have moved, and so have no long runs of
+comparisons without a change.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.faults import Fault, FaultKind
+from vo.geometry.quantiles import percentiles
+from vo.types import Bools, Bytes, Floats32
+
+_SIDE_PX = 7  # of the window whose gradients are compared, pixels of the image of half the size
+_MARGIN_PX = 10  # of that image: lenses and rectification leave dark edges at the image's borders
+# Mean squared gradient (grey levels per pixel) of texture; and relative to the flattest parts of
+# the image, which show the noise.
+_MIN_TEXTURE, _MIN_TEXTURE_TO_NOISE, _FLATTEST_PERCENT = 9.0, 4.0, 5
+_MIN_TEXTURED = 0.02  # ratio of the image
+# Normalised correlation of gradients: less has moved by a pixel or more, more has not moved.
+_MOVED, _SAME, _SAME_AS_MEAN = 0.65, 0.9, 0.8
+# Ratio of texture that must have moved, and the maximum of what is neither moved nor the same.
+_MIN_MOVED, _MAX_BETWEEN = 0.5, 0.15
+# A camera stands where this ratio is the same and at least the other one has moved.
+_MIN_STANDING, _MIN_PASSING, _MIN_RELEASE = 0.55, 0.1, 0.6
+_MIN_RUN = 6  # comparisons without a change
+# Ratio of texture: on recordings without such content, at most 0.016 has a run of 6.
+_MIN_SHARE, _MAX_SHARE = 0.035, 0.5
+# What covers more of the image than this, or this much of its upper and its lower third, may as
+# well be the background of something large that passes a camera at rest.
+_MAX_AREA, _MAX_OPPOSITE = 0.33, 0.1
+# Ratio of texture that must move, in how many comparisons, while most of the image never has.
+_MIN_LONG_PASSING, _LONG = 0.3, 15
+_MEAN_OF = 8  # images that the mean gradient remembers
+_GROWTH_PX = 8  # added round what is fixed, pixels of the image of half the size: half a feature
+_SETTLED = 8  # comparisons after which a recording is taken to be free of such content
+# Frames between comparisons: at first, after `_SETTLED`, and after twice as many without a find.
+_STEPS = (2, 4, 8)
+
+
+class ImageFixed(NamedTuple):
+    """Content that stands still in the images of camera 0.
+
+    Attributes:
+        mask: (H, W) uint8, 0 where such content is; None without any.
+        share: ratio of the image that it covers.
+        is_ambiguous: whether it covers so much that the camera may as well stand still while
+            something large passes; there is no mask then.
+        finds: number of times that a mask was made where there was none.
+        is_settled: whether nothing was found for so long that it can no longer be expected.
+    """
+
+    mask: Bytes | None = None
+    share: float = 0.0
+    is_ambiguous: bool = False
+    finds: int = 0
+    is_settled: bool = False
+
+    @property
+    def is_present(self) -> bool:
+        """Whether there is such content."""
+        return self.mask is not None or self.is_ambiguous
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """The content as a fault of the recording."""
+        if not self.is_present:
+            return ()
+        is_handled = not self.is_ambiguous
+        return (Fault(FaultKind.IMAGE_FIXED_FEATURES, is_handled, self.share),)
+
+
+class _Gradients(NamedTuple):
+    """Gradient (H, W) along u and v, and its mean square in a window."""
+
+    u: Floats32
+    v: Floats32
+    energy: Floats32
+
+
+class ImageFixedDetector:
+    """Compares images with each other and with the mean of those before.
+
+    Attributes:
+        found: what is known after the newest image.
+    """
+
+    def __init__(self) -> None:
+        self.found = ImageFixed()
+        self._shape: tuple[int, ...] = (0, 0)
+        self._frames = self._next = self._comparisons = self._finds = 0
+        self._last: _Gradients | None = None
+        self._mean: tuple[Floats32, Floats32]
+        self._run: NDArray[np.int32]
+        self._fixed: Bools
+        self._background: Bools | None = None  # has stood still while something passed
+        self._has_moved: Bools
+        self._standing = 0  # comparisons in which most of the image stood, since it has moved
+
+    def update(self, pyramid: tuple[Bytes, ...], shape: tuple[int, ...]) -> ImageFixed:
+        """Add an image.
+
+        Args:
+            pyramid: the rectified image at 1/2 of its size, first, and smaller.
+            shape: (H, W).
+        """
+        self._frames += 1
+        if self._frames > self._next and pyramid:
+            self._shape = shape
+            self._next = self._frames - 1 + self._step()
+            self._compare(_gradients(pyramid[0]))
+        return self.found
+
+    def _step(self) -> int:
+        if self.found.mask is not None or self._comparisons < _SETTLED:
+            return _STEPS[0]
+        return _STEPS[1 if self._comparisons < 2 * _SETTLED else 2]
+
+    def _compare(self, now: _Gradients) -> None:
+        """Compare with the last image from which enough has moved."""
+        if self._last is None:
+            self._last = now
+            self._mean = now.u.copy(), now.v.copy()
+            self._run = np.zeros(now.u.shape, np.int32)
+            self._fixed = np.zeros(now.u.shape, bool)
+            self._has_moved = np.zeros(now.u.shape, bool)
+            return
+        textured = _textured(now)
+        count = int(np.count_nonzero(textured))
+        if count < _MIN_TEXTURED * textured.size:
+            return
+        similar = _correlation(now, self._last.u, self._last.v, self._last.energy)
+        moved, same = textured & (similar < _MOVED), textured & (similar > _SAME)
+        moved_ratio, same_ratio = np.count_nonzero(moved) / count, np.count_nonzero(same) / count
+        between = 1.0 - moved_ratio - same_ratio
+        if same_ratio > _MIN_STANDING and moved_ratio > _MIN_PASSING > between:
+            self._stand(same, moved_ratio)
+        elif moved_ratio > _MIN_MOVED and between < _MAX_BETWEEN * moved_ratio:
+            self._last = now
+            self._has_moved |= moved
+            self._standing = 0
+            self._count_runs(now, textured, moved)
+            self._judge(count)
+
+    def _stand(self, same: Bools, moved_ratio: float) -> None:
+        """Most of the image is the same while something moves: the camera stands, probably."""
+        self._background = same if self._background is None else self._background & same
+        self._standing += moved_ratio > _MIN_LONG_PASSING
+        if self._standing < _LONG or self.found.mask is not None:
+            return
+        never = np.count_nonzero(same & ~self._has_moved) / np.count_nonzero(same)
+        if never > 0.5:
+            self.found = ImageFixed(None, never, is_ambiguous=True, finds=self._finds)
+
+    def _count_runs(self, now: _Gradients, textured: Bools, moved: Bools) -> None:
+        """Count comparisons without a change, each with the mean of those before."""
+        mean_u, mean_v = self._mean
+        energy = _box(mean_u * mean_u + mean_v * mean_v)
+        similar = _correlation(now, mean_u, mean_v, energy)
+        same = textured & (similar > _SAME_AS_MEAN) & (energy > 0.5 * _MIN_TEXTURE)
+        self._run = np.where(same, self._run + 1, 0)
+        weight = 1.0 / (1.0 + np.minimum(self._run, _MEAN_OF)).astype(np.float32)
+        mean_u += weight * (now.u - mean_u)
+        mean_v += weight * (now.v - mean_v)
+        self._fixed &= ~(textured & (similar < _MOVED))
+        if self._background is not None:
+            stood = int(np.count_nonzero(self._background))
+            if np.count_nonzero(self._background & moved) > _MIN_RELEASE * stood:
+                self._background = None  # the camera has moved since
+
+    def _judge(self, count: int) -> None:
+        """Mask what has not changed for long enough."""
+        self._comparisons += 1
+        fixed = self._run >= _MIN_RUN
+        if self._background is not None:
+            fixed &= ~self._background
+        self._fixed |= fixed
+        share = float(np.count_nonzero(self._fixed)) / count
+        is_new = self.found.mask is None
+        is_ambiguous = share > _MAX_SHARE or _is_everywhere(self._fixed)
+        if share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE):
+            is_settled = self._finds == 0 and self._comparisons >= _SETTLED
+            self.found = ImageFixed(finds=self._finds, is_settled=is_settled)
+        elif is_ambiguous and is_new:
+            self.found = ImageFixed(None, self._area(), is_ambiguous=True, finds=self._finds)
+        else:
+            self._finds += is_new
+            self.found = ImageFixed(self._mask(), self._area(), finds=self._finds)
+
+    def _area(self) -> float:
+        return float(np.mean(self._fixed))
+
+    def _mask(self) -> Bytes:
+        side = 2 * _GROWTH_PX + 1
+        grown = cv2.dilate(self._fixed.astype(np.uint8), np.ones((side, side), np.uint8))
+        full = cv2.resize(grown, self._shape[::-1], interpolation=cv2.INTER_NEAREST)
+        return np.asarray(1 - full, dtype=np.uint8)
+
+
+def _is_everywhere(fixed: Bools) -> bool:
+    """Whether it covers a large part of the image (H, W), or parts above and below."""
+    third = len(fixed) // 3
+    opposite = min(fixed[:third].mean(), fixed[-third:].mean())
+    return bool(fixed.mean() > _MAX_AREA or opposite > _MAX_OPPOSITE)
+
+
+def _gradients(image: Bytes) -> _Gradients:
+    u, v = (g.astype(np.float32) * np.float32(0.125) for g in cv2.spatialGradient(image))
+    return _Gradients(u, v, _box(u * u + v * v))
+
+
+def _textured(gradients: _Gradients) -> Bools:
+    """(H, W) where there is texture, without the margin."""
+    energy = gradients.energy
+    noise = float(percentiles(energy[::8, ::8], (_FLATTEST_PERCENT,))[0])
+    textured = energy > max(_MIN_TEXTURE, _MIN_TEXTURE_TO_NOISE * noise)
+    inside = np.zeros_like(textured)
+    inside[_MARGIN_PX:-_MARGIN_PX, _MARGIN_PX:-_MARGIN_PX] = True
+    return np.asarray(textured & inside)
+
+
+def _correlation(now: _Gradients, u: Floats32, v: Floats32, energy: Floats32) -> Floats32:
+    """(H, W) correlation of gradients with others, which have no mean to be removed."""
+    product = _box(now.u * u + now.v * v)
+    return np.asarray(product / np.sqrt(now.energy * energy + np.float32(1e-3)))
+
+
+def _box(values: Floats32) -> Floats32:
+    return np.asarray(cv2.boxFilter(values, -1, (_SIDE_PX, _SIDE_PX)))
