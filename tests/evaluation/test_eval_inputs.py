@@ -236,3 +236,22 @@ def test_ground_truth_of_nerf(tmp_path: Path) -> None:
     assert "row by row" in inputs.notes[0]
     np.testing.assert_allclose(inputs.reference.world_from_cam, np.stack(poses), atol=1e-12)
     np.testing.assert_array_equal(inputs.estimate.stamps_ns, inputs.reference.stamps_ns)
+
+
+def test_poses_without_stamps_are_paired_by_frame_numbers(tmp_path: Path) -> None:
+    """A run that lost two of eight frames, and ground truth with a pose of each frame."""
+    run = run_folder(tmp_path / "run", {"mode": "stereo", "frames": 8, "start": 0, "stride": 1})
+    frames = (0, 1, 4, 5, 6, 7)
+    rows = [f"{frame},{i}500000000,0,0,0,1,2" for i, frame in enumerate(frames)]
+    written(run / "poses.csv", "frame,stamp_ns,segment,keyframe\n" + "\n".join(rows) + "\n")
+    poses = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(8))
+    truth = written(tmp_path / "poses.txt", poses)
+    inputs = load_inputs(run, truth)
+    assert inputs.reference.positions[:, 0].tolist() == list(frames)
+    np.testing.assert_array_equal(inputs.estimate.stamps_ns, inputs.reference.stamps_ns)
+    assert "6 of 8 poses of the ground truth, by the numbers of frames" in inputs.notes[0]
+    for change in ({"frames": 9}, {"start": 1}, {"stride": 2}):
+        summary = {"mode": "stereo", "frames": 8, "start": 0, "stride": 1} | change
+        (run / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+        with pytest.raises(EvaluationError, match="the numbers of poses differ"):
+            load_inputs(run, truth)

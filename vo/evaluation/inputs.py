@@ -11,6 +11,7 @@ import numpy as np
 from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
 from vo.errors import CalibrationError, EvaluationError, SourceError
+from vo.evaluation.frame_numbers import frame_numbers
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.euroc_layout import find_camera_on_body
 from vo.formats.trajectory import detect_format, has_stamps, read_trajectory
@@ -108,6 +109,8 @@ def load_inputs(
         mode=_mode(summary),
         notes=(*estimate.notes, *reference.notes),
     )
+    if estimate.has_stamps and not reference.has_stamps:
+        inputs = _with_frame_numbers(inputs, summary)
     inputs = _with_common_stamps(inputs, not estimate.has_stamps, not reference.has_stamps)
     return inputs if all_segments else _with_longest_segment(inputs, summary)
 
@@ -189,6 +192,19 @@ def _read_reference(path: Path, calibration: Calibration | None) -> GivenTraject
     return GivenTrajectory(replace(read.trajectory, world_from_cam=poses), path, (note,))
 
 
+def _with_frame_numbers(inputs: Inputs, summary: dict[str, Any]) -> Inputs:
+    """Keep the reference's poses of the frames that the run has a pose of, where that is known."""
+    estimate, reference = inputs.estimate, inputs.reference
+    if len(estimate) == len(reference):
+        return inputs
+    rows = frame_numbers(inputs.estimate_path, estimate.stamps_ns, summary, len(reference))
+    if rows is None:
+        return inputs
+    kept = Trajectory(reference.stamps_ns[rows], reference.world_from_cam[rows])
+    note = f"{len(rows)} of {len(reference)} poses of the ground truth, by the numbers of frames"
+    return replace(inputs, reference=kept, notes=(*inputs.notes, note))
+
+
 def _with_common_stamps(inputs: Inputs, estimate_bare: bool, reference_bare: bool) -> Inputs:
     """Pair poses row by row if only one file has stamps and both have the same number of poses."""
     if estimate_bare and reference_bare:
@@ -199,9 +215,11 @@ def _with_common_stamps(inputs: Inputs, estimate_bare: bool, reference_bare: boo
     estimate, reference = inputs.estimate, inputs.reference
     if len(estimate) != len(reference):
         bare = inputs.estimate_path if estimate_bare else inputs.reference_path
+        is_json = bare.suffix.lower() == ".json"
         raise EvaluationError(
             f"{bare} has no stamps and the numbers of poses differ ({len(estimate)} and "
-            f"{len(reference)}); put its times.txt beside it"
+            f"{len(reference)}); "
+            + ("give its folder, with the images" if is_json else "put its times.txt beside it")
         )
     if estimate_bare:
         estimate = replace(estimate, stamps_ns=reference.stamps_ns)
