@@ -153,7 +153,50 @@ def test_pairs_are_asked_ever_more_seldom_and_the_first_error_fades(
             found[number] = None if camera is None else camera.pitch_deg
     assert list(found) == [1, 3, 7, 15, 31]
     assert found[1] == pytest.approx(0.4, abs=0.03)
-    assert found[31] == pytest.approx(0.2 + 0.2 / 5, abs=0.03)
+    assert found[31] == pytest.approx(0.2, abs=0.05)
+
+
+def test_small_errors_are_corrected_when_two_further_pairs_confirm_them(
+    rig: RectifiedRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    left, right = pair
+    alignment, found = _correction(rig), {}
+    for number in range(1, 32):
+        if alignment.needs_next_pair():
+            seen = _seen_by_turned(right, rig, 0.2, 0.0)
+            aligned = alignment.aligned_rig().rectify(seen, 1)
+            alignment.update(_view(left), _view(aligned))
+            found[number] = alignment.corrected.pitch_px
+    assert [found[1], found[3]] == [0.0, 0.0]
+    truth_px = float(np.deg2rad(0.2)) * rig.fx
+    assert [found[n] for n in (7, 15, 31)] == pytest.approx([truth_px] * 3, abs=0.1)
+
+
+def test_small_errors_that_change_from_pair_to_pair_are_not_corrected(
+    rig: RectifiedRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    """As where the right camera is triggered late, and the cameras turn."""
+    left, right = pair
+    alignment = _correction(rig)
+    for number in range(1, 64):
+        if alignment.needs_next_pair():
+            sign = 1.0 if number in (1, 7, 31) else -1.0
+            alignment.update(_view(left), _view(_seen_by_turned(right, rig, 0.2 * sign, 0.0)))
+            assert alignment.corrected == VerticalDisparity()
+
+
+def test_a_correction_that_later_pairs_refute_is_taken_back(
+    rig: RectifiedRig, pair: tuple[Bytes, Bytes]
+) -> None:
+    left, right = pair
+    alignment = _correction(rig)
+    for number in range(1, 16):
+        if alignment.needs_next_pair():
+            seen = _seen_by_turned(right, rig, 0.5, 0.0) if number == 1 else right
+            aligned = alignment.aligned_rig().rectify(seen, 1)
+            alignment.update(_view(left), _view(aligned))
+            is_corrected = alignment.corrected != VerticalDisparity()
+            assert is_corrected == (number == 1)
 
 
 def test_swapped_images_are_not_corrected(pair: tuple[Bytes, Bytes], rig: RectifiedRig) -> None:

@@ -10,7 +10,7 @@ from vo.geometry.vertical_disparity_model import (
     FittedVerticalDisparity,
     VerticalDisparity,
     VerticalDisparityFit,
-    vertical_disparity_sigma,
+    sigmas_px,
 )
 from vo.types import Bools, Floats
 
@@ -53,8 +53,8 @@ def test_uncertainty_is_higher_where_there_are_no_points() -> None:
     x, y = _places(300)
     left = x < 0.0
     fitted, _ = _fitted(x[left], y[left], FOUND.vertical_px(x[left], y[left]))
-    on_left, on_right = vertical_disparity_sigma(
-        fitted, np.array([-0.4, 0.8]), np.array([0.2, 0.2])
+    (on_left, on_right), *_ = sigmas_px(
+        fitted.covariance, np.array([-0.4, 0.8]), np.array([0.2, 0.2])
     )
     assert on_right > 3.0 * on_left > 0.0
 
@@ -63,13 +63,22 @@ def test_a_second_pair_with_points_elsewhere_reduces_the_uncertainty() -> None:
     x, y = _places(600)
     fit, corner = VerticalDisparityFit(), (np.array([0.8]), np.array([0.4]))
     fit.add(x[x < 0], y[x < 0], FOUND.vertical_px(x[x < 0], y[x < 0]))
-    (before,) = vertical_disparity_sigma(fit.result(), *corner)
+    (before,), *_ = sigmas_px(fit.result().covariance, *corner)
     fit.add(x[x > 0], y[x > 0], FOUND.vertical_px(x[x > 0], y[x > 0]))
-    (after,) = vertical_disparity_sigma(fit.result(), *corner)
+    (after,), *_ = sigmas_px(fit.result().covariance, *corner)
     assert after < 0.5 * before
     assert fit.result().errors.vertical_px(*corner) == pytest.approx(
         FOUND.vertical_px(*corner), abs=0.05
     )
+
+
+def test_a_fit_supports_a_pair_with_the_same_error_and_no_other() -> None:
+    x, y = _places(400)
+    noise = 0.2 * np.random.default_rng(3).standard_normal((3, len(x)))
+    fit = VerticalDisparityFit()
+    fit.add(x, y, FOUND.vertical_px(x, y) + noise[0])
+    assert fit.support(x, y, FOUND.vertical_px(x, y) + noise[1]) > 4.0
+    assert fit.support(x, y, noise[2]) < 0.0
 
 
 def _turned(axis: tuple[float, float, float]) -> Callable[[Floats], Floats]:

@@ -9,26 +9,42 @@ from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import (
     FittedVerticalDisparity,
     VerticalDisparity,
-    vertical_disparity_sigma,
+    sigmas_px,
 )
 from vo.types import Floats
 
 _SIGNIFICANT = 2.0  # standard deviations
 # Smaller errors do no harm, and without correction images that are used as recorded stay so.
 _MIN_PX, _MIN_WITH_SKEW_PX = 0.5, 2.0
+_LARGE_PX = 1.5  # errors that cannot wait for other pairs: few points match along rows
 _MAX_ROW_RATIO = 0.05  # of the image height; a slightly wrong rectification explains no more
 
 
 def is_worth_correcting(fitted: FittedVerticalDisparity, rig: RectifiedRig) -> bool:
-    """Whether errors at the corners of the image are large and significant."""
+    """Whether errors at the corners of the image are large and significant.
+
+    Without the skew, which has no effect on disparities, they must be so by themselves.
+    """
     x, y = _corners(rig)
-    vertical = np.abs(fitted.errors.vertical_px(x, y))
-    significant = vertical > _SIGNIFICANT * vertical_disparity_sigma(fitted, x, y)
-    without_skew = fitted.errors._replace(skew_px=0.0)
-    no_skew = np.maximum(
-        np.abs(without_skew.vertical_px(x, y)), np.abs(without_skew.horizontal_px(x, y))
-    )
-    return bool((significant & ((no_skew > _MIN_PX) | (vertical > _MIN_WITH_SKEW_PX))).any())
+    error, without_skew = fitted.errors, fitted.errors._replace(skew_px=0.0)
+    sigma, sigma_without_skew, sigma_horizontal = sigmas_px(fitted.covariance, x, y)
+    is_worth = [
+        np.abs(errors) > np.maximum(_SIGNIFICANT * sigmas, min_px)
+        for errors, sigmas, min_px in (
+            (error.vertical_px(x, y), sigma, _MIN_WITH_SKEW_PX),
+            (without_skew.vertical_px(x, y), sigma_without_skew, _MIN_PX),
+            (without_skew.horizontal_px(x, y), sigma_horizontal, _MIN_PX),
+        )
+    ]
+    return bool(np.any(is_worth))
+
+
+def is_large(error: VerticalDisparity, rig: RectifiedRig) -> bool:
+    """Whether errors at the corners of the image are too large to wait for further pairs."""
+    x, y = _corners(rig)
+    no_skew = np.abs(error._replace(skew_px=0.0).vertical_px(x, y))
+    vertical = np.abs(error.vertical_px(x, y))
+    return bool(((no_skew > _LARGE_PX) | (vertical > _MIN_WITH_SKEW_PX)).any())
 
 
 def is_plausible(error: VerticalDisparity, rig: RectifiedRig) -> bool:

@@ -96,6 +96,26 @@ class VerticalDisparityFit:
         self._vector += vector
         return np.asarray(np.abs(vertical_px - terms @ found) <= 3.0 * sigma)
 
+    def support(self, x: Floats, y: Floats, vertical_px: Floats) -> float:
+        """How much better the fit explains points that it does not contain than no error at all.
+
+        Args:
+            x: (N,) normalised image coordinates.
+            y: (N,) the same.
+            vertical_px: (N,) row in the right image minus row in the left.
+
+        Returns:
+            Difference of chi^2, with Cauchy's robust cost; negative if no error explains them
+            better.
+        """
+        residual = vertical_px - self.result().errors.vertical_px(x, y)
+        reach = 2.0 * max(_MIN_SIGMA_PX, 1.4826 * median(np.abs(residual)))
+        cost, cost_without = (
+            4.0 * np.log1p((each / reach) ** 2).sum() / _CORRELATION
+            for each in (residual, vertical_px)
+        )
+        return float(cost_without - cost)
+
     def result(self) -> FittedVerticalDisparity:
         """Fit to all pairs."""
         covariance = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
@@ -104,10 +124,25 @@ class VerticalDisparityFit:
         )
 
 
-def vertical_disparity_sigma(fitted: FittedVerticalDisparity, x: Floats, y: Floats) -> Floats:
-    """Standard deviations (N,) of `vertical_px` at (x, y), each (N,)."""
-    terms = _terms(x, y)
-    return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", terms, fitted.covariance, terms)))
+def sigmas_px(covariance: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Standard deviations of displacements at (x, y), each (N,).
+
+    Args:
+        covariance: (5, 5) of the errors.
+        x: (N,) normalised image coordinates.
+        y: (N,) the same.
+
+    Returns:
+        Of `vertical_px`, of `vertical_px` without skew, and of `horizontal_px`, each (N,).
+    """
+    vertical, none = _terms(x, y), np.zeros_like(x)
+    without_skew = vertical * (1.0, 1.0, 1.0, 1.0, 0.0)
+    horizontal = np.stack([x * y, -y, x, x * (x * x + y * y), none], axis=-1)
+    first, second, third = (
+        np.sqrt(np.einsum("ni,ij,nj->n", terms, covariance, terms))
+        for terms in (vertical, without_skew, horizontal)
+    )
+    return first, second, third
 
 
 def _terms(x: Floats, y: Floats) -> Floats:
