@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 from vo.cli.garbage import collection_paused
 from vo.cli.run_request import RunRequest, Settings
-from vo.cli.stopping import stop_signals_as_interrupts
+from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
 if TYPE_CHECKING:
     from subprocess import Popen
 
-    from rich.console import Console
-
     from vo.config import Config
+    from vo.progress import Progress
     from vo.results.summary import Summary
 
 
@@ -27,18 +26,21 @@ def execute(request: RunRequest) -> None:
         typer.Exit: the run was interrupted.
     """
     outputs = request.outputs
-    with stop_signals_as_interrupts(outputs.folder), ExitStack() as stack:
+    with stop_signals_as_interrupts(outputs.folder) as signals, ExitStack() as stack:
         with collection_paused():
             config, optimizer_process = _start_optimizer(request.settings, stack)
             import vo.run  # noqa: F401 - loaded while the optimizer's process loads, too
             from vo.cli.console import standard_error
-            from vo.cli.progress import warnings_on
+            from vo.cli.progress import make_progress, warnings_on
             from vo.cli.run_table import print_summary
         console = standard_error()
         stack.enter_context(warnings_on(console, quiet=outputs.quiet))
-        summary = _run(request, config, optimizer_process, console, stack)
+        progress = IgnoringAtEnd(make_progress(console, quiet=outputs.quiet), signals)
+        summary = _run(request, config, optimizer_process, progress, stack)
         if not outputs.quiet:
             print_summary(summary, outputs.folder, request.visualisation.rrd)
+        if request.visualisation.serve:
+            signals.obey()  # one of them ends the viewer
 
 
 def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
@@ -59,11 +61,10 @@ def _run(
     request: RunRequest,
     config: Config,
     optimizer_process: Popen[bytes] | None,
-    console: Console,
+    progress: Progress,
     stack: ExitStack,
 ) -> Summary:
     from vo.cli.live_viewer import live_viewer
-    from vo.cli.progress import make_progress
     from vo.cli.standard_input import NAME, spooled_input
     from vo.recording.exports import Exports
     from vo.run import run
@@ -89,7 +90,7 @@ def _run(
         right_offset_ns=given.right_offset_ns,
         follow=given.follow or given.is_piped,
         source_name=NAME if given.is_piped else None,
-        progress=make_progress(console, quiet=outputs.quiet),
+        progress=progress,
         profile_since=outputs.profile_since,
         optimizer_process=optimizer_process,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 import time
@@ -10,55 +9,89 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import typer
 
 from vo.cli.echo import echo
 
-_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+if TYPE_CHECKING:
+    from vo.progress import Progress
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class StopSignals:
+    """Reaction to stop signals: a KeyboardInterrupt, or nothing once the results are saved."""
+
+    def __init__(self) -> None:
+        self._are_ignored = False
+
+    def ignore(self) -> None:
+        """Ignore signals from now on: there is nothing to stop but the clean-up."""
+        self._are_ignored = True
+
+    def obey(self) -> None:
+        """React to signals again."""
+        self._are_ignored = False
+
+    def handle(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        if not self._are_ignored:
+            raise KeyboardInterrupt(number)
+
+
+class IgnoringAtEnd:
+    """A progress display at whose end stop signals become ignored.
+
+    Args:
+        progress: the display.
+        signals: the reaction to signals.
+    """
+
+    def __init__(self, progress: Progress, signals: StopSignals) -> None:
+        self._signals = signals
+        self._progress = progress
+        self.begin, self.step = progress.begin, progress.step
+
+    def finish(self) -> None:
+        """End the display; the results are being saved, and signals are held back until then."""
+        self._signals.ignore()
+        self._progress.finish()
 
 
 @contextmanager
-def stop_signals_as_interrupts(output: Path) -> Iterator[None]:
+def stop_signals_as_interrupts(output: Path) -> Iterator[StopSignals]:
     """Turn stop signals into KeyboardInterrupt, and an interrupt into one line and an exit status.
 
-    An ignored signal, as under nohup, remains ignored. An interrupt after the end of the run, while
-    its summary is printed, has no effect but that.
+    An ignored signal, as under nohup, remains ignored.
 
     Raises:
         typer.Exit: interrupted; the exit status is 128 + signal.
     """
     begun_s = time.time()
     previous = {}
+    signals = StopSignals()
     if threading.current_thread() is threading.main_thread():
-        unhandled = [number for number in _SIGNALS if signal.getsignal(number) == signal.SIG_DFL]
-        previous = {number: signal.signal(number, _interrupt) for number in unhandled}
+        defaults = (signal.SIG_DFL, signal.default_int_handler)
+        unhandled = [number for number in _SIGNALS if signal.getsignal(number) in defaults]
+        previous = {number: signal.signal(number, signals.handle) for number in unhandled}
     try:
-        yield
+        yield signals
     except KeyboardInterrupt as stop:
-        status = _written_status(output, begun_s)
-        if status == "finished":
-            return
-        written = f"; the results so far are in {output}"
-        if status is None:
-            written = " before the first frame; nothing was written"
-        echo(f"interrupted{written}", err=True)
+        signals.ignore()
+        echo(f"interrupted{_remaining_results(output, begun_s)}", err=True)
         raise typer.Exit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt(number)
-
-
-def _written_status(output: Path, begun_s: float) -> str | None:
-    """Status in the summary that was written since a time, None if there is none."""
-    file = output / "summary.json"
+def _remaining_results(output: Path, begun_s: float) -> str:
     try:
-        if file.stat().st_mtime < begun_s:
-            return None
-        return str(json.loads(file.read_text(encoding="utf-8"))["status"])
-    except (OSError, ValueError, KeyError):
-        return None
+        written_s = (output / "summary.json").stat().st_mtime
+    except OSError:
+        written_s = 0.0
+    if written_s < begun_s:
+        return " before the first frame; nothing was written"
+    return f"; the results so far are in {output}"
