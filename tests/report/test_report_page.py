@@ -262,7 +262,7 @@ def test_a_folder_that_is_not_a_run_is_refused(content: str | None, tmp_path: Pa
 )
 def test_a_summary_with_wrong_types_is_refused(own_run: Path, name: str, value: object) -> None:
     change_summary(own_run, **{name: value})
-    assert f"summary.json: '{name}' is {value}; run" in make(own_run, expect=1)
+    assert f"summary.json: '{name}' is {value!r}, not " in make(own_run, expect=1)
 
 
 def test_a_report_replaces_only_html_pages(own_run: Path, tmp_path: Path) -> None:

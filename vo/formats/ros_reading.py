@@ -30,6 +30,8 @@ from vo.formats.messages import (
 )
 
 _NS_PER_S = 1_000_000_000
+_MAX_DEFINITION_BYTES = 100_000
+_MAX_FIELDS = 1000  # the largest of ROS's own has 60
 _OTHER_DEFINITIONS = {
     "foxglove_msgs/msg/CompressedImage": (
         "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format"
@@ -96,15 +98,19 @@ def _full_name(schema: str) -> str:
 @lru_cache(maxsize=64)
 def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typestore:
     try:
+        if len(definition) > _MAX_DEFINITION_BYTES:
+            raise ValueError(f"a definition of {len(definition)} bytes")
         text = definition.decode()
         is_idl = encoding == "ros2idl"
         types = get_types_from_idl(text) if is_idl else get_types_from_msg(text, name)
         store = load_store(Stores.EMPTY)
         store.register(types)
         # All supported types have fields; an empty text is parsed to a type without any.
-        if types[name][1] and _is_complete(store, name):
+        is_usable = bool(types[name][1]) and _is_complete(store, name)
+        if is_usable and _count_fields(store, name, set()) <= _MAX_FIELDS:
             return store
-    except (TypesysError, UnicodeDecodeError, KeyError, ValueError):
+    # The parser of rosbags is recursive, and raises errors of its own and of others.
+    except (TypesysError, LookupError, ValueError, ArithmeticError, RecursionError):
         pass
     store = load_store(fallback)
     if name not in store.fielddefs and name in _OTHER_DEFINITIONS:
@@ -123,6 +129,32 @@ def _is_complete(store: Typestore, name: str) -> bool:
         inside = (_named_type(description) for _, description in store.fielddefs[each][1])
         waiting += [other for other in inside if other is not None and other not in seen]
     return True
+
+
+def _count_fields(store: Typestore, name: str, outer: set[str]) -> int:
+    """Fields of a type, those of fixed arrays counted again and again: rosbags unrolls its code.
+
+    Raises:
+        ValueError: the type contains itself.
+    """
+    if name in outer:
+        raise ValueError(f"{name} contains itself")
+    count = 0
+    for _, description in store.fielddefs[name][1]:
+        kind: Any = description[0]
+        content: Any = description[1]
+        times = 1
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            times = content[1] if kind is Nodetype.ARRAY else 1
+            kind, content = content[0]
+        if kind is Nodetype.NAME:
+            count += times * _count_fields(store, str(content), outer | {name})
+        else:
+            is_text = "string" in str(content)
+            count += times if is_text else 1  # an array of numbers is read as a whole
+        if count > _MAX_FIELDS:
+            break
+    return count
 
 
 def _named_type(description: Any) -> str | None:

@@ -16,22 +16,13 @@ from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.formats.trajectory import read_tum
+from vo.report.summary_schema import check_summary
 from vo.types import Floats, Ints, Trajectory
 
 _log = logging.getLogger(__name__)
 
 _PARTIAL = ".partial"  # of a run that was killed
 _STAGE_SUFFIX = "_ms"
-# Keys of the summary that a report requires, by their type in JSON.
-_REQUIRED: Mapping[Any, tuple[str, ...]] = {
-    str: ("source", "format", "mode", "status"),
-    int: ("frames", "tracked", "keyframes", "landmarks", "start", "end", "stride", "seed"),
-    (int, float): ("path_m", "frames_per_s", "wall_s", "peak_rss_mb"),
-    (int, float, type(None)): ("median_inliers",),
-    (str, type(None)): ("error",),
-    list: ("warnings", "segments", "without_pose"),
-    dict: ("versions",),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,19 +116,9 @@ def _summary(path: Path) -> dict[str, Any]:
         raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
     if not isinstance(summary, dict) or "schema_version" not in summary:
         raise SourceError(f"{path} is not the summary of a run; use the --output of a `vo run`")
-    faults = summary.setdefault("faults", [])  # older runs have none
-    if not isinstance(faults, list) or not all(map(_is_fault, faults)):
-        raise SourceError(f"{path}: 'faults' is {faults}; run `vo run` again")
-    for kind, names in _REQUIRED.items():
-        for name in names:
-            found = summary.get(name, "missing")
-            if name not in summary or not isinstance(found, kind):
-                raise SourceError(f"{path}: '{name}' is {found}; run `vo run` again")
+    check_summary(str(path), summary)
+    summary.setdefault("faults", [])  # older runs have none
     return summary
-
-
-def _is_fault(value: object) -> bool:
-    return isinstance(value, dict) and isinstance(value.get("is_handled"), bool)
 
 
 def _text(path: Path) -> str:

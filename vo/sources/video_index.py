@@ -120,9 +120,10 @@ def open_video(path: Path) -> InputContainer:
         OSError: it cannot be read.
     """
     options = {"protocol_whitelist": "file", "format_whitelist": _DEMUXERS}
-    container = av.open(f"file:{path.absolute()}", options=options)
+    container = av.open(f"file:{path.absolute()}", options=options, metadata_errors="replace")
     for stream in container.streams.video:
-        stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
+        if stream.codec_context is not None:
+            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
     return container
 
 
@@ -219,4 +220,7 @@ def video_stream(path: Path, container: InputContainer) -> VideoStream:
     """
     if not container.streams.video:
         raise SourceError(f"{path} has no video stream")
-    return container.streams.video[0]
+    stream = container.streams.video[0]
+    if stream.codec_context is None:
+        raise SourceError(f"{path} is compressed by an unknown codec")
+    return stream

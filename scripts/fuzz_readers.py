@@ -1,0 +1,107 @@
+"""Reading of damaged inputs, by the code of the commands."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from vo.cli.app import app
+from vo.cli.report import _entries
+from vo.config import load_config
+from vo.errors import ConfigError, VoError
+from vo.formats.calibration import read_calibration
+from vo.geometry.rectification import rectified_rig
+from vo.report.page import make_page
+from vo.sources.registry import open_source
+
+_FRAMES = 4
+
+
+def _command(*words: str) -> None:
+    """Execute a command of `vo` in this process."""
+    result = CliRunner().invoke(app, list(words))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    if result.exit_code:
+        lines = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+        raise VoError(lines[0] if lines else f"status {result.exit_code}")
+
+
+def _recording(path: Path, number: int) -> None:
+    if number % 2:
+        _command("info", str(path))
+        return
+    source = open_source(path)
+    for _ in islice(source.frames(images="recorded" if number % 4 else "grey"), _FRAMES):
+        pass
+    _ = source.ground_truth
+    for imu in source.imus:
+        with contextlib.suppress(VoError):
+            imu.read()
+
+
+def _calibration(path: Path, number: int) -> None:
+    size = json.loads((path.parent / "size").read_text("utf-8"))
+    rig = read_calibration(path, None if size is None else (size[0], size[1])).rig
+    if rig.is_stereo:
+        rectified_rig(rig)
+
+
+def _trajectory(path: Path, number: int) -> None:
+    truth = str(path.with_name("truth"))
+    words = (str(path), truth) if number % 2 else (truth, str(path))
+    _command("eval", *words, *(["--json"] if number % 3 else []))
+
+
+def _report(path: Path, number: int) -> None:
+    if number % 10 == 2:
+        _command("eval", str(path), str(path.parent / "truth"))
+        return
+    if number % 10 == 1:
+        _command("report", str(path), "-o", str(path / "report.html"))
+        return
+    make_page(_entries([path], None, number % 2 == 0), [])
+
+
+def _config(path: Path, number: int) -> None:
+    if number % 2:
+        load_config(path)
+    else:
+        value = path.read_text("utf-8", errors="replace")[-number - 1 :]
+        with contextlib.suppress(ConfigError):
+            load_config(overrides=[f"features.count={value}"])
+
+
+READERS: dict[str, Callable[[Path, int], None]] = {
+    "recording": _recording,
+    "calibration": _calibration,
+    "trajectory": _trajectory,
+    "report": _report,
+    "config": _config,
+}
+
+
+def read(reader: str, path: Path, number: int) -> str:
+    """Read an input: `read`, or the line of its error.
+
+    Raises:
+        Exception: any other than those that become a line.
+    """
+    os.chdir(path.parent)
+    with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            READERS[reader](path, number)
+        except VoError as error:
+            return f"error: {error}"
+        except OSError as error:
+            if error.errno is None:
+                raise
+            return f"error: {error.filename}: {error.strerror}"
+    return "read"
