@@ -220,6 +220,34 @@ imu_params:
   delay_imu_cam: 0.0
 """
 
+OKVIS = """%YAML:1.0
+cameras:
+     - {T_SC:
+        [ 0.0, -1.0, 0.0, 0.05,
+          1.0, 0.0, 0.0, 0.04,
+          0.0, 0.0, 1.0, 0.01,
+          0.0, 0.0, 0.0, 1.0],
+        image_dimension: [752, 480],
+        distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002],
+        distortion_type: radialtangential,
+        focal_length: [458.6, 457.2],
+        principal_point: [367.2, 248.3]}
+
+     - {T_SC:
+        [ 0.0, -1.0, 0.0, 0.05,
+          1.0, 0.0, 0.0, 0.15,
+          0.0, 0.0, 1.0, 0.01,
+          0.0, 0.0, 0.0, 1.0],
+        image_dimension: [752, 480],
+        distortion_coefficients: [0.01, 0.02, -0.03, 0.004],
+        distortion_type: equidistant,
+        focal_length: [457.5, 456.1],
+        principal_point: [379.9, 255.2]}
+
+camera_params:
+    camera_rate: 20
+"""
+
 ZED = """[LEFT_CAM_2K]
 fx=1400.41
 fy=1400.62

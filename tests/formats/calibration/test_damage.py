@@ -12,6 +12,7 @@ from calibration_files import BASALT, COLMAP_HEADER, KITTI_RAW, ORB_FISHEYE, bas
 from foreign_files import (
     CAMODOCAL_MEI,
     MAPLAB,
+    OKVIS,
     STELLA,
     ZED,
     depthai,
@@ -94,6 +95,7 @@ FILES = {
     "DepthAI": depthai(),
     "NeRF": nerf(),
     "SVO or maplab": MAPLAB,
+    "OKVIS": OKVIS,
     "camodocal": CAMODOCAL_MEI,
     "stella_vslam": STELLA,
     "ORB-SLAM3": ORB_FISHEYE,

@@ -15,6 +15,7 @@ from foreign_files import (
     CAMODOCAL_PINHOLE,
     CAMODOCAL_SCARAMUZZA,
     MAPLAB,
+    OKVIS,
     OPENVINS,
     ROS_INI,
     STELLA,
@@ -278,6 +279,37 @@ def test_errors_of_maplab(tmp_path: Path, old: str, new: str, expected: str) -> 
     assert expected in read_error(tmp_path, MAPLAB.replace(old, new, 1))
 
 
+# OKVIS
+
+
+def test_okvis(tmp_path: Path) -> None:
+    calibration = read(tmp_path, OKVIS)
+    assert calibration.kind == "OKVIS"
+    assert calibration.rig.cam0 == Camera(
+        752, 480, 458.6, 457.2, 367.2, 248.3, "radtan", (-0.28, 0.07, 2e-4, 2e-5)
+    )
+    assert calibration.rig.cam1 == Camera(
+        752, 480, 457.5, 456.1, 379.9, 255.2, "equidistant", (0.01, 0.02, -0.03, 0.004)
+    )
+    np.testing.assert_allclose(cam1_from_cam0(calibration.rig), shift(-0.11), atol=1e-15)
+    np.testing.assert_allclose(calibration.body_from_cam0, IMU_FROM_CAM0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("radialtangential", "fov", "camera 0: distortion model 'fov' is not supported"),
+        ("distortion_coefficients: [-0.28", "bend: [-0.28", "distortion_coefficients is missing"),
+        ("focal_length: [458.6,", "focal_length: [-458.6,", "focal length is -458.6, 457.2"),
+        ("focal_length: [458.6,", "focal_length: [.nan,", "focal_length, number 1 is nan"),
+        ("0.15,", "0.04,", "T_SC: the baseline is 0 m"),
+    ],
+)
+def test_errors_of_okvis(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    assert old in OKVIS
+    assert expected in read_error(tmp_path, OKVIS.replace(old, new, 1))
+
+
 # ZED
 
 
@@ -291,7 +323,7 @@ def test_zed(tmp_path: Path, size: tuple[int, int], fx: float) -> None:
     vector = np.array([0.00239 + suffix, 0.00697 + suffix, -0.00213 - suffix])
     expected = np.eye(4)
     expected[:3, :3] = cv2.Rodrigues(vector)[0]
-    expected[:3, 3] = -0.119905, -0.0000458908, 0.000467919
+    expected[:3, 3] = -0.119905, 0.0000458908, -0.000467919
     np.testing.assert_allclose(cam1_from_cam0(rig), expected, atol=1e-12)
     assert rectified_rig(rig).is_stereo
 
@@ -299,7 +331,24 @@ def test_zed(tmp_path: Path, size: tuple[int, int], fx: float) -> None:
 def test_zed_with_translations_by_resolution(tmp_path: Path) -> None:
     text = ZED.replace("TY=0.0458908", "TY_HD=0.1").replace("TZ=-0.467919", "TZ_2K=9")
     pose = cam1_from_cam0(read(tmp_path, text, "SN1.conf", (1280, 720)).rig)
-    np.testing.assert_allclose(pose[:3, 3], [-0.119905, -0.0001, 0.0], atol=1e-15)
+    np.testing.assert_allclose(pose[:3, 3], [-0.119905, 0.0001, 0.0], atol=1e-15)
+
+
+def test_zed_with_a_distortion_for_all_resolutions(tmp_path: Path) -> None:
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    values = (1.5, -0.7, 1e-4, -2e-4, 0.3, 1.8, -0.6, 0.2)
+    lines = "".join(f"{name} = {value}\n" for name, value in zip(names, values, strict=True))
+    rig = read(tmp_path, f"{ZED}\n[LEFT_DISTO]\n{lines}", "SN1.conf", (1280, 720)).rig
+    assert rig.cam0.distortion == values
+    assert rig.cam1 is not None and len(rig.cam1.distortion) == 5
+    fisheye = "k1 = 0.03\nk2 = -0.01\nk3 = 0.002\nk4 = -0.001\nk5 = 0\nk6 = 0\np1 = 0\np2 = 0\n"
+    text = f"{ZED}\n[LEFT_DISTO]\n{fisheye}\n[RIGHT_DISTO]\n{fisheye}"
+    rig = read(tmp_path, text, "SN1.conf", (1280, 720)).rig
+    assert rig.cam0.distortion_model == "equidistant"
+    assert rig.cam0.distortion == (0.03, -0.01, 0.002, -0.001)
+    without = "\n".join(line for line in ZED.splitlines() if line[:1] not in "kp")
+    assert read(tmp_path, f"{without}\n[LEFT_DISTO]\n{lines}\n[RIGHT_DISTO]\n{lines}", "SN1.conf",
+                (1280, 720)).rig.cam0.distortion == values  # fmt: skip
 
 
 def test_errors_of_zed(tmp_path: Path) -> None:
@@ -315,6 +364,7 @@ def test_errors_of_zed(tmp_path: Path) -> None:
         ("Baseline=119.905", "Baseline=nan", "[STEREO] Baseline_HD is nan"),
         ("fx=700.205", "fx=-700.205", "focal length is -700.205"),
         ("fx=700.205", "fx 700.205", "is not INI"),
+        ("k1", "x1", "[LEFT_CAM_HD]: k1 is missing, and there is no [LEFT_DISTO]"),
     ):
         path.write_text(ZED.replace(old, new))
         with pytest.raises(CalibrationError, match="read as ZED") as caught:

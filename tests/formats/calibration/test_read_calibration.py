@@ -114,6 +114,13 @@ def test_every_name_of_a_distortion_model(tmp_path: Path, name: str) -> None:
     assert (cam0.distortion_model, cam0.distortion) == (model, (0.01,) * count)
 
 
+@pytest.mark.parametrize("name", ["equi", "Radial_Tangential", "RADTAN", "Kannala-Brandt"])
+def test_other_spellings_of_distortion_models(tmp_path: Path, name: str) -> None:
+    text = f"cam0: {{{CAM}, distortion_model: {name}, distortion: {[0.01] * 4}}}"
+    model = read_calibration(_file(tmp_path, text)).rig.cam0.distortion_model
+    assert model == ("radtan" if name[0] == "R" else "equidistant")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

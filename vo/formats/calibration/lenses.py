@@ -46,6 +46,21 @@ _OPENCV_COUNTS = (12, 14)
 """OpenCV's thin-prism and tilted models; supported if all coefficients after the eighth are 0."""
 
 
+def _compared(name: Any) -> str:
+    """A name in lower case, only its letters and digits."""
+    return "".join(character for character in str(name).lower() if character.isalnum())
+
+
+_NAMES: dict[str, DistortionModel] = {_compared(n): m for n, m in DISTORTION_NAMES.items()} | {
+    "equi": "equidistant",
+    "kannalabrandt4": "equidistant",
+    "kb4": "equidistant",
+    "radialtangential8": "radtan",
+    "brownconrady": "radtan",
+}
+"""Names without their punctuation, and others that some programs write."""
+
+
 def make_lens(
     where: str, model: Any, coefficients: Any
 ) -> tuple[DistortionModel, tuple[float, ...]]:
@@ -54,7 +69,7 @@ def make_lens(
     Raises:
         CalibrationError: the name is unknown, or the number of coefficients is wrong.
     """
-    name = DISTORTION_NAMES.get("none" if model is None else str(model).strip().lower())
+    name = "none" if model is None else _NAMES.get(_compared(model))
     if name is None:
         raise CalibrationError(
             f"{where}: distortion model {str(model)[:40]!r} is not supported; supported are "

@@ -1,9 +1,10 @@
 """Reader of the factory calibration of ZED cameras, `SN12345.conf`.
 
-Each camera has a section for each resolution, such as [LEFT_CAM_HD]. [STEREO] has the pose of the
-right camera: a translation in millimetres, and a rotation vector (RX, CV, RZ) for each resolution,
-in radians. As in Stereolabs' sample programs, a positive `Baseline` stands for a camera to the
-right: cam1_from_cam0 is the rotation and the negative translation.
+Each camera has a section for each resolution, such as [LEFT_CAM_HD]. Its distortion is there, or
+for all resolutions in [LEFT_DISTO], which has more coefficients. [STEREO] has the pose of the right
+camera: a translation in millimetres, and a rotation vector (RX, CV, RZ) for each resolution, in
+radians. With OpenCV's T, x2 = R x1 + T, it is Baseline = -T[0], TY = T[1], TZ = T[2], as
+Stereolabs' calibration program writes it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from vo.errors import CalibrationError
 from vo.formats.calibration.checks import check_baseline, make_camera, make_number
 from vo.formats.calibration.document import Calibration, Document, ImageSize
+from vo.formats.calibration.keys import coefficients_of
 from vo.geometry.transforms import make_transform, so3_exp
 from vo.types import Camera, Floats, Rig
 
@@ -31,6 +33,7 @@ _SIZES = {
     "4K": (3840, 2160),
 }
 _SECTION = re.compile(r"^[ \t]*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _M_PER_MM = 1e-3
 
 
@@ -87,21 +90,29 @@ def _sections(document: Document) -> dict[str, Mapping[str, str]]:
 
 def _camera(document: Document, sections: Mapping[str, Mapping[str, str]], name: str) -> Camera:
     where, section = f"{document.path}: [{name}]", sections[name]
-    if "k1" not in section:
-        raise CalibrationError(f"{where}: k1 is missing; write 0 if there is no distortion")
+    disto = f"{name.partition('_')[0]}_DISTO"
+    lens = sections.get(disto, section)
+    if "k1" not in lens:
+        lens = section
+    if "k1" not in lens:
+        raise CalibrationError(f"{where}: k1 is missing, and there is no [{disto}]")
+    model, coefficients = _lens(where, lens)
     return make_camera(
         where,
         model="pinhole",
         resolution=_SIZES[name.partition("_CAM_")[2]],
         intrinsics=[section.get(key) for key in ("fx", "fy", "cx", "cy")],
-        distortion_model="radtan",
-        distortion=[section.get(key, "0") for key in _coefficients(section)],
+        distortion_model=model,
+        distortion=coefficients,
     )
 
 
-def _coefficients(section: Mapping[str, str]) -> tuple[str, ...]:
-    names = ("k1", "k2", "p1", "p2", "k3")
-    return (*names, "k4", "k5", "k6") if "k4" in section else names
+def _lens(where: str, section: Mapping[str, str]) -> tuple[str, tuple[float, ...]]:
+    """The distortion model and its coefficients; fisheye lenses have k1 to k4 and nothing else."""
+    given = {key: make_number(f"{where}: {key}", section.get(key, "0")) for key in _COEFFICIENTS}
+    is_fisheye = bool(given["k4"]) and not any(given[key] for key in ("p1", "p2", "k5", "k6"))
+    model = "equidistant" if is_fisheye else "radtan"
+    return model, coefficients_of(where, given, model)
 
 
 def _cam1_from_cam0(document: Document, stereo: Mapping[str, str], name: str) -> Floats:
@@ -113,5 +124,5 @@ def _cam1_from_cam0(document: Document, stereo: Mapping[str, str], name: str) ->
         return make_number(f"{document.path}: [STEREO] {key}_{name}", value)
 
     rotation = so3_exp(np.array([number("RX"), number("CV"), number("RZ")]))
-    t_mm = np.array([number("Baseline"), number("TY", "0"), number("TZ", "0")])
-    return make_transform(rotation, -_M_PER_MM * t_mm)
+    t_mm = np.array([-number("Baseline"), number("TY", "0"), number("TZ", "0")])
+    return make_transform(rotation, _M_PER_MM * t_mm)
