@@ -100,6 +100,28 @@ def test_errors_of_openvins(tmp_path: Path, old: str, new: str, expected: str) -
     assert expected in read_error(tmp_path, OPENVINS.replace(old, new, 1))
 
 
+def test_kimera(tmp_path: Path) -> None:
+    text = """%YAML:1.0
+# General sensor definitions.
+camera_id: left_cam
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0, -1, 0, 0.05, 1, 0, 0, 0.04, 0, 0, 1, 0.01, 0, 0, 0, 1]
+rate_hz: 20
+resolution: [752, 480]
+camera_model: pinhole
+intrinsics: [458.6, 457.2, 367.2, 248.3] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]
+"""
+    assert not read(tmp_path, text, "LeftCameraParams.yaml").rig.is_stereo
+    write_file(tmp_path, text.replace("1, 0, 0, 0.04", "1, 0, 0, 0.15"), "RightCameraParams.yaml")
+    calibration = read(tmp_path, text, "LeftCameraParams.yaml")
+    assert calibration.kind == "EuRoC"
+    np.testing.assert_allclose(cam1_from_cam0(calibration.rig), shift(-0.11), atol=1e-15)
+
+
 # camodocal and VINS
 
 

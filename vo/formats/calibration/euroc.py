@@ -1,4 +1,7 @@
-"""Reader of EuRoC's `sensor.yaml`, one file per camera: cam0/sensor.yaml and cam1/sensor.yaml."""
+"""Reader of EuRoC's `sensor.yaml`, one file per camera: cam0/sensor.yaml and cam1/sensor.yaml.
+
+Kimera has files with the same keys: LeftCameraParams.yaml and RightCameraParams.yaml.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera; for cam0/sensor.yaml also ../cam1/sensor.yaml, if it exists.
+    """Read the camera; for cam0/sensor.yaml or a left one also that of the right camera, if any.
 
     Raises:
         CalibrationError: a value is missing or implausible.
@@ -42,7 +45,13 @@ def _partner(path: Path) -> Path | None:
     """The file of cam1, relative to the path as given: cam0 may be a link to another folder."""
     path = Path(os.path.abspath(path))
     partner = path.parent.parent / "cam1" / path.name
-    return partner if path.parent.name == "cam0" and partner.is_file() else None
+    if path.parent.name == "cam0" and partner.is_file():
+        return partner
+    for left, right in (("Left", "Right"), ("left", "right")):
+        beside = path.with_name(path.name.replace(left, right))
+        if beside != path and beside.is_file():
+            return beside
+    return None
 
 
 def _camera(document: Document, image_size: ImageSize | None) -> Camera:
