@@ -272,3 +272,12 @@ def test_no_command_where_the_same_error_would_come_again(walk: Path, tmp_path: 
     assert report.command == ""
     problems = [each.what for each in report.findings if each.level == "error"]
     assert len(problems) == 1 and "is for 64x48; give a calibration" in problems[0]
+
+
+def test_file_and_format_of_the_calibration_are_shown(walk: Path) -> None:
+    report = report_of(walk)
+    file = walk.resolve() / "mav0" / "cam0" / "sensor.yaml"
+    assert report.calibration is not None
+    assert report.calibration.source == f"{file} (EuRoC)"
+    result = CliRunner().invoke(app, ["info", str(walk)])
+    assert f"calibration {file} (EuRoC)" in result.stdout

@@ -51,7 +51,10 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
         yield "", _image_quality(camera)
     if report.pair is not None:
         yield from _pair(report.pair)
-    yield "calibration", "none found" if report.calibration is None else "found"
+    if report.calibration is None:
+        yield "calibration", "none found"
+    else:
+        yield "calibration", report.calibration.source or "in the log"
     if report.calibration is not None:
         for lens in report.calibration.lenses:
             yield "", _lens(lens)

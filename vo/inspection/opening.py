@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.errors import SourceError, VoError
-from vo.formats.calibration import Calibration
+from vo.formats.calibration import Calibration, ImageSize
 from vo.formats.warning_kinds import WarningKind, kind_of
 from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.images import StoredImage
@@ -68,6 +68,7 @@ class OpenedRecording:
         imus: inertial sensors, the one to use first.
         source: the source as `vo run` opens it; None if it refuses.
         rig: the calibration, even if `vo run` refuses for another reason; None if unknown.
+        calibration: file and format of the calibration; empty if it is not a file.
         truth: ground truth poses of cam0; of a log without images, its poses as logged.
         pose_names: topics with poses of a log, and pairs of frames that move.
         refusal: the error message of `vo run`; empty if there is none.
@@ -85,6 +86,7 @@ class OpenedRecording:
     imus: tuple[Imu, ...] = ()
     source: SourceSequence | None = None
     rig: Rig | None = None
+    calibration: str = ""
     truth: Trajectory | None = None
     pose_names: tuple[str, ...] = ()
     refusal: str = ""
@@ -138,12 +140,29 @@ def _options(
     return tuple(words)
 
 
+def _with_record(listed: RecordingContents, loaded: list[Calibration]) -> RecordingContents:
+    """The same contents; a calibration is appended to the list when it is read."""
+
+    def calibrate(size: ImageSize) -> Calibration:
+        loaded.append(listed.calibrate(size))
+        return loaded[-1]
+
+    return replace(listed, calibrate=calibrate)
+
+
+def _origin(loaded: Sequence[Calibration]) -> str:
+    if not loaded or loaded[0].file is None:
+        return ""
+    return f"{loaded[0].file} ({loaded[0].kind})"
+
+
 def _open_files(
     path: Path, name: str, calibration: Path | None, mode: Mode, right_offset_ns: int | None
 ) -> OpenedRecording:
     try:
         listed = gather(path, name, calibration, mode)
-        listed = replace(listed, right_offset_ns=right_offset_ns)
+        loaded: list[Calibration] = []
+        listed = _with_record(replace(listed, right_offset_ns=right_offset_ns), loaded)
     except VoError as error:
         return OpenedRecording(path, name, refusal=str(error))
     cameras = [ImageSequence("cam0", listed.left)]
@@ -156,12 +175,18 @@ def _open_files(
         return replace(
             found,
             rig=_rig_alone(listed),
+            calibration=_origin(loaded),
             truth=_truth_alone(listed),
             imus=tuple(listed.find_imus(None)),
             refusal=str(error),
         )
     return replace(
-        found, source=source, rig=source.rig, truth=source.ground_truth, imus=source.imus
+        found,
+        source=source,
+        rig=source.rig,
+        calibration=_origin(loaded),
+        truth=source.ground_truth,
+        imus=source.imus,
     )
 
 
@@ -220,7 +245,12 @@ def _open_log(
     except VoError as error:
         return replace(found, refusal=str(error))
     return replace(
-        found, source=source, rig=source.rig, truth=source.ground_truth, imus=source.imus
+        found,
+        source=source,
+        rig=source.rig,
+        calibration="" if calibration is None else str(calibration),
+        truth=source.ground_truth,
+        imus=source.imus,
     )
 
 

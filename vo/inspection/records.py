@@ -70,6 +70,7 @@ class CalibrationReport:
         cam1_is: where cam1 is, seen from cam0: right, below, left, above, in front or behind; None
             with one camera.
         cam1_turned_deg: rotation between the cameras; None with one camera.
+        source: its file and format; empty if it is part of a log.
     """
 
     lenses: tuple[LensReport, ...]
@@ -77,6 +78,7 @@ class CalibrationReport:
     is_rectified: bool | None
     cam1_is: Place | None = None
     cam1_turned_deg: float | None = None
+    source: str = ""
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
         imu=imus,
         cameras=cameras,
         pair=pair,
-        calibration=None if opened.rig is None else _calibration(opened.rig),
+        calibration=None if opened.rig is None else _calibration(opened.rig, opened.calibration),
         stereo=stereo,
         truth=None if opened.truth is None else _truth(opened.truth, stamps),
         pose_topics=opened.pose_names,
@@ -108,10 +108,10 @@ def _stereo(left: ImageSequence, right: ImageSequence, rig: Rig | None) -> Stere
     return compare_stereo_images(pairs, rig)
 
 
-def _calibration(rig: Rig) -> CalibrationReport:
+def _calibration(rig: Rig, source: str) -> CalibrationReport:
     lenses = [_lens("cam0", rig.cam0)]
     if rig.cam1 is None or rig.cam1_from_cam0 is None:
-        return CalibrationReport(tuple(lenses), None, None)
+        return CalibrationReport(tuple(lenses), None, None, source=source)
     lenses.append(_lens("cam1", rig.cam1))
     try:
         is_rectified = rectified_rig(rig).maps[0] is None
@@ -125,6 +125,7 @@ def _calibration(rig: Rig) -> CalibrationReport:
         is_rectified,
         _place(cam1_in_cam0),
         turned_deg,
+        source,
     )
 
 
