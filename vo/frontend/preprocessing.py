@@ -18,6 +18,7 @@ from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
 from vo.frontend.recent_frames import RecentFrames, RecordedFrame
+from vo.frontend.time_offset import TimeOffsetEstimator
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
@@ -135,6 +136,7 @@ class FramePreprocessor:
         self._repetition = RepetitionDetector()
         self._image_fixed = ImageFixedDetector()
         self._recent = RecentFrames()
+        self._time_offset = TimeOffsetEstimator(rig)
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
@@ -180,7 +182,10 @@ class FramePreprocessor:
         misled = self._recent.add(recorded, fixed)
         if misled:
             self._vertical_disparity.restart()
+            self._time_offset = TimeOffsetEstimator(self._rig)
         again = tuple(self._without_fixed(each, fixed) for each in misled)
+        if self._rig.is_stereo:
+            self._time_offset.next_image(frame.stamp_ns, image0)
         preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, self._pair_check)
         if self.is_eager:
             preprocessed.start_features()
@@ -210,7 +215,10 @@ class FramePreprocessor:
             frame.path,
             self._vertical_disparity.estimated,
             self._vertical_disparity.corrected,
-            self._vertical_disparity.faults + fixed.faults + recorded.faults,
+            self._vertical_disparity.faults
+            + self._time_offset.faults
+            + fixed.faults
+            + recorded.faults,
             recorded.repetition,
             fixed,
         )
@@ -230,6 +238,8 @@ class FramePreprocessor:
             left = finished(self._extract_left(image0, mask))
             pair = View(image0, left.result()), View(image1, right.result())
             has_changed = is_corrected and correction.update(*pair)
+            if is_corrected:
+                self._time_offset.add(frame.stamp_ns, correction.matches)
             if pair_check is not None:
                 points = correction.points if is_corrected else None
                 pair_check.update(frame.index, *pair, points)

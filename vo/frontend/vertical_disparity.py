@@ -72,6 +72,7 @@ class VerticalDisparityCorrection:
         corrected: the part of them that is corrected.
         faults: vertical disparities that are too large to be corrected.
         points: points of the newest pair, as it was corrected, None if too few agreed.
+        matches: all matched points of the newest pair, with rows as calibrated.
 
     Args:
         rig: the rectified cameras as calibrated.
@@ -87,6 +88,7 @@ class VerticalDisparityCorrection:
         self.corrected = VerticalDisparity()
         self.faults: tuple[Fault, ...] = ()
         self.points: PairPoints | None = None
+        self.matches = PairPoints(np.empty((0, 2)), np.empty((0, 2)))
         self._rig = rig
         self._matcher = PairMatcher(matcher, patches, config.max_disparity_ratio)
         self._is_enabled = config.row_correction
@@ -148,12 +150,13 @@ class VerticalDisparityCorrection:
         """Add a pair to the fit; whether enough of its points agree."""
         self.points = None
         points = self._matcher.match(left, right)
-        if len(points.left) < _MIN_POINTS:
-            return False
         xy, found = points
         centre, focal = (self._rig.cx, self._rig.cy), (self._rig.fx, self._rig.fy)
         x, y = ((np.column_stack([found[:, 0], xy[:, 1]]) - centre) / focal).T
         rows_px = found[:, 1] - xy[:, 1] + self.corrected.vertical_px(x, y)
+        self.matches = PairPoints(xy, np.column_stack([found[:, 0], xy[:, 1] + rows_px]))
+        if len(xy) < _MIN_POINTS:
+            return False
         support, fit = self._support, deepcopy(self._fit)
         if self.estimated is not None:
             support = support.after(fit.support(x, y, rows_px))

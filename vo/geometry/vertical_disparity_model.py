@@ -21,7 +21,7 @@ _MIN_SIGMA_PX = 0.1  # of rows, however well they fit
 _CORRELATION = 25.0
 # Prior standard deviations of the terms. A narrow lens hardly separates zoom from bend, and rarely
 # has bend.
-_PRIOR_SIGMA_PX = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
+PRIOR_SIGMA_PX = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
 
 
 class VerticalDisparity(NamedTuple):
@@ -65,8 +65,8 @@ class VerticalDisparityFit:
     """Robust least-squares fit of `VerticalDisparity` to the points of any number of pairs."""
 
     def __init__(self) -> None:
-        self._information = np.diag(_PRIOR_SIGMA_PX**-2.0)
-        self._vector = np.zeros(len(_PRIOR_SIGMA_PX))
+        self._information = np.diag(PRIOR_SIGMA_PX**-2.0)
+        self._vector = np.zeros(len(PRIOR_SIGMA_PX))
 
     def add(self, x: Floats, y: Floats, vertical_px: Floats) -> Bools:
         """Add the points of a pair, many of which may be wrong matches.
@@ -81,7 +81,7 @@ class VerticalDisparityFit:
         Returns:
             Mask (N,) of points within three standard deviations of the fit.
         """
-        terms, prior = _terms(x, y), np.diag(_PRIOR_SIGMA_PX**-2.0)
+        terms, prior = vertical_disparity_terms(x, y), np.diag(PRIOR_SIGMA_PX**-2.0)
         found = np.array([median(vertical_px), 0.0, 0.0, 0.0, 0.0])
         for _ in range(_ITERATIONS):
             residual = vertical_px - terms @ found
@@ -135,7 +135,7 @@ def sigmas_px(covariance: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats,
     Returns:
         Of `vertical_px`, of `vertical_px` without skew, and of `horizontal_px`, each (N,).
     """
-    vertical, none = _terms(x, y), np.zeros_like(x)
+    vertical, none = vertical_disparity_terms(x, y), np.zeros_like(x)
     without_skew = vertical * (1.0, 1.0, 1.0, 1.0, 0.0)
     horizontal = np.stack([x * y, -y, x, x * (x * x + y * y), none], axis=-1)
     first, second, third = (
@@ -145,6 +145,6 @@ def sigmas_px(covariance: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats,
     return first, second, third
 
 
-def _terms(x: Floats, y: Floats) -> Floats:
-    """Derivatives (N, 5) of `vertical_px`."""
+def vertical_disparity_terms(x: Floats, y: Floats) -> Floats:
+    """Derivatives (N, 5) of `VerticalDisparity.vertical_px` by its fields, at (x, y), each (N,)."""
     return np.stack([1.0 + y * y, x, y, y * (x * x + y * y), x * y], axis=-1)

@@ -45,8 +45,8 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     FaultKind.RIGHT_TIME_OFFSET: (
         "right stamps are {value:+.1f} ms from left ones in all pairs, which is taken into account",
         "right images show the scene {value:+.0f} ms from the left ones of the same stamp, as rows "
-        "that differ with the motion show: lengths are wrong; try --right-offset {value:.0f}, and "
-        "trigger the cameras together",
+        "that differ with the motion show: lengths are wrong; shift right stamps by {value:.0f} ms "
+        "(--right-offset), and trigger the cameras together",
     ),
     FaultKind.WRONG_STEREO_CALIBRATION: (
         "the stereo calibration was wrong by {value:+.2f} px and has been corrected",

@@ -38,6 +38,8 @@ def calibration_warnings(
             no correction.
     """
     warnings = []
+    if FaultKind.RIGHT_TIME_OFFSET in open_faults:  # which looks like a wrong calibration
+        right_camera, offset_px, curve_px = None, 0.0, 0.0
     if right_camera is not None:
         warnings.append(_right_camera_warning(right_camera))
     is_yaw = right_camera is not None and right_camera.yaw_deg != 0.0
