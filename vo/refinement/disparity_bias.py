@@ -22,9 +22,9 @@ _MIN_WINDOWS = 3
 _MIN_SKEW_PX, _MIN_YAW_RATIO, _MAX_YAW_RATIO = 0.3, 0.5, 1.5
 _OVERLAP = 10  # number of consecutive windows that share keyframes
 _MEMORY = 20  # windows by which a correction is judged
-# A calibration that is slightly wrong has a smaller bias in the middle of the image; only that of a
-# yaw, which rows confirm, may be larger. The curve is limited at the sides of the image.
-_MAX_OFFSET_PX, _MAX_YAW_PX, _MAX_CURVE_PX = 3.0, 8.0, 8.0
+# A calibration that is slightly wrong has a smaller bias, in the middle and at the sides of the
+# image; only that of a yaw, which rows confirm, may be larger.
+_MAX_BIAS_PX, _MAX_YAW_RAD = 3.0, 0.0105  # 0.6 degrees
 
 
 class DisparityBiasEstimator:
@@ -45,6 +45,7 @@ class DisparityBiasEstimator:
         edge = max(rig.cx, rig.width - rig.cx) / rig.fx
         self._edge = np.array([1.0, edge**2])  # value of each of the two at the image's sides
         self._systematic = np.diag((_SYSTEMATIC_PX / self._edge) ** 2)
+        self._max_yaw_px = _MAX_YAW_RAD * rig.fx
         self._min_windows = _MIN_WINDOWS
         self._restart()
 
@@ -116,12 +117,15 @@ class DisparityBiasEstimator:
         return np.zeros(2)
 
     def _excess(self, bias: Floats, skew_px: float | None) -> float:
-        """An offset, or else a curve at the sides, that is implausible; 0 if both are plausible."""
-        offset_px, side_px = (bias * self._edge).tolist()
-        is_yaw = self._is_yaw(offset_px, skew_px)
-        if abs(offset_px) > (_MAX_YAW_PX if is_yaw else _MAX_OFFSET_PX):
-            return float(offset_px)
-        return float(side_px) if abs(side_px) > _MAX_CURVE_PX else 0.0
+        """An offset, or else a curve at the sides, that is implausible; 0 if both are plausible.
+
+        A yaw has both, of the same size at one focal length, unless its offset is compensated.
+        """
+        for each_px, edge in zip(bias.tolist(), self._edge.tolist(), strict=True):
+            is_yaw = self._is_yaw(each_px, skew_px) and abs(each_px) <= self._max_yaw_px
+            if abs(each_px) * edge > _MAX_BIAS_PX and not is_yaw:
+                return float(each_px * edge)
+        return 0.0
 
     def _is_yaw(self, offset_px: float, skew_px: float | None) -> bool:
         return skew_px is not None and is_from_yaw(offset_px, skew_px)
