@@ -35,6 +35,8 @@ class FailureReason(Enum):
     NO_DEPTH = "the right image, or depth, is missing"
     FEW_LANDMARKS = "{value:.0f} landmarks with a depth, {needed:.0f} needed"
     FEW_INLIERS = "too few landmarks agree on a pose"
+    IMPLAUSIBLE_STEP = "the step needs {value:.0f} times the usual acceleration"
+    IMPLAUSIBLE_SPEED = "the step needs a speed of {value:.0f} m/s"
     REPEATED_IMAGE = "the image repeats the one before while the camera moves"
     IMAGE_DEFECT = "the {side}image is {defect}"
 

@@ -156,10 +156,10 @@ class Odometry:
             return self._start(frame)
         is_lost = self._state is State.LOST or self._frozen_camera.has_withheld
         tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)
-        if tracked is None:
+        if isinstance(tracked, Failure):
             self._state = State.LOST
             self._lost.append(frame)
-            return FrameResult(frame, failure=Failure(FailureReason.FEW_INLIERS))
+            return FrameResult(frame, failure=tracked)
         self._state, self._lost = State.TRACKING, []
         newest = self._map.keyframes[-1]
         for each in self._frozen_camera.resume(tracked):

@@ -30,7 +30,11 @@ from vo.types import (
 )
 
 # Failures that leave out a frame which would mislead; the path goes on without it.
-_FAULTS_OF_FAILURES = {FailureReason.REPEATED_IMAGE: FaultKind.REPEATED_IMAGES}
+_FAULTS_OF_FAILURES = {
+    FailureReason.REPEATED_IMAGE: FaultKind.REPEATED_IMAGES,
+    FailureReason.IMPLAUSIBLE_STEP: FaultKind.IMPLAUSIBLE_STEP,
+    FailureReason.IMPLAUSIBLE_SPEED: FaultKind.IMPLAUSIBLE_STEP,
+}
 
 
 class FrameResult(NamedTuple):
@@ -55,9 +59,11 @@ class FrameResult(NamedTuple):
     @property
     def every_fault(self) -> tuple[Fault, ...]:
         """Faults of the images, of tracking, and that for which a frame was left out."""
-        kind = None if self.failure is None else _FAULTS_OF_FAILURES.get(self.failure.reason)
-        left_out = () if kind is None else (Fault(kind, is_handled=True),)
-        return self.frame.faults + self.faults + left_out
+        found = self.frame.faults + self.faults
+        if self.failure is None or self.failure.reason not in _FAULTS_OF_FAILURES:
+            return found
+        kind = _FAULTS_OF_FAILURES[self.failure.reason]
+        return (*found, Fault(kind, is_handled=True, value=self.failure.value))
 
     @property
     def world_from_cam(self) -> Floats | None:

@@ -49,17 +49,24 @@ class TrackedFrame:
         ids: (n,) increasing ids of the observed landmarks.
         observed: the n observations.
         inlier: (n,) observations that agree with the pose.
+        in_view: number of landmarks that should be in the image.
     """
 
     world_from_cam: Floats
     ids: Ints
     observed: Observations
     inlier: Bools
+    in_view: int
 
     @property
     def inliers(self) -> int:
         """Number of observations that agree with the pose."""
         return int(self.inlier.sum())
+
+    @property
+    def inlier_ratio(self) -> float:
+        """Inliers among the landmarks that should be in the image."""
+        return self.inliers / max(self.in_view, 1)
 
     @property
     def median_disparity_px(self) -> float | None:
@@ -83,4 +90,4 @@ def as_tracked_frame(local_map: LocalMap, keyframe: Keyframe) -> TrackedFrame:
         np.zeros((n, 2)),
     )
     every = np.ones(n, dtype=bool)
-    return TrackedFrame(keyframe.world_from_cam, keyframe.landmark, observed, every)
+    return TrackedFrame(keyframe.world_from_cam, keyframe.landmark, observed, every, n)

@@ -38,7 +38,8 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "tracked with the left camera alone for too long to keep the scale: {frames}",
     ),
     FaultKind.IMPLAUSIBLE_STEP: (
-        "a step that the motion before and after does not support was corrected: {frames}",
+        "a step that neither the motion before nor that after supports gets no pose: {frames} "
+        "(flicker, snow, or something that moves through the image?)",
         "a step of {size:.3g} times the usual one that neither the motion before nor that after "
         "supports: {frames}",
     ),

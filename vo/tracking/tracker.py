@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.config import StartConfig, TrackingConfig
+from vo.failures import Failure, FailureReason
 from vo.frontend.contracts import Circles, FeatureSet, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.preprocessing import PreprocessedFrame
@@ -28,6 +29,7 @@ from vo.tracking.last_frame import LastFrame, last_frame
 from vo.tracking.motion_model import MotionModel
 from vo.tracking.pose_estimation import PoseEstimator
 from vo.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.tracking.step_check import Step, StepCheck
 from vo.tracking.visibility import outside, visible_landmarks
 from vo.types import Floats, Ints
 
@@ -81,6 +83,7 @@ class Tracker:
         self._config = config
         self._aligner = LandmarkAligner(local_map, frontend, config.min_inliers)
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
+        self._steps = StepCheck(is_metric=local_map.rig.is_stereo)
         self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
 
     @property
@@ -91,11 +94,13 @@ class Tracker:
     def restart(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
         """Begin at the frame that a new map was made of, with unknown velocity."""
         self._motion.restart(frame.stamp_ns, tracked.world_from_cam)
+        self._steps.restart(frame.stamp_ns)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = False
 
     def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
         """Continue from a tracked frame."""
+        self._steps.update(self._step(frame, tracked))
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
@@ -140,15 +145,38 @@ class Tracker:
     @timed("match")
     def track(
         self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool = False
-    ) -> TrackedFrame | None:
-        """The first initial pose that refinement confirms; None if too few landmarks agree.
+    ) -> TrackedFrame | Failure:
+        """The pose of a frame, or why it has none.
 
-        One from sparse image alignment with few inliers competes with the next one.
+        A step that the motion before does not support is tried again from other initial poses.
 
         Args:
             frame: the frame.
             last_from_cam: (4, 4) from `align_to_last`.
             is_lost: whether the frame before was not tracked.
+        """
+        tracked = self._confirmed(frame, last_from_cam, is_lost=is_lost)
+        if tracked is None:
+            return Failure(FailureReason.FEW_INLIERS)
+        failure = self._steps.failure(self._step(frame, tracked))
+        if failure is None:
+            return tracked
+        other = self._confirmed(frame, None, is_lost=is_lost)
+        if other is not None and self._steps.failure(self._step(frame, other)) is None:
+            return other
+        self._steps.reject(self._step(frame, tracked))
+        return failure
+
+    def _step(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> Step:
+        predicted = self._motion.predict(frame.stamp_ns)
+        return Step(frame.stamp_ns, self._motion.last, predicted, tracked)
+
+    def _confirmed(
+        self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool
+    ) -> TrackedFrame | None:
+        """The first initial pose that refinement confirms; None if too few landmarks agree.
+
+        One from sparse image alignment with few inliers competes with the next one.
         """
         best: TrackedFrame | None = None
         for initial in self._initial_poses(frame, last_from_cam, is_lost=is_lost):
@@ -228,7 +256,9 @@ class Tracker:
         if int(fit.inlier.sum()) < self._min_inliers(len(visible.rows)):
             return None
         ids = self._map.id[observed.rows]
-        return TrackedFrame(inverse(fit.cam_from_world), ids, observed, fit.inlier)
+        return TrackedFrame(
+            inverse(fit.cam_from_world), ids, observed, fit.inlier, len(visible.rows)
+        )
 
     def _min_inliers(self, visible: int) -> float:
         """Minimum number of inliers; half as many where they are most of the landmarks in view."""
