@@ -127,7 +127,8 @@ def test_error_for_right_images_of_another_size_than_the_calibration(kitti: Path
     for path in (kitti / "image_1").iterdir():
         layouts.write_image(path, np.zeros((20, 30), np.uint8))
     message = _message(kitti, CalibrationError)
-    assert "are 30x20, but the calibration of the recording is for 64x48" in message
+    file = kitti / "calib.txt"
+    assert f"are 30x20, but the calibration {file} (KITTI) is for 64x48" in message
 
 
 # Calibration

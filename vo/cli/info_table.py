@@ -54,7 +54,7 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     if report.calibration is None:
         yield "calibration", "none found"
     else:
-        yield "calibration", report.calibration.source or "in the log"
+        yield "calibration", report.calibration.source or "in the recording"
     if report.calibration is not None:
         for lens in report.calibration.lenses:
             yield "", _lens(lens)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ def _calibration(
     if chosen is None and file.is_file():
         document = load_document(file)
         if kitti.recognises(document):
-            return kitti.read(document, size, matrices)
+            return replace(kitti.read(document, size, matrices), kind="KITTI", file=file)
         return read_calibration(file, size)
     return calibration_reader(chosen, [file, path / "calibration.yaml"])(size)
 

@@ -104,7 +104,8 @@ def _calibration(
     if file is not None:
         document = load_document(file)
         if kitti_raw.recognises(document):
-            return kitti_raw.read(document, size, cameras)
+            found = kitti_raw.read(document, size, cameras)
+            return replace(found, kind="KITTI raw", file=file)
     return calibration_reader(chosen, candidates)(size)
 
 
