@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,10 @@ def rrd_frames(path: Path) -> int:
     from vo.recording import entities
 
     newest = -1
-    for chunk in RrdReader(path).stream().to_chunks():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the file of a killed run has no index
+        chunks = RrdReader(path).stream().to_chunks()
+    for chunk in chunks:
         batch = chunk.to_record_batch()
         if entities.FRAME_TIMELINE in batch.schema.names:
             newest = max([newest, *batch[entities.FRAME_TIMELINE].to_pylist()])

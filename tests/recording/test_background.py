@@ -18,6 +18,7 @@ class BlockedRecorder:
         self.frames: list[int] = []
         self.keyframes: set[int] = set()
         self.finished = False
+        self.flushed = 0
         self._error = error
 
     def begin(self, name, rig, ground_truth):
@@ -29,6 +30,9 @@ class BlockedRecorder:
             raise self._error
         self.frames.append(estimate.frame_index)
         self.keyframes |= {keyframe.frame_index for keyframe in estimate.keyframes}
+
+    def flush(self):
+        self.flushed = len(self.frames)
 
     def finish(self, causal, smoothed):
         self.finished = True
@@ -87,6 +91,19 @@ def test_a_slow_file_is_waited_for():
     finish(recorder)
     assert inner.frames == list(range(20))
     assert inner.finished
+
+
+def test_a_recorder_is_flushed_while_no_frame_comes():
+    inner = BlockedRecorder()
+    inner.go.set()
+    recorder = begun(inner)
+    for frame in range(3):
+        fake_run.record(recorder, frame)
+    while inner.flushed < 3:
+        time.sleep(0.01)
+    fake_run.record(recorder, 3)
+    finish(recorder)
+    assert inner.frames == list(range(4))
 
 
 def test_a_recorder_that_failed_is_not_waited_for():

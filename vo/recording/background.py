@@ -16,6 +16,7 @@ from vo.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
 _QUEUE_SIZE = 32  # frames; their images take most of the memory
 _TIMEOUT_S = 20.0
 _POLL_S = 0.02
+_IDLE_S = 0.5  # without a frame, until the recorder is flushed
 
 _log = logging.getLogger(__name__)
 
@@ -80,6 +81,9 @@ class BackgroundRecorder:
             time.sleep(_POLL_S)
         return True
 
+    def flush(self) -> None:
+        """Do nothing: the thread flushes while it waits for frames."""
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Wait until all frames are recorded, as long as there is progress."""
         if self._thread is None or not self._thread.is_alive():
@@ -115,10 +119,17 @@ class BackgroundRecorder:
             return False
         return True
 
+    def _next(self) -> _Frame | tuple[Trajectory, Trajectory]:
+        try:
+            return self._queue.get(timeout=_IDLE_S)
+        except queue.Empty:
+            self._recorder.flush()
+            return self._queue.get()
+
     def _work(self) -> None:
         try:
             while True:
-                item = self._queue.get()
+                item = self._next()
                 self._progress += 1
                 if isinstance(item, _Frame):
                     self._recorder.record(item.estimate, _returning(item.snapshot))

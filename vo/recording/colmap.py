@@ -89,6 +89,9 @@ class ColmapRecorder:
         is_recorded = self._maps is None and not self._is_rectified
         return self._images.add(estimate.frame_index, view.path, image, is_recorded=is_recorded)
 
+    def flush(self) -> None:
+        """Do nothing: what is written during a run is complete."""
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the models that have points.
 

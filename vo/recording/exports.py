@@ -83,6 +83,14 @@ class SeveralRecorders:
             except Exception as error:  # of any kind: the run goes on
                 self._remove(recorder, error)
 
+    def flush(self) -> None:
+        """Flush all recorders."""
+        for recorder in list(self._recorders):
+            try:
+                recorder.flush()
+            except Exception as error:
+                self._remove(recorder, error)
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Finish all recorders."""
         for recorder in list(self._recorders):

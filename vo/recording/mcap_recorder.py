@@ -111,6 +111,15 @@ class McapRecorder:
             if time.monotonic() - self._flushed >= _FLUSH_S:
                 self._flush()
 
+    def flush(self) -> None:
+        """End the chunk.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        with self._cut_after_an_error():
+            self._flush()
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the smoothed path and close the file.
 

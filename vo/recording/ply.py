@@ -52,6 +52,9 @@ class PlyRecorder:
             self._write(None)
             self._checkpoints.end()
 
+    def flush(self) -> None:
+        """Do nothing: what is written during a run is complete."""
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the points.
 

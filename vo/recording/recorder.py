@@ -24,6 +24,9 @@ class Recorder(Protocol):
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """After each frame; `snapshot` takes time and can only be called before this returns."""
 
+    def flush(self) -> None:
+        """While no frame comes: write what waits in memory, to survive a killed process."""
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """After the last frame, also of an interrupted run, with both complete paths; closes."""
 
@@ -35,6 +38,9 @@ class NullRecorder:
         """Do nothing."""
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """Do nothing."""
+
+    def flush(self) -> None:
         """Do nothing."""
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:

@@ -84,6 +84,11 @@ class RerunRecorder:
         if self._waiting >= _FRAMES_PER_BATCH or time.monotonic() - self._sent >= self._batch_s:
             self._send()
 
+    def flush(self) -> None:
+        """Send the rows that wait."""
+        if self._sinks and self._waiting:
+            self._send()
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Log both complete paths and the summary; close."""
         if not self._sinks:
