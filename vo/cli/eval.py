@@ -33,7 +33,8 @@ Estimate = Annotated[
     Path,
     typer.Argument(
         metavar="ESTIMATE",
-        help="Trajectory file (TUM, KITTI, EuRoC), the folder of a run, or a log with poses.",
+        help="Trajectory file (TUM, KITTI, EuRoC, TartanAir, NeRF), the folder of a run, or a log "
+        "with poses.",
     ),
 ]
 Reference = Annotated[
