@@ -250,7 +250,7 @@ def test_table_with_some_missing_files(euroc: Path, caplog: pytest.LogCaptureFix
     assert _indices(euroc) == [1, 2, 4, 5]
     assert [r.message.split(":")[0] for r in caplog.records] == [
         "frame 0 skipped",
-        "frame 3 skipped",
+        "the same for 1 more frames as for frame 0, up to frame 3",
     ]
 
 

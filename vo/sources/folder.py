@@ -11,29 +11,31 @@ from vo.faults import Fault
 from vo.formats.trajectory import read_tum
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
-from vo.sources.listing import Shot, list_images, shots_from_times
+from vo.sources.listing import Shot, is_image_name, list_images
 from vo.sources.naming import shots_from_names
 from vo.sources.pairing import copy_stamps
+from vo.sources.times_table import shots_from_times
 from vo.types import Mode, Trajectory
 
 _log = logging.getLogger(__name__)
 
 _ASSUMED_INTERVAL_NS = 100_000_000
 _TIMES_FILES = ("times.txt", "timestamps.txt")
+_DSO_CAMERA = "camera.txt"
 
 
 def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List images in natural order of their names.
+    """List images in natural order of their names, of the folder, of `left/` or of `images/`.
 
-    Stamps come from times.txt or timestamps.txt (seconds, one line per image), or else from the
-    file names; otherwise 10 frames per second are assumed, with a warning.
+    Stamps come from times.txt or timestamps.txt (see `shots_from_times`), or else from the file
+    names; otherwise 10 frames per second are assumed, with a warning.
 
     Raises:
         SourceError: images are missing or do not match the stamps.
         CalibrationError: the calibration is missing or invalid.
     """
     is_pair = (path / "left").is_dir()
-    left_folder = path / "left" if is_pair else path
+    left_folder = path / "left" if is_pair else _image_folder(path)
     times = find_times_file(path, left_folder)
     faults: list[Fault] = []
     left, named = assign_stamps(list_images(left_folder), path, times, faults)
@@ -43,11 +45,35 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
         left=left,
         right=_right(path / "right", left, named) if is_pair else None,
         calibrate=calibration_reader(
-            calibration, [path / "calibration.yaml", path.parent / "calibration.yaml"]
+            calibration,
+            [
+                path / "calibration.yaml",
+                path.parent / "calibration.yaml",
+                *([path / _DSO_CAMERA] if (path / _DSO_CAMERA).is_file() else []),
+            ],
         ),
         read_truth=lambda _: _truth(path),
         faults=faults,
     )
+
+
+def _image_folder(path: Path) -> Path:
+    """The folder `images` of a data set such as TUM monoVO, which has a picture of its own beside.
+
+    Raises:
+        SourceError: the images are still packed.
+    """
+    inside = path / "images"
+    if inside.is_dir() and (find_times_file(path) is not None or not _has_images(path)):
+        return inside
+    packed = path / "images.zip"
+    if packed.is_file() and find_times_file(path) is not None:
+        raise SourceError(f"{packed} is packed: unzip it to a folder {inside}")
+    return path
+
+
+def _has_images(path: Path) -> bool:
+    return any(is_image_name(entry.name) for entry in path.iterdir())
 
 
 def assign_stamps(
@@ -102,5 +128,6 @@ def _right(folder: Path, left: list[Shot], named: bool) -> list[Shot] | None:
 
 
 def _truth(path: Path) -> Trajectory | None:
-    file = first_existing([path / "groundtruth.tum", path / "groundtruth.txt"])
+    names = ("groundtruth.tum", "groundtruth.txt", "groundtruthSync.txt")
+    file = first_existing([path / name for name in names])
     return None if file is None else read_tum(file)

@@ -14,8 +14,9 @@ from vo.formats.calibration import Calibration, ImageSize, kitti, read_calibrati
 from vo.formats.calibration.document import load_document
 from vo.formats.trajectory import read_kitti
 from vo.sources.assembly import RecordingContents, calibration_reader
-from vo.sources.listing import Shot, list_images, shots_from_times
+from vo.sources.listing import Shot, list_images
 from vo.sources.pairing import copy_stamps
+from vo.sources.times_table import shots_from_times
 from vo.types import Mode, Trajectory
 
 _log = logging.getLogger(__name__)

@@ -112,7 +112,7 @@ def shots_from_table(
         fields = [field.strip() for field in text.split(separator, 1)]
         if len(fields) != 2 or not fields[1]:
             raise SourceError(f"{location}: '{text}' is not a stamp and a file name")
-        files.append(_inside(table.parent, folder / fields[1], location))
+        files.append(inside(table.parent, folder / fields[1], location))
         texts.append(StampText(location, fields[0]))
     stamps = parse_stamps(texts, unit, faults)
     shots = [
@@ -127,7 +127,7 @@ def shots_from_table(
     return shots
 
 
-def _inside(root: Path, file: Path, location: str) -> Path:
+def inside(root: Path, file: Path, location: str) -> Path:
     """The file, unless its name leads out of a folder; images are copied into exports.
 
     Raises:
@@ -138,29 +138,6 @@ def _inside(root: Path, file: Path, location: str) -> Path:
             f"{location}: {file} is outside of the recording; images are read from {root} only"
         )
     return file
-
-
-def shots_from_times(
-    times: Path, images: Sequence[Path], faults: list[Fault] | None = None
-) -> list[Shot]:
-    """Assign the stamp of its line to each image: seconds, or integer nanoseconds.
-
-    Raises:
-        SourceError: the counts differ, a line is invalid, or stamps do not increase.
-    """
-    lines = read_lines(times)
-    stamps = parse_stamps([StampText(*line) for line in lines], "s", faults)
-    if len(stamps) != len(images):
-        raise SourceError(
-            f"{images[0].parent} has {len(images)} images but {times} has {len(stamps)} stamps; "
-            "there must be one line per image"
-        )
-    shots = [
-        Shot(stamp_ns, ImageFile(image), line.location)
-        for stamp_ns, image, line in zip(stamps, images, lines, strict=True)
-    ]
-    check_increasing(shots)
-    return shots
 
 
 def check_increasing(shots: Sequence[Shot]) -> None:

@@ -67,7 +67,7 @@ FORMATS: dict[str, Format] = {
     "kitti": Format("vo.sources.kitti:gather_kitti", ("image_0", "image_2")),
     "kitti_raw": Format("vo.sources.kitti_raw:gather_kitti_raw", ("image_00", "image_02")),
     "euroc": Format("vo.sources.euroc:gather_euroc", ("mav0", "cam0")),
-    "tum": Format("vo.sources.tum:gather_tum", ("rgb.txt",)),
+    "tum": Format("vo.sources.tum:gather_tum", ("rgb.txt", "assoc*.txt", "rgbd_assoc*.txt")),
     "rosbag2": Format(
         "vo.sources.bags.ros2:open_rosbag2",
         ("metadata.yaml", "*.db3", "*.db3.zstd", "*_0.mcap"),
@@ -80,7 +80,8 @@ FORMATS: dict[str, Format] = {
     "glob": Format("vo.sources.glob:gather_glob"),
     "video": Format("vo.sources.video:gather_video", suffixes=VIDEO_SUFFIXES),
     "folder": Format(
-        "vo.sources.folder:gather_folder", ("left", *(f"*{s}" for s in IMAGE_SUFFIXES))
+        "vo.sources.folder:gather_folder",
+        ("left", *(f"*{s}" for s in IMAGE_SUFFIXES), "images", "images.zip"),
     ),
 }
 """Formats in the order of detection: the first that matches a path is used."""

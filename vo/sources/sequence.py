@@ -7,6 +7,7 @@ one decoding thread.
 from __future__ import annotations
 
 import logging
+import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -183,15 +184,17 @@ class ImageSequence:
             if self._close is not None:
                 stack.callback(self._close)
             cam0, cam1 = (stack.enter_context(_reader(name)) for name in ("cam0", "cam1"))
+            losses = stack.enter_context(_Losses())
             for index, image0, image1, image2 in self._prefetch(cam0, cam1, numbers, kind):
                 shot = self._left[index]
                 try:
                     left = image0.result()
                 except SourceError as error:
-                    _log.warning("frame %d skipped: %s", index, error)
+                    losses.add("skipped", index, error)
                     self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
                     continue
-                right, depth = _partner(index, image1, "right"), _partner(index, image2, "depth")
+                right = losses.result(image1, "used without its right image", index)
+                depth = losses.result(image2, "used without its depth image", index)
                 if right is None and depth is None and self.rig.is_metric:
                     self.unpaired += 1
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
@@ -247,12 +250,40 @@ def _check_size(stored: StoredImage, shape: tuple[int, ...], camera: Camera) -> 
         )
 
 
-def _partner(index: int, image: Future[_Result] | None, kind: str) -> _Result | None:
-    try:
-        return None if image is None else image.result()
-    except SourceError as error:
-        _log.warning("frame %d used without its %s image: %s", index, kind, error)
-        return None
+class _Losses:
+    """Warns of the first image that cannot be read for each reason, and counts the others."""
+
+    def __init__(self) -> None:
+        self._frames: dict[tuple[str, str], list[int]] = {}
+
+    def __enter__(self) -> _Losses:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for frames in self._frames.values():
+            if len(frames) > 1:
+                _log.warning(
+                    "the same for %d more frames as for frame %d, up to frame %d",
+                    len(frames) - 1,
+                    frames[0],
+                    frames[-1],
+                )
+
+    def add(self, what: str, index: int, error: SourceError) -> None:
+        """Add a frame that has lost an image; `what` is what becomes of it."""
+        reason = re.sub(r"\S*[\d/]\S*", "", str(error))  # without names and numbers
+        frames = self._frames.setdefault((what, reason), [])
+        if not frames:
+            _log.warning("frame %d %s: %s", index, what, error)
+        frames.append(index)
+
+    def result(self, image: Future[_Result] | None, what: str, index: int) -> _Result | None:
+        """The image; None if there is none or it cannot be read."""
+        try:
+            return None if image is None else image.result()
+        except SourceError as error:
+            self.add(what, index, error)
+            return None
 
 
 def select_frames(length: int, start: int, end: int | None, stride: int) -> range:

@@ -13,6 +13,7 @@ from vo.formats.calibration import (
     camodocal,
     colmap,
     depthai,
+    dso,
     euroc,
     kalibr,
     kitti,
@@ -61,6 +62,7 @@ FORMATS: dict[str, CalibrationFormat] = {
     "OpenCV": CalibrationFormat(opencv.recognises, opencv.read),
     "Kalibr": CalibrationFormat(kalibr.recognises, kalibr.read),
     "EuRoC": CalibrationFormat(euroc.recognises, euroc.read),
+    "DSO": CalibrationFormat(dso.recognises, dso.read),
     "vo": CalibrationFormat(own.recognises, own.read),
 }
 
