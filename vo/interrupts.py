@@ -17,11 +17,11 @@ _log = logging.getLogger(__name__)
 class DeferredInterrupts:
     """Stop signals of a run, such as Ctrl-C.
 
-    While frames are tracked, the first signal waits for `check`, because in the middle of a frame
-    it could leave the map inconsistent, and compiled code would turn it into another error. A
-    second one takes effect at once, but not inside `held`, where results are written. Once a signal
-    is delivered, or after `close`, signals have no effect but a message: what was computed is being
-    saved, and nothing may cost results.
+    While frames are tracked, signals wait for `check`, because in the middle of a frame they could
+    leave the map inconsistent, and an exception inside a callback of compiled code ends the
+    process. Only inside `waiting`, where a source may wait for a frame forever, a second one takes
+    effect at once. Once a signal is delivered, or after `close`, signals have no effect but a
+    message: what was computed is being saved, and nothing may cost results.
     """
 
     def __init__(self) -> None:
@@ -29,16 +29,16 @@ class DeferredInterrupts:
         self._pending: list[int] = []
         self._is_closing = False
         self._is_explained = False
-        self._is_held = False
+        self._is_waiting = False
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Deliver no signal inside this block; they wait for `check`."""
-        self._is_held = True
+    def waiting(self) -> Iterator[None]:
+        """Deliver a second signal at once inside this block."""
+        self._is_waiting = True
         try:
             yield
         finally:
-            self._is_held = False
+            self._is_waiting = False
 
     def check(self) -> None:
         """Deliver a signal that has arrived."""
@@ -55,7 +55,7 @@ class DeferredInterrupts:
             self._explain_once()
             return
         self._pending.append(number)
-        if len(self._pending) > 1 and not self._is_held:
+        if len(self._pending) > 1 and self._is_waiting:
             self._deliver(number, frame)
 
     def _explain_once(self) -> None:

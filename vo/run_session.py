@@ -156,13 +156,12 @@ class RunSession:
         clock = Stopwatch()
         since = self._request.profile_since
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
-        for estimate in self._odometry.track_all(_timed(frames, clock)):
-            with interrupts.held():
-                self._output(estimate, clock)
-                self._folder.frames.append(frame_line(estimate, clock.stage_ms))
-                self._statistics.add_times(clock.stage_ms)
-                clock.stage_ms.clear()
-                self._refresh_if_due()
+        for estimate in self._odometry.track_all(_awaited(frames, clock, interrupts)):
+            self._output(estimate, clock)
+            self._folder.frames.append(frame_line(estimate, clock.stage_ms))
+            self._statistics.add_times(clock.stage_ms)
+            clock.stage_ms.clear()
+            self._refresh_if_due()
             if not self._is_last(estimate):  # a signal in the last frame does not stop the run
                 interrupts.check()
         if not self._statistics.frames:
@@ -290,10 +289,12 @@ class RunSession:
         return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._statistics.total_ms()})
 
 
-def _timed(frames: Iterator[Frame], clock: Stopwatch) -> Iterator[Frame]:
+def _awaited(
+    frames: Iterator[Frame], clock: Stopwatch, interrupts: DeferredInterrupts
+) -> Iterator[Frame]:
     """The same frames; the time to read them counts towards stage `read`."""
     while True:
-        with clock.stage("read"):
+        with clock.stage("read"), interrupts.waiting():
             frame = next(frames, None)
         if frame is None:
             return
