@@ -281,3 +281,30 @@ def test_file_and_format_of_the_calibration_are_shown(walk: Path) -> None:
     assert report.calibration.source == f"{file} (EuRoC)"
     result = CliRunner().invoke(app, ["info", str(walk)])
     assert f"calibration {file} (EuRoC)" in result.stdout
+
+
+def test_right_images_of_the_frame_before_are_told_with_the_shift_to_try(walk: Path) -> None:
+    camera = walk / "mav0" / "cam1"
+    heading, *lines = (camera / "data.csv").read_text(encoding="utf-8").splitlines()
+    stamps, names = zip(*(line.split(",") for line in lines), strict=True)
+    late = [",".join(row) for row in zip(stamps[1:], names[:-1], strict=True)]
+    (camera / "data.csv").write_text("\n".join([heading, *late]) + "\n", encoding="utf-8")
+    interval_ms = 1e-6 * float(np.median(np.diff(np.array(stamps, dtype=np.int64))))
+    report = report_of(walk)
+    found = finding(report, "right images show the scene")
+    assert found.level == "error" and "--right-offset" in found.advice
+    assert report.stereo is not None
+    assert report.stereo.time_offset_ms == pytest.approx(-interval_ms, rel=0.05)
+    assert "--right-offset -6" in report.command and "--mode" not in report.command
+    assert not any("calibrat" in each.what for each in report.findings)
+
+
+def test_one_camera_twice_is_told(walk: Path) -> None:
+    for file in (walk / "mav0" / "cam0" / "data").iterdir():
+        shutil.copy(file, walk / "mav0" / "cam1" / "data" / file.name)
+    assert finding(report_of(walk), "the same camera twice").level == "error"
+
+
+def test_a_mirrored_right_image_is_told(walk: Path) -> None:
+    modify_images(walk, lambda i: np.asarray(cv2.flip(i, 1), np.uint8), slice(None), "cam1")
+    assert finding(report_of(walk), "the right image is mirrored left to right").level == "error"

@@ -81,7 +81,16 @@ def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
             "few pixels",
             "the right camera was turned since its calibration, or left and right are exchanged",
         )
-    if stereo is not None and stereo.rectified:
+    if stereo is not None and stereo.time_offset_ms is not None:
+        offset_ms = stereo.time_offset_ms
+        yield Finding(
+            "error",
+            f"right images show the scene {offset_ms:+.0f} ms from the left ones of the same "
+            "stamp, as rows that differ with the motion show",
+            f"shift right stamps by {offset_ms:.0f} ms (--right-offset), and trigger the cameras "
+            "together",
+        )
+    elif stereo is not None and stereo.rectified:
         right = stereo.right_camera
         if right is not None and right.rows_px < _MAX_CORRECTED_PX:
             yield Finding(

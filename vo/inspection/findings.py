@@ -199,6 +199,9 @@ def _run_command(report: Report, opened: OpenedRecording) -> str:
         options += ["--topic", f"right={report.cameras[1].name}"]
     if opened.rig is None and "--calibration" not in options:
         options += ["--calibration", "camera.yaml"]
+    elif report.stereo is not None and report.stereo.time_offset_ms is not None:
+        if "--right-offset" not in options:
+            options += ["--right-offset", f"{report.stereo.time_offset_ms:.0f}"]
     elif opened.rig is not None and "--mode" not in options:
         options += ["--mode", "mono"] if _is_pair_unusable(report, opened.rig) else []
     if opened.refusal and options == list(opened.options):

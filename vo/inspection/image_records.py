@@ -136,6 +136,8 @@ class StereoReport:
         right_camera: error of the right camera's calibration, if significant.
         is_same_camera: whether both images are of the same camera.
         are_exchanged: whether disparities are negative, and too large for a turned camera.
+        time_offset_ms: time at which right images were taken minus that of left ones of the same
+            stamp, None unless the motion shows one.
         right_is: how the right image is mirrored or turned against the left one; the other values
             are then those of the reverted image. Empty if it is not.
     """
@@ -152,3 +154,4 @@ class StereoReport:
     is_same_camera: bool = False
     are_exchanged: bool = False
     right_is: str = ""
+    time_offset_ms: float | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vo.errors import CalibrationError
@@ -22,7 +24,8 @@ from vo.inspection.records import (
     TruthReport,
 )
 from vo.inspection.stamps import pair_report, timing_of
-from vo.inspection.stereo import compare_stereo_images
+from vo.inspection.stereo import compare_stereo_images, rectified_cameras
+from vo.inspection.time_offset import NumberedPair, is_suspect, time_offset_ms
 from vo.sources.logs.log import Topic
 from vo.sources.pairing import pair_by_stamp
 from vo.types import Camera, Floats, Ints, Rig, Trajectory
@@ -99,13 +102,18 @@ def _stereo(left: ImageSequence, right: ImageSequence, rig: Rig | None) -> Stere
         ImageReader([s.image for s in right.shots]),
     )
     number_of = {id(shot.image): i for i, shot in enumerate(right.shots)}
-    pairs = []
+    pairs: list[NumberedPair] = []
     for row in evenly_spaced(len(numbers), _STEREO_PAIRS):
         number = numbers[row]
         image0, image1 = lefts.read(number), rights.read(number_of[id(partners[number])])
         if image0 is not None and image1 is not None:
-            pairs.append((image0, image1))
-    return compare_stereo_images(pairs, rig)
+            pairs.append(NumberedPair(number, image0, image1))
+    stereo = compare_stereo_images([(pair.left, pair.right) for pair in pairs], rig)
+    rectified = rectified_cameras(rig)
+    if stereo is None or rectified is None or not is_suspect(stereo):
+        return stereo
+    stamps_ns = np.array([shot.stamp_ns for shot in left.shots], dtype=np.int64)
+    return replace(stereo, time_offset_ms=time_offset_ms(pairs, lefts.read, stamps_ns, rectified))
 
 
 def _calibration(rig: Rig, source: str) -> CalibrationReport:

@@ -32,7 +32,7 @@ _MIN_DISPARITY_PX = 1.0
 
 def compare_stereo_images(pairs: _Pairs, rig: Rig | None) -> StereoReport | None:
     """Match pairs of images, rectified if there is a calibration; None with too few matches."""
-    working = _working(rig)
+    working = rectified_cameras(rig)
     is_same = [is_same_view(a, b) for a, b in pairs]
     if working is not None:
         pairs = [(working.rectify(a, 0), working.rectify(b, 1)) for a, b in pairs]
@@ -95,7 +95,7 @@ def _right_camera(
     """Error of the right camera's calibration from the rows of all pairs, if significant."""
     fit = VerticalDisparityFit()
     for pair, points in found:
-        exact = _refined(*pair, points)
+        exact = refined_points(*pair, points)
         x, y = (exact[:, 2] - rig.cx) / rig.fx, (exact[:, 1] - rig.cy) / rig.fy
         if len(exact) >= _MIN_MATCHES:
             fit.add(x, y, exact[:, 3] - exact[:, 1])
@@ -103,7 +103,7 @@ def _right_camera(
     return right_camera_error(fitted.errors, rig) if is_worth_correcting(fitted, rig) else None
 
 
-def _refined(left: Bytes, right: Bytes, points: Floats) -> Floats:
+def refined_points(left: Bytes, right: Bytes, points: Floats) -> Floats:
     """Points (N, 4) with subpixel positions in the right image."""
     a, b = points[:, :2].astype(np.float32), points[:, 2:].astype(np.float32)
     side, flags = (_PATCH_PX, _PATCH_PX), cv2.OPTFLOW_USE_INITIAL_FLOW
@@ -136,7 +136,8 @@ def match_features(left: Bytes, right: Bytes) -> Floats:
     return np.asarray(np.hstack([a, b])[agree.ravel() > 0], dtype=np.float64)
 
 
-def _working(rig: Rig | None) -> RectifiedRig | None:
+def rectified_cameras(rig: Rig | None) -> RectifiedRig | None:
+    """The rectified cameras of a pair, None without a pair that can be rectified."""
     if rig is None or not rig.is_stereo:
         return None
     try:
