@@ -158,8 +158,8 @@ def _options() -> argparse.Namespace:
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="real recordings")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="synthetic recordings")
     options = parser.parse_args()
-    if options.markdown == PAGE and (options.only or options.quick or options.no_clean):
-        parser.error("docs/robustness.md needs all rows: leave out --only, --quick, --no-clean")
+    if options.markdown == PAGE and options.only:
+        parser.error("docs/robustness.md needs all situations: leave out --only")
     return options
 
 
@@ -178,10 +178,19 @@ def _write(options: argparse.Namespace, rows: list[Row], clean: list[CleanRow]) 
         page = PAGE.read_text(encoding="utf-8")
         begin, end = "<!-- table: begin -->", "<!-- table: end -->"
         before, rest = page.split(begin)
-        text = f"{before}{begin}\n\n{document(rows, clean)}\n\n{end}{rest.split(end)[1]}"
+        made = _made_by(options)
+        text = f"{before}{begin}\n\n{made}\n\n{document(rows, clean)}\n\n{end}{rest.split(end)[1]}"
         PAGE.write_text(text, encoding="utf-8")
     elif options.markdown:
         options.markdown.write_text(document(rows, clean) + "\n", encoding="utf-8")
+
+
+def _made_by(options: argparse.Namespace) -> str:
+    """How the tables were made, for the page."""
+    words = ["scripts/robustness"]
+    words += ["--quick"] * options.quick + ["--no-clean"] * options.no_clean + ["--markdown"]
+    which = "one strength of each situation" if options.quick else "all strengths"
+    return f"Made by `{' '.join(words)}`: {which}."
 
 
 def _file_name(name: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from vo.types import Floats, Ints
 
 _MIN_POSES = 3  # of a segment, to align it
+_TIMEOUT_S = 1200
 _COLUMNS = 12  # of poses.csv
 FLOOR_RATIO, FLOOR_M = 0.0005, 0.002
 MAX_ATE_RATIO = 3.0
@@ -49,7 +50,12 @@ def run(
 ) -> Outcome:
     """Run on a recording whose frames have these true poses (N, 4, 4), NaN where unknown."""
     command = [str(vo), "run", str(recording), "-o", str(output), *arguments]
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        process = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=_TIMEOUT_S
+        )
+    except subprocess.TimeoutExpired:
+        return Outcome(None, 0.0, 0.0, "hangs", False, (), f"no end after {_TIMEOUT_S} s", True)
     file = output / "summary.json"
     if not file.is_file() or process.returncode not in (0, 130, 143):
         lines = process.stderr.strip().splitlines() or ["no message"]

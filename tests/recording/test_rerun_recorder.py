@@ -2,6 +2,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from collections import defaultdict
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from rrd import read_rrd
 from vo.errors import OutputError
 from vo.geometry.transforms import quat_xyzw_from_rotation, rotation_from_quat_xyzw
 from vo.recording import entities
+from vo.recording.piped_file import end_of_messages
 from vo.recording.recorder import NullRecorder, Recorder
 from vo.recording.rerun_recorder import RerunRecorder
 from vo.types import Rig, Trajectory
@@ -250,3 +252,19 @@ def test_null_recorder_accepts_all_calls():
     recorder.begin("fake", fake_run.RIG, fake_run.trajectory())
     fake_run.record(recorder, 0)
     recorder.finish(fake_run.trajectory(), fake_run.trajectory())
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.6, 0.9])
+def test_a_file_that_was_cut_ends_with_a_whole_message(tmp_path, recording, ratio):
+    data = recording.read_bytes()
+    path = tmp_path / "cut.rrd"
+    path.write_bytes(data[: int(ratio * len(data))])
+    with path.open("r+b") as file:
+        file.truncate(end_of_messages(file.fileno()))
+    assert 0 < path.stat().st_size <= int(ratio * len(data))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # without an index
+        chunks = RrdReader(path).stream().to_chunks()
+    assert len(chunks) > 3
+    with recording.open("rb") as file:
+        assert 0 <= len(data) - end_of_messages(file.fileno()) < 100  # the footer of the stream

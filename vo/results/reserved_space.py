@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-_BYTES = 1 << 16
+_BYTES = (1 << 16, 1 << 14, 1 << 12)  # the first that there is space for; a summary takes 3 kB
 
 
 class ReservedSpace:
@@ -56,12 +56,12 @@ class ReservedSpace:
     def _reserve(self) -> None:
         with suppress(OSError, AttributeError):
             file = os.open(self._folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
-            try:
-                os.posix_fallocate(file, 0, _BYTES)
-            except OSError:
-                os.close(file)
-                raise
-            self._file = file
+            for size in _BYTES:
+                with suppress(OSError):
+                    os.posix_fallocate(file, 0, size)
+                    self._file = file
+                    return
+            os.close(file)
 
 
 def _name(file: int, path: Path) -> None:
