@@ -11,6 +11,7 @@ MAX_TABLE_BYTES = 256 * 2**20  # 3 million poses
 MAX_LINE_BYTES = 100_000
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _LFS_REASON = "is a Git LFS pointer, not the file: git lfs pull"
+_ENCODING = "utf-8-sig"
 _NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 
 
@@ -52,24 +53,35 @@ def lfs_pointer_message(path: Path) -> str:
     return f"{path} {_LFS_REASON}" if begin == _LFS_POINTER else ""
 
 
-def read_text(
-    path: Path | str, max_bytes: int = MAX_TABLE_BYTES, encoding: str = "utf-8-sig"
-) -> str:
-    r"""The content of a text file, with `\n` as the only end of lines.
+def read_text(path: Path | str, max_bytes: int = MAX_TABLE_BYTES) -> str:
+    r"""The content of a text file in UTF-8, with `\n` as the only end of lines.
 
     Raises:
         OSError: as for `read_bytes`.
-        UnicodeDecodeError: it is not text, has a NUL inside, or a line is longer than
-            `MAX_LINE_BYTES`.
+        UnicodeDecodeError: it is not text, or has a NUL inside.
     """
-    data = read_bytes(path, max_bytes)
-    if b"\0" in data.rstrip(b"\0"):  # a power failure may leave some at the end
-        raise UnicodeDecodeError(encoding, b"\0", 0, 1, "there is a NUL in it")
+    return _decoded(read_bytes(path, max_bytes))
+
+
+def read_table_text(path: Path | str) -> str:
+    """As `read_text`, of a file with lines of a few numbers or names.
+
+    Raises:
+        OSError: as for `read_bytes`.
+        UnicodeDecodeError: as for `read_text`, or a line is longer than `MAX_LINE_BYTES`.
+    """
+    data = read_bytes(path, MAX_TABLE_BYTES)
     begin = 0
     while len(data) - begin > MAX_LINE_BYTES:
         stop = begin + MAX_LINE_BYTES
         last = max(data.rfind(b"\n", begin, stop), data.rfind(b"\r", begin, stop))
         if last < 0:
-            raise UnicodeDecodeError(encoding, data[:1], 0, 1, "a line is endless")
+            raise UnicodeDecodeError(_ENCODING, data[:1], 0, 1, "a line is endless")
         begin = last + 1
-    return data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+    return _decoded(data)
+
+
+def _decoded(data: bytes) -> str:
+    if b"\0" in data.rstrip(b"\0"):  # a power failure may leave some at the end
+        raise UnicodeDecodeError(_ENCODING, b"\0", 0, 1, "there is a NUL in it")
+    return data.decode(_ENCODING).replace("\r\n", "\n").replace("\r", "\n")

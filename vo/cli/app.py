@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import sys
 from typing import Annotated, Any
 
@@ -28,6 +29,10 @@ from vo.errors import VoError
 _ODOMETRY, _RESULTS, _RECORDINGS = "Odometry", "Results", "Recordings and cameras"
 
 
+# Such as a number of a million digits in a damaged file.
+_LONG_WORD = re.compile(r"(\S{200})\S{800,}")
+
+
 class _Group(TyperGroup):
     """Prints a `VoError` or OSError of any command as one line and exits with status 1."""
 
@@ -40,7 +45,7 @@ class _Group(TyperGroup):
         try:
             return super().invoke(ctx)
         except VoError as error:
-            echo(f"error: {error}", err=True)
+            echo(_LONG_WORD.sub(r"\1…", f"error: {error}"), err=True)
             raise typer.Exit(1) from error
         except OSError as error:
             if error.errno is None or error.errno == errno.EPIPE:  # a closed pipe is no error

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.bounded_files import read_text
+from vo.bounded_files import read_table_text
 from vo.errors import SourceError
 from vo.types import Floats
 
@@ -33,7 +33,7 @@ def read_table(path: Path) -> list[Line]:
         SourceError: the file is missing, not text or without data.
     """
     try:
-        text = read_text(path)
+        text = read_table_text(path)
     except FileNotFoundError as error:
         raise SourceError(f"{path} does not exist; give the path of a trajectory file") from error
     except UnicodeDecodeError as error:

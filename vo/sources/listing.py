@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from vo.bounded_files import read_text
+from vo.bounded_files import read_table_text
 from vo.errors import SourceError
 from vo.faults import Fault
 from vo.sources.images import ImageFile, StoredImage
@@ -46,7 +46,7 @@ def read_lines(path: Path) -> list[Line]:
         SourceError: the file is missing, not text, or has no data.
     """
     try:
-        texts = read_text(path).splitlines()
+        texts = read_table_text(path).splitlines()
     except FileNotFoundError as error:
         raise SourceError(f"{path} is missing; it should contain the stamps") from error
     except UnicodeDecodeError as error:
