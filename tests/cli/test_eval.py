@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
@@ -187,3 +188,25 @@ def test_the_command_imports_nothing_heavy_before_it_runs() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_truth_of_the_colour_cameras_of_kitti_is_that_of_info(tmp_path: Path) -> None:
+    """poses.txt is that of the grey left camera, 6 cm beside the left colour camera."""
+    sequence = tmp_path / "sequence"
+    (sequence / "image_2").mkdir(parents=True)
+    image = np.random.default_rng(0).integers(0, 255, (40, 60), dtype=np.uint8)
+    angles = np.linspace(0, 2, 20)
+    poses = np.array([se3_exp(np.array([0, a, 0, 5 * a, 0, 0])) for a in angles])
+    moved = poses @ se3_exp(np.array([0, 0, 0, 0.06, 0, 0]))
+    for i in range(20):
+        cv2.imwrite(str(sequence / "image_2" / f"{i:06d}.png"), image)
+    rows = [" ".join(f"{v:.9f}" for v in pose[:3].ravel()) for pose in poses]
+    (sequence / "poses.txt").write_text("\n".join(rows) + "\n")
+    (sequence / "times.txt").write_text("".join(f"{0.1 * i:.1f}\n" for i in range(20)))
+    p = "50 0 30 {} 0 50 20 0 0 0 1 0"
+    lines = [f"P{i}: {p.format(shift)}" for i, shift in enumerate((0, -25, -3, -28))]
+    (sequence / "calib.txt").write_text("\n".join(lines) + "\n")
+    stamps = np.arange(20, dtype=np.int64) * 100_000_000
+    write_tum(tmp_path / "estimate.tum", Trajectory(stamps, moved))
+    result = vo_eval(tmp_path / "estimate.tum", sequence, "--align", "none", "--json")
+    assert json.loads(result.stdout)["ate"]["translation_m"]["max"] < 1e-6

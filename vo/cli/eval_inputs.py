@@ -49,11 +49,12 @@ def read_inputs(
     if is_log[_TRUTH]:
         truth = truth_of_log(reference, named.get(_TRUTH), calibration)
         return load_inputs(given, truth, all_segments=all_segments)
-    try:
-        return load_inputs(given, reference, calibration=calibration, all_segments=all_segments)
-    except SourceError:
-        if not _is_recording(reference):
-            raise
+    if not has_colour_of_kitti(reference):
+        try:
+            return load_inputs(given, reference, calibration=calibration, all_segments=all_segments)
+        except SourceError:
+            if not _is_recording(reference):
+                raise
     found = open_source(reference, calibration=calibration).ground_truth
     if found is None:
         raise SourceError(f"{reference} contains no ground truth; give a trajectory file")
@@ -92,6 +93,14 @@ def _refuse_odometry_as_truth(path: Path) -> None:
         return
     advice = f"choose poses with --topic truth={sources[0].name}, or " if sources else ""
     raise SourceError(f"{path} contains no ground truth; {advice}give a trajectory file")
+
+
+def has_colour_of_kitti(path: Path) -> bool:
+    """Whether it is a sequence of KITTI with the colour cameras alone.
+
+    Its poses.txt is that of the grey left camera, and only the recording can move it.
+    """
+    return (path / "image_2").is_dir() and not (path / "image_0").is_dir()
 
 
 def is_log(path: Path) -> bool:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.cli.eval_inputs import is_log, truth_of_log
+from vo.cli.eval_inputs import has_colour_of_kitti, is_log, truth_of_log
 from vo.errors import EvaluationError, SourceError, VoError
 from vo.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
 from vo.evaluation.report import Evaluation, evaluate
@@ -99,7 +99,7 @@ def _inputs_with_given_truth(run: RunRecord, truth: Path) -> Inputs:
 
 def _inputs_with_own_truth(run: RunRecord, path: Path, source: Recording | None) -> Inputs | None:
     """Inputs from the ground truth file in a recording, or from that of the opened source."""
-    if path.is_dir():
+    if path.is_dir() and not has_colour_of_kitti(path):
         try:
             return load_inputs(run.path, path)
         except SourceError:
