@@ -59,8 +59,9 @@ class CalibrationResidual(NamedTuple):
             (1,) the error of the radial distortion: ideal points x, in focal lengths, should be at
             x (1 - value r^2).
         information: (2, 2) or (1, 1), the inverse of its covariance.
-        bend: in mono what such an error does not explain: if both are estimated together, points
-            should be at x (1 - value r^2 - bend r^4), with another value.
+        bend: what such errors do not explain, estimated together with them. In mono points should
+            be at x (1 - value r^2 - bend r^4), with another value; in stereo at x (1 - bend r^2) in
+            both images.
         bend_sigma: its standard deviation.
     """
 

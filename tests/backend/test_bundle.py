@@ -121,7 +121,7 @@ def test_what_the_calibration_leaves_is_a_row_at_the_end(stereo: bool, fixed: in
         changed(0.01).normal_equations(poses, with_calibration=c) for c in (False, True)
     )
     size = len(alone.gradient)
-    assert len(whole.gradient) == size + 2
+    assert len(whole.gradient) == size + (3 if stereo else 2)
     np.testing.assert_allclose(whole.hessian[:size, :size], alone.hessian, rtol=1e-12)
     np.testing.assert_array_equal(whole.hessian, whole.hessian.T)
     step = 1e-4

@@ -130,6 +130,27 @@ def test_what_k1_cannot_explain_is_told_from_it(bend: float, seed: int) -> None:
     assert found.bend_sigma < 0.02
 
 
+@pytest.mark.parametrize("k1", [-0.1, 0.0, 0.02])
+def test_an_error_of_both_lenses_of_a_pair_is_found(k1: float) -> None:
+    window = _shifted(0.0, 1)
+    p = window.problem
+    fx, fy, cx, cy = p.intrinsics
+    left = (p.xy - (cx, cy)) / (fx, fy)
+    right = left - np.column_stack([p.disparity / fx, np.zeros(len(left))])
+    bent, right_bent = (
+        ray * (1.0 + k1 * np.sum(ray**2, axis=1, keepdims=True)) for ray in (left, right)
+    )
+    problem = replace(
+        p,
+        xy=bent * (fx, fy) + (cx, cy),
+        disparity=fx * (bent[:, 0] - right_bent[:, 0]),
+    )
+    found = solve(problem, CONFIG).calibration_residual
+    assert found is not None
+    assert abs(found.bend - k1) < max(4.0 * found.bend_sigma, 0.3 * abs(k1))
+    assert found.bend_sigma < 0.01
+
+
 def test_noise_does_not_pass_for_an_error_of_the_lens() -> None:
     # Derivatives where points were measured, not where they should be, made it 0.0014.
     found = [_estimate(_bent(0.0, seed)).value for seed in range(20)]

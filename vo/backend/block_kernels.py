@@ -156,6 +156,10 @@ def _differentiate(  # type: ignore[no-untyped-def]
         if fb > 0.0:
             right_x = x - fb / intrinsics.fx * near
             by_rest[jd], by_rest[jd + 1] = t, t * right_x * right_x
+            # The same radial distortion in both cameras, see `CalibrationResidual.bend`.
+            square, fx = x * x + y * y, intrinsics.fx
+            by_rest[ju + 2], by_rest[jv + 2] = s * fx * x * square, s * intrinsics.fy * y * square
+            by_rest[jd + 2] = t * fx * (x * square - right_x * (right_x * right_x + y * y))
         else:  # at the predicted pixel, because noise of the measured one would not average out
             stretch = s * (x * x + y * y)
             by_rest[ju], by_rest[jv] = stretch * intrinsics.fx * x, stretch * intrinsics.fy * y

@@ -55,7 +55,7 @@ class Bundle:
         self._views = views_of(problem, point_ok, config)
         self._slot = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
         self._config = config
-        self.calibration_size, self.check_size = (2, 0) if problem.baseline_m > 0.0 else (1, 1)
+        self.calibration_size, self.check_size = (2 if problem.baseline_m > 0.0 else 1), 1
 
     def cost(self, world_from_cam: Floats) -> float:
         """Half the robust sum of squares for poses (K, 4, 4), every point at its optimum."""

@@ -29,7 +29,7 @@ def estimate_calibration_residual(
     Args:
         normal: normal equations of the window, with those of the residual as the last rows.
         size: number of these rows.
-        check_size: number of rows after them, 1 for `CalibrationResidual.bend`, else 0.
+        check_size: number of rows after them, for `CalibrationResidual.bend`.
 
     Returns:
         None if the window does not determine it.

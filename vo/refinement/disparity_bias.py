@@ -7,6 +7,7 @@ import numpy as np
 from vo.calibration_errors import CalibrationResidual
 from vo.faults import Fault, FaultKind
 from vo.geometry.rectification import RectifiedRig
+from vo.refinement.lens_check import LensCheck
 from vo.types import Bools, Floats
 
 # Windows of one recording differ by more than their noise, due to uneven rectification and moving
@@ -25,6 +26,9 @@ _MEMORY = 20  # windows by which a correction is judged
 # A calibration that is slightly wrong has a smaller bias, in the middle and at the sides of the
 # image; only that of a yaw, which rows confirm, may be larger.
 _MAX_BIAS_PX, _MAX_YAW_RAD = 3.0, 0.0105  # 0.6 degrees
+# Shift at the image corners by the same error of k1 in both lenses: up to 7 px in pairs as
+# calibrated (kitti_raw; 0.1 to 4 px in others), 98 and 130 px where lenses are taken for ideal.
+_MIN_LENS_PX = 12.0
 
 
 class DisparityBiasEstimator:
@@ -35,19 +39,26 @@ class DisparityBiasEstimator:
 
     Attributes:
         applied: (2,) the offset and the curve that are corrected, pixels.
-        faults: a bias that windows show and that is too large for a slightly wrong calibration, so
-            that nothing is corrected.
     """
 
     def __init__(self, rig: RectifiedRig) -> None:
         self.applied: Floats = np.zeros(2)
-        self.faults: tuple[Fault, ...] = ()
+        self._implausible_px = 0.0
+        self._check = LensCheck(rig, power=3, min_px=_MIN_LENS_PX)
         edge = max(rig.cx, rig.width - rig.cx) / rig.fx
         self._edge = np.array([1.0, edge**2])  # value of each of the two at the image's sides
         self._systematic = np.diag((_SYSTEMATIC_PX / self._edge) ** 2)
         self._max_yaw_px = _MAX_YAW_RAD * rig.fx
         self._min_windows = _MIN_WINDOWS
         self._restart()
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """A bias or lenses that are too wrong to be corrected."""
+        bias = Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=self._implausible_px)
+        lens = Fault(FaultKind.WRONG_LENS, value=self._check.corner_px)
+        found = (self._implausible_px != 0.0, self._check.is_significant)
+        return tuple(fault for fault, is_found in zip((bias, lens), found, strict=True) if is_found)
 
     def update(
         self, residual: CalibrationResidual, windows: int = 1, skew_px: float | None = None
@@ -64,6 +75,7 @@ class DisparityBiasEstimator:
         Returns:
             The new offset and curve to apply, None for no change.
         """
+        self._check.add(residual, windows)
         covariance = np.linalg.inv(residual.information) + self._systematic
         information: Floats = np.asarray(np.linalg.inv(covariance))
         if self._is_refuted(residual.value, information, windows):
@@ -109,12 +121,8 @@ class DisparityBiasEstimator:
             is_doubtful = (self.applied == 0.0) & ~self._is_consistent(simplest)
             simplest = np.where(is_doubtful, 0.0, simplest)
         wanted = np.where(np.abs(simplest) * self._edge > _SYSTEMATIC_PX, simplest, 0.0)
-        excess_px = self._excess(wanted, skew_px)
-        self.faults = ()
-        if excess_px == 0.0:
-            return wanted
-        self.faults = (Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=excess_px),)
-        return np.zeros(2)
+        self._implausible_px = self._excess(wanted, skew_px)
+        return wanted if self._implausible_px == 0.0 else np.zeros(2)
 
     def _excess(self, bias: Floats, skew_px: float | None) -> float:
         """An offset, or else a curve at the sides, that is implausible; 0 if both are plausible.

@@ -6,8 +6,9 @@ import numpy as np
 
 from vo.calibration_errors import CalibrationResidual
 from vo.faults import Fault, FaultKind
-from vo.geometry.k1_error import corner_radius, edge_shift_px, residual_per_k1
+from vo.geometry.k1_error import edge_shift_px, residual_per_k1
 from vo.geometry.rectification import RectifiedRig
+from vo.refinement.lens_check import LensCheck
 
 # At the image's edges: the effect of patches that are unevenly spread, and the minimum change of
 # a correction.
@@ -21,8 +22,7 @@ _MAX_EDGE_PX = 15.0  # larger errors at the edges are not explained by one coeff
 # Of the bend that remains at the image corners. Lenses as calibrated, or wrong by k1 only, have up
 # to 5 px at 0.7 and 2.2 px at 2.2 standard deviations; distorted ones taken for ideal 23 to 41 px
 # at 8 to 46 standard deviations.
-_MIN_BEND_PX, _SIGNIFICANT_BEND, _BEND_SYSTEMATIC_PX = 6.0, 3.5, 1.0
-_MAX_RADIUS = 1.2  # focal lengths; few points of very wide lenses lie farther out
+_MIN_BEND_PX = 6.0
 
 
 class RadialDistortionEstimator:
@@ -41,15 +41,15 @@ class RadialDistortionEstimator:
         self._weight = 0.0
         self._sum = 0.0
         self._windows = 0
-        self._remainder = _Remainder(rig)
+        self._check = LensCheck(rig, power=5, min_px=_MIN_BEND_PX)
 
     @property
     def faults(self) -> tuple[Fault, ...]:
         """An error that the correction does not remove."""
         edge_px = self.applied / self._k1_of_px
-        if abs(edge_px) <= _MAX_EDGE_PX and not self._remainder.is_significant:
+        if abs(edge_px) <= _MAX_EDGE_PX and not self._check.is_significant:
             return ()
-        return (Fault(FaultKind.WRONG_LENS, value=max(edge_px, self._remainder.edge_px, key=abs)),)
+        return (Fault(FaultKind.WRONG_LENS, value=max(edge_px, self._check.corner_px, key=abs)),)
 
     def update(self, residual: CalibrationResidual, windows: int = 1) -> float | None:
         """Add the estimate of a window that stands for `windows` of them.
@@ -59,7 +59,7 @@ class RadialDistortionEstimator:
         Returns:
             The new error to correct, None for no change.
         """
-        self._remainder.add(residual, windows)
+        self._check.add(residual, windows)
         value = residual.value[0] / self._bend
         sigma = residual.information[0, 0] ** -0.5 / self._bend
         sigma = float(np.hypot(_NOISE * sigma, self._systematic))
@@ -78,38 +78,3 @@ class RadialDistortionEstimator:
             return None
         self.applied = wanted
         return wanted
-
-
-class _Remainder:
-    """The bend of points that no error of k1 explains, averaged over windows.
-
-    A lens that is quite another one than calibrated, such as a distorted one taken for ideal,
-    leaves it, even where the estimates of k1 from windows cancel.
-
-    Attributes:
-        edge_px: shift of points at the image corners by it.
-    """
-
-    def __init__(self, rig: RectifiedRig) -> None:
-        self.edge_px = 0.0
-        self._px = rig.fx * min(corner_radius(rig), _MAX_RADIUS) ** 5  # shift per unit
-        self._weight = 0.0
-        self._windows = 0
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the lens is another one than calibrated."""
-        if self._windows < _MIN_WINDOWS or self._weight == 0.0:
-            return False
-        sigma_px = np.sqrt(min(self._windows, _OVERLAP) / self._weight)
-        return bool(abs(self.edge_px) > max(_MIN_BEND_PX, _SIGNIFICANT_BEND * sigma_px))
-
-    def add(self, residual: CalibrationResidual, windows: int) -> None:
-        """Add that of a window, which stands for `windows` of them."""
-        self._windows += windows
-        if not np.isfinite(residual.bend_sigma):
-            return
-        sigma_px = np.hypot(_NOISE * residual.bend_sigma * self._px, _BEND_SYSTEMATIC_PX)
-        weight = windows * float(sigma_px) ** -2
-        self._weight += weight
-        self.edge_px += (residual.bend * self._px - self.edge_px) * weight / self._weight
