@@ -37,6 +37,10 @@ _FAULTS_OF_FAILURES = {
 }
 
 
+# Minimum ratio of landmarks with a disparity from which the right camera takes part.
+_MIN_MEASURED_RATIO = 0.1
+
+
 class FrameResult(NamedTuple):
     """Result of a frame.
 
@@ -60,10 +64,20 @@ class FrameResult(NamedTuple):
     def every_fault(self) -> tuple[Fault, ...]:
         """Faults of the images, of tracking, and that for which a frame was left out."""
         found = self.frame.faults + self.faults
+        if self._is_left_alone:
+            return (*found, Fault(FaultKind.LEFT_CAMERA_ALONE, is_handled=True))
         if self.failure is None or self.failure.reason not in _FAULTS_OF_FAILURES:
             return found
         kind = _FAULTS_OF_FAILURES[self.failure.reason]
         return (*found, Fault(kind, is_handled=True, value=self.failure.value))
+
+    @property
+    def _is_left_alone(self) -> bool:
+        """Whether there is a right image that hardly any of the tracked landmarks agrees with."""
+        if self.tracked is None or self.frame.right is None:
+            return False
+        measured = np.isfinite(self.tracked.observed.disparity[self.tracked.inlier])
+        return bool(np.count_nonzero(measured) < _MIN_MEASURED_RATIO * len(measured))
 
     @property
     def world_from_cam(self) -> Floats | None:

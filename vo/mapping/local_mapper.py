@@ -24,6 +24,7 @@ from vo.types import Bools, Floats, Ints
 # correlation is lower than this.
 _MAX_PATCH_SCALE = 1.3
 _MIN_PATCH_SCORE = 0.9
+_FEW_LANDMARKS = 100  # of a keyframe of a pair, from which the motion must give further ones
 _MIN_OBSERVATIONS = 2  # keyframes that must observe a landmark, unless it is new and has a depth
 
 
@@ -109,7 +110,7 @@ class LocalMapper:
         if frame.has_disparity:
             features = self._stereo_triangulator.measure(frame, keyframe.free)
             self._stereo_triangulator.add_landmarks(keyframe, features)
-        else:
+        if not frame.has_disparity or len(keyframe.landmark) < _FEW_LANDMARKS:
             self._keyframe_triangulator.add_landmarks(keyframe, frame.image0)
         self.estimate_normals(keyframe, only_new=True)
         self._observe_in_earlier(keyframe)

@@ -74,6 +74,11 @@ class StepCheck:
         self._max_speed = 0.0
         self._rejected: _Rejected | None = None
 
+    @property
+    def knows_motion(self) -> bool:
+        """Whether enough steps are known to judge the next one."""
+        return len(self._accelerations) >= _MIN_HISTORY
+
     def update(self, step: Step) -> None:
         """Add an accepted step."""
         interval_s = (step.stamp_ns - self._stamp_ns) * 1e-9
@@ -93,7 +98,7 @@ class StepCheck:
         speed = _distance(step.last, step.tracked.world_from_cam) / interval_s
         if self._is_metric and speed > _MAX_SPEED_M_S:
             return Failure(FailureReason.IMPLAUSIBLE_SPEED, speed, _MAX_SPEED_M_S)
-        if len(self._accelerations) < _MIN_HISTORY:
+        if not self.knows_motion:
             return None
         excess = self._acceleration(step) / self._usual()
         is_supported = self._is_well_supported(step.tracked) or self._is_confirming(step)

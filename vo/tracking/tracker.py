@@ -148,7 +148,8 @@ class Tracker:
     ) -> TrackedFrame | Failure:
         """The pose of a frame, or why it has none.
 
-        A step that the motion before does not support is tried again from other initial poses.
+        Where the pair gives no pose, the left image alone is tried. A step that the motion before
+        does not support is tried again from other initial poses.
 
         Args:
             frame: the frame.
@@ -156,6 +157,8 @@ class Tracker:
             is_lost: whether the frame before was not tracked.
         """
         tracked = self._confirmed(frame, last_from_cam, is_lost=is_lost)
+        if tracked is None and frame.has_disparity and self._steps.knows_motion:
+            tracked = self._confirmed(frame, last_from_cam, is_lost=is_lost, is_alone=True)
         if tracked is None:
             return Failure(FailureReason.FEW_INLIERS)
         failure = self._steps.failure(self._step(frame, tracked))
@@ -172,15 +175,23 @@ class Tracker:
         return Step(frame.stamp_ns, self._motion.last, predicted, tracked)
 
     def _confirmed(
-        self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool
+        self,
+        frame: PreprocessedFrame,
+        last_from_cam: Floats | None,
+        *,
+        is_lost: bool,
+        is_alone: bool = False,
     ) -> TrackedFrame | None:
         """The first initial pose that refinement confirms; None if too few landmarks agree.
 
         One from sparse image alignment with few inliers competes with the next one.
         """
         best: TrackedFrame | None = None
-        for initial in self._initial_poses(frame, last_from_cam, is_lost=is_lost):
-            tracked = self.refine(frame, initial.world_from_cam)
+        initial_poses = self._initial_poses(
+            frame, last_from_cam, is_lost=is_lost, is_alone=is_alone
+        )
+        for initial in initial_poses:
+            tracked = self.refine(frame, initial.world_from_cam, is_alone=is_alone)
             if best is None or (tracked is not None and tracked.inliers >= best.inliers):
                 best = tracked
             if best is not None and best.inliers >= initial.sufficient_inliers:
@@ -188,7 +199,12 @@ class Tracker:
         return best
 
     def _initial_poses(
-        self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool
+        self,
+        frame: PreprocessedFrame,
+        last_from_cam: Floats | None,
+        *,
+        is_lost: bool,
+        is_alone: bool,
     ) -> Iterator[_InitialPose]:
         """Poses to refine, the most accurate and cheapest first."""
         if self.last is not None and last_from_cam is not None:
@@ -207,7 +223,7 @@ class Tracker:
         pose = self.relocalize(frame)
         if pose is not None:
             yield _InitialPose(pose)
-        if not self._map.rig.is_stereo and self.last is not None:
+        if (is_alone or not self._map.rig.is_stereo) and self.last is not None:
             pose = self._essential_matrix.estimate(self.last, self._motion.last, frame)
             if pose is not None:
                 yield _InitialPose(pose)
@@ -241,24 +257,30 @@ class Tracker:
         return None if pose is None else self.refine(frame, pose)
 
     @timed("align")
-    def refine(self, frame: PreprocessedFrame, world_from_cam: Floats) -> TrackedFrame | None:
+    def refine(
+        self, frame: PreprocessedFrame, world_from_cam: Floats, *, is_alone: bool = False
+    ) -> TrackedFrame | None:
         """Align all landmarks in view, starting at a pose (4, 4), and fit the pose to them.
 
-        None if too few of them agree.
+        None if too few of them agree. With the left image alone, landmarks that have been seen only
+        once do not count as missing: a pair makes landmarks of snowflakes, too, which two views at
+        different times don't.
         """
         visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
         visible = outside(frame.image_fixed.mask, visible)
         observed = self._aligner.align(visible, frame.image0)
-        observed = self._aligner.with_disparity(observed, world_from_cam, frame)
+        if not is_alone:
+            observed = self._aligner.with_disparity(observed, world_from_cam, frame)
         fit = self._estimator.refine(observed, world_from_cam)
+        in_view = len(visible.rows)
+        if is_alone:
+            in_view = int(np.count_nonzero(self._map.found[visible.rows] > 1))
         self._map.visible[visible.rows] += 1
         self._map.found[observed.rows[fit.inlier]] += 1
-        if int(fit.inlier.sum()) < self._min_inliers(len(visible.rows)):
+        if int(fit.inlier.sum()) < self._min_inliers(in_view):
             return None
         ids = self._map.id[observed.rows]
-        return TrackedFrame(
-            inverse(fit.cam_from_world), ids, observed, fit.inlier, len(visible.rows)
-        )
+        return TrackedFrame(inverse(fit.cam_from_world), ids, observed, fit.inlier, in_view)
 
     def _min_inliers(self, visible: int) -> float:
         """Minimum number of inliers; half as many where they are most of the landmarks in view."""
