@@ -37,14 +37,15 @@ def compare_stereo_images(pairs: _Pairs, rig: Rig | None) -> StereoReport | None
     if working is not None:
         pairs = [(working.rectify(a, 0), working.rectify(b, 1)) for a, b in pairs]
     compared = _compare(pairs, working)
-    if compared is None or abs(compared.row_spread_px) > _MAX_SPREAD_PX:
+    differs = compared is None or abs(compared.row_spread_px) > _MAX_SPREAD_PX
+    if working is not None and differs:
         compared = _compare_turned(pairs, working) or compared
     if compared is None:
         return None
     return replace(compared, is_same_camera=any(is_same) and False not in is_same)
 
 
-def _compare_turned(pairs: _Pairs, working: RectifiedRig | None) -> StereoReport | None:
+def _compare_turned(pairs: _Pairs, working: RectifiedRig) -> StereoReport | None:
     """Comparison with mirrored or turned right images, None if rows do not agree then either."""
     for how, code in TURNS.items():
         turned = [(a, np.asarray(cv2.flip(b, code), dtype=np.uint8)) for a, b in pairs]
