@@ -252,6 +252,7 @@ class Odometry:
             inliers=0 if tracked is None else tracked.inliers,
             median_disparity_px=None if tracked is None else tracked.median_disparity_px,
             faults=result.every_fault + self._updater.faults,
+            tracked_anew_from=frame.misled[0].index if frame.misled else None,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,
             stage_ms=self.stopwatch.take(),

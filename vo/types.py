@@ -366,6 +366,8 @@ class Estimate:
         disparity_offset_px: bias of disparities that is corrected now.
         median_disparity_px: median over the inliers, None without disparities.
         faults: faults of the recording that were found in the frame.
+        tracked_anew_from: number of the first frame that has been tracked once more, with what was
+            found in this one; None for no such frame.
     """
 
     frame_index: int
@@ -384,3 +386,4 @@ class Estimate:
     disparity_offset_px: float = 0.0
     median_disparity_px: float | None = None
     faults: tuple[Fault, ...] = ()
+    tracked_anew_from: int | None = None

@@ -27,3 +27,12 @@ def test_every_kind_has_two_texts(kind: FaultKind, is_handled: bool) -> None:
     (text,) = fault_warnings([FaultRecord(kind, is_handled, 2, 3, 4, 0.5)])
     (whole,) = fault_warnings([FaultRecord(kind, is_handled, 0, None, None, 0.5)])
     assert "{" not in text + whole and len(text) > 30
+
+
+def test_faults_of_frames_that_are_tracked_anew_are_withdrawn() -> None:
+    log = FaultLog()
+    log.add([Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=9.0), Fault(REPEATED)], frame=7)
+    log.withdraw_from(8)
+    assert len(log.records()) == 2
+    log.withdraw_from(3)
+    assert [record.kind for record in log.records()] == [REPEATED]  # seen in the images

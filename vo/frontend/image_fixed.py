@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.faults import Fault, FaultKind
+from vo.frontend.image_gradients import Gradients, correlation, gradients_of, window_mean
+from vo.frontend.image_overlay import OverlayDetector
 from vo.geometry.quantiles import percentiles
 from vo.types import Bools, Bytes, Floats32
 
-_SIDE_PX = 7  # of the window whose gradients are compared, pixels of the image of half the size
 _MARGIN_PX = 10  # of that image: lenses and rectification leave dark edges at the image's borders
 # Mean squared gradient (grey levels per pixel) of texture; and relative to the flattest parts of
 # the image, which show the noise.
@@ -30,7 +31,7 @@ _MIN_TEXTURED = 0.02  # ratio of the image
 # Normalised correlation of gradients: less has moved by a pixel or more, more has not moved.
 _MOVED, _SAME, _SAME_AS_MEAN = 0.65, 0.9, 0.8
 # Ratio of texture that must have moved, and the maximum of what is neither moved nor the same.
-_MIN_MOVED, _MAX_BETWEEN = 0.5, 0.15
+_MIN_MOVED, _MAX_BETWEEN = 0.4, 0.15
 # A camera stands where this ratio is the same and at least the other one has moved.
 _MIN_STANDING, _MIN_PASSING, _MIN_RELEASE = 0.55, 0.1, 0.6
 _MIN_RUN = 6  # comparisons without a change
@@ -45,7 +46,7 @@ _MEAN_OF = 8  # images that the mean gradient remembers
 _GROWTH_PX = 8  # added round what is fixed, pixels of the image of half the size: half a feature
 _SETTLED = 8  # comparisons after which a recording is taken to be free of such content
 # Frames between comparisons: at first, after `_SETTLED`, and after twice as many without a find.
-_STEPS = (2, 4, 8)
+_STEPS = (3, 6, 12)
 
 
 class ImageFixed(NamedTuple):
@@ -80,14 +81,6 @@ class ImageFixed(NamedTuple):
         return (Fault(FaultKind.IMAGE_FIXED_FEATURES, is_handled, self.share),)
 
 
-class _Gradients(NamedTuple):
-    """Gradient (H, W) along u and v, and its mean square in a window."""
-
-    u: Floats32
-    v: Floats32
-    energy: Floats32
-
-
 class ImageFixedDetector:
     """Compares images with each other and with the mean of those before.
 
@@ -99,12 +92,13 @@ class ImageFixedDetector:
         self.found = ImageFixed()
         self._shape: tuple[int, ...] = (0, 0)
         self._frames = self._next = self._comparisons = self._finds = 0
-        self._last: _Gradients | None = None
+        self._last: Gradients | None = None
         self._mean: tuple[Floats32, Floats32]
         self._run: NDArray[np.int32]
         self._fixed: Bools
         self._background: Bools | None = None  # has stood still while something passed
         self._has_moved: Bools
+        self._overlay = OverlayDetector()
         self._standing = 0  # comparisons in which most of the image stood, since it has moved
 
     def update(self, pyramid: tuple[Bytes, ...], shape: tuple[int, ...]) -> ImageFixed:
@@ -118,7 +112,7 @@ class ImageFixedDetector:
         if self._frames > self._next and pyramid:
             self._shape = shape
             self._next = self._frames - 1 + self._step()
-            self._compare(_gradients(pyramid[0]))
+            self._compare(gradients_of(pyramid[0]))
         return self.found
 
     def _step(self) -> int:
@@ -126,7 +120,7 @@ class ImageFixedDetector:
             return _STEPS[0]
         return _STEPS[1 if self._comparisons < 2 * _SETTLED else 2]
 
-    def _compare(self, now: _Gradients) -> None:
+    def _compare(self, now: Gradients) -> None:
         """Compare with the last image from which enough has moved."""
         if self._last is None:
             self._last = now
@@ -139,10 +133,15 @@ class ImageFixedDetector:
         count = int(np.count_nonzero(textured))
         if count < _MIN_TEXTURED * textured.size:
             return
-        similar = _correlation(now, self._last.u, self._last.v, self._last.energy)
+        similar = correlation(now, self._last.u, self._last.v, self._last.energy)
         moved, same = textured & (similar < _MOVED), textured & (similar > _SAME)
         moved_ratio, same_ratio = np.count_nonzero(moved) / count, np.count_nonzero(same) / count
         between = 1.0 - moved_ratio - same_ratio
+        if moved_ratio > _MIN_MOVED and self._overlay.update(
+            now, textured & (self._run < _MIN_RUN // 2)
+        ):
+            self.found = ImageFixed(share=1.0, is_ambiguous=True, finds=self._finds)
+            return
         if same_ratio > _MIN_STANDING and moved_ratio > _MIN_PASSING > between:
             self._stand(same, moved_ratio)
         elif moved_ratio > _MIN_MOVED and between < _MAX_BETWEEN * moved_ratio:
@@ -162,11 +161,11 @@ class ImageFixedDetector:
         if never > 0.5:
             self.found = ImageFixed(None, never, is_ambiguous=True, finds=self._finds)
 
-    def _count_runs(self, now: _Gradients, textured: Bools, moved: Bools) -> None:
+    def _count_runs(self, now: Gradients, textured: Bools, moved: Bools) -> None:
         """Count comparisons without a change, each with the mean of those before."""
         mean_u, mean_v = self._mean
-        energy = _box(mean_u * mean_u + mean_v * mean_v)
-        similar = _correlation(now, mean_u, mean_v, energy)
+        energy = window_mean(mean_u * mean_u + mean_v * mean_v)
+        similar = correlation(now, mean_u, mean_v, energy)
         same = textured & (similar > _SAME_AS_MEAN) & (energy > 0.5 * _MIN_TEXTURE)
         self._run = np.where(same, self._run + 1, 0)
         weight = 1.0 / (1.0 + np.minimum(self._run, _MEAN_OF)).astype(np.float32)
@@ -181,14 +180,16 @@ class ImageFixedDetector:
     def _judge(self, count: int) -> None:
         """Mask what has not changed for long enough."""
         self._comparisons += 1
-        fixed = self._run >= _MIN_RUN
+        fixed, unclear = self._run >= _MIN_RUN, False
         if self._background is not None:
+            never = np.count_nonzero(fixed & self._background & ~self._has_moved)
+            unclear = bool(never > _MIN_SHARE * count)
             fixed &= ~self._background
         self._fixed |= fixed
         share = float(np.count_nonzero(self._fixed)) / count
         is_new = self.found.mask is None
-        is_ambiguous = share > _MAX_SHARE or _is_everywhere(self._fixed)
-        if share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE):
+        is_ambiguous = unclear or share > _MAX_SHARE or _is_everywhere(self._fixed)
+        if share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE) and not unclear:
             is_settled = self._finds == 0 and self._comparisons >= _SETTLED
             self.found = ImageFixed(finds=self._finds, is_settled=is_settled)
         elif is_ambiguous and is_new:
@@ -214,12 +215,7 @@ def _is_everywhere(fixed: Bools) -> bool:
     return bool(fixed.mean() > _MAX_AREA or opposite > _MAX_OPPOSITE)
 
 
-def _gradients(image: Bytes) -> _Gradients:
-    u, v = (g.astype(np.float32) * np.float32(0.125) for g in cv2.spatialGradient(image))
-    return _Gradients(u, v, _box(u * u + v * v))
-
-
-def _textured(gradients: _Gradients) -> Bools:
+def _textured(gradients: Gradients) -> Bools:
     """(H, W) where there is texture, without the margin."""
     energy = gradients.energy
     noise = float(percentiles(energy[::8, ::8], (_FLATTEST_PERCENT,))[0])
@@ -227,13 +223,3 @@ def _textured(gradients: _Gradients) -> Bools:
     inside = np.zeros_like(textured)
     inside[_MARGIN_PX:-_MARGIN_PX, _MARGIN_PX:-_MARGIN_PX] = True
     return np.asarray(textured & inside)
-
-
-def _correlation(now: _Gradients, u: Floats32, v: Floats32, energy: Floats32) -> Floats32:
-    """(H, W) correlation of gradients with others, which have no mean to be removed."""
-    product = _box(now.u * u + now.v * v)
-    return np.asarray(product / np.sqrt(now.energy * energy + np.float32(1e-3)))
-
-
-def _box(values: Floats32) -> Floats32:
-    return np.asarray(cv2.boxFilter(values, -1, (_SIDE_PX, _SIDE_PX)))

@@ -7,6 +7,14 @@ from typing import Any, NamedTuple
 
 from vo.faults import Fault, FaultKind
 
+# Found by tracking, and not in the images alone.
+_OF_TRACKING = (
+    FaultKind.TWO_MOTIONS,
+    FaultKind.IMPLAUSIBLE_STEP,
+    FaultKind.WRONG_STEREO_CALIBRATION,
+    FaultKind.WRONG_LENS,
+)
+
 
 class FaultRecord(NamedTuple):
     """All faults of one kind in a run.
@@ -45,6 +53,13 @@ class FaultLog:
             count = 0 if frame is None else 1
             record = FaultRecord(fault.kind, fault.is_handled, count, frame, frame, fault.value)
             self._records[fault.kind] = record if before is None else _joined(before, record)
+
+    def withdraw_from(self, frame: int) -> None:
+        """Remove what tracking has found from a frame on, which has been tracked anew."""
+        for kind in _OF_TRACKING:
+            record = self._records.get(kind)
+            if record is not None and record.first is not None and record.first >= frame:
+                del self._records[kind]
 
     def records(self) -> tuple[FaultRecord, ...]:
         """One record for each kind, in the order of `FaultKind`."""

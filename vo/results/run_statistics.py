@@ -52,6 +52,8 @@ class RunStatistics:
     def add(self, estimate: Estimate) -> None:
         """Add a frame."""
         self.frames.append(estimate.frame_index)
+        if estimate.tracked_anew_from is not None:
+            self.faults.withdraw_from(estimate.tracked_anew_from)
         self.faults.add(estimate.faults, estimate.frame_index)
         if estimate.world_from_cam0 is None:
             self.without_pose[estimate.frame_index] = MissingPose(estimate.state, estimate.failure)
