@@ -113,8 +113,9 @@ def assign_stamps(
 
 
 def find_times_file(*folders: Path) -> Path | None:
-    """The first file of stamps in some folders, or None."""
-    return first_existing([folder / name for folder in folders for name in _TIMES_FILES])
+    """The first file of stamps in some folders, or None; reading it fails if it is a pipe."""
+    candidates = [folder / name for folder in folders for name in _TIMES_FILES]
+    return next((path for path in candidates if path.exists() and not path.is_dir()), None)
 
 
 def _right(folder: Path, left: list[Shot], named: bool) -> list[Shot] | None:
