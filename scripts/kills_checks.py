@@ -12,7 +12,7 @@ from typing import Any
 TABLES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv", "frames.csv")
 HEADINGS = {"poses.csv", "covariance.csv", "frames.csv"}
 MAX_BEHIND_S = 1.0  # of a recording, after SIGKILL
-_EXPORTS_FROM = 10  # frames with a pose from which an export has points
+_EXPORTS_FROM = 3  # keyframes from which an export has points
 
 
 @dataclass
@@ -62,10 +62,11 @@ def check(folder: Path, was_killed: bool, frames_per_s: float) -> Rest:
         if found is not None and found < wanted - behind:
             problems.append(f"{name}: {found} of {wanted} frames")
     points = _read(problems, "map.ply", lambda: ply_points(folder / "map.ply"))
-    if points == 0 and posed >= _EXPORTS_FROM and not was_killed:
+    has_points = rows["covariance.csv"] >= _EXPORTS_FROM
+    if points == 0 and has_points and not was_killed:
         problems.append("map.ply has no points")
     images = _read(problems, "model", lambda: colmap_images(folder / "model"))
-    if images == 0 and posed >= _EXPORTS_FROM and not was_killed:
+    if images == 0 and has_points and not was_killed:
         problems.append("model has no images")
     return rest
 

@@ -38,12 +38,14 @@ def main() -> None:
 
     atexit.register(gc.freeze)  # a garbage collection at exit would be wasted time
     if handles_interrupts:
-        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # everything is done
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         app()
     except KeyboardInterrupt:  # before or after the command
         _exit_at_once(signal.SIGINT, None)
+    finally:
+        if handles_interrupts:  # everything is done: libraries must not be interrupted at exit
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _exit_at_once(number: int, frame: FrameType | None) -> None:
