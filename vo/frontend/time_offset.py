@@ -130,32 +130,38 @@ class TimeOffsetEstimator:
     def _estimate(self) -> None:
         if len(self._pairs) < _MIN_PAIRS:
             return
-        # Points do not move evenly: of early right images the speed before counts, of late ones
-        # that after. Wrong matches make several minima.
         interval_ms = median([pair.interval_ms for pair in self._pairs])
-        fits = [self._fit(start, is_before=True) for start in (0.0, -interval_ms)]
-        later = [self._fit(start, is_before=False) for start in (0.0, interval_ms)]
-        fits = [fit for fit in fits if fit.offset_ms <= 0.0] + [
-            fit for fit in later if fit.offset_ms >= 0.0
-        ]
-        best = min(fits, key=lambda fit: fit.residual_px, default=_Fit(0.0, 0.0, 0.0))
+        # Wrong matches make several minima.
+        fits = [self._fit(start, interval_ms) for start in (0.0, -interval_ms, interval_ms)]
+        best = min(fits, key=lambda fit: fit.residual_px)  # the first of equal ones
         least = max(_MIN_OFFSET_MS, _MIN_OFFSET_RATIO * interval_ms)
         is_certain = abs(best.offset_ms) > max(least, _SIGNIFICANT * best.sigma_ms)
         self.offset_ms = best.offset_ms if is_certain else None
 
-    def _fit(self, offset_ms: float, *, is_before: bool) -> _Fit:
-        """Iteratively reweighted least squares with Cauchy weights, starting from an offset."""
+    def _fit(self, offset_ms: float, interval_ms: float) -> _Fit:
+        """Iteratively reweighted least squares with Cauchy weights, starting from an offset.
+
+        Points do not move evenly: their path is a parabola through the three images. In the time
+        from 0 to the offset their mean speed is a + offset b, a and b from the speeds before and
+        after.
+        """
         pairs = self._pairs
-        speed = np.concatenate([p.speed_before if is_before else p.speed_after for p in pairs])
-        known = np.isfinite(speed)
+        before = np.concatenate([p.speed_before for p in pairs])
+        after = np.concatenate([p.speed_after for p in pairs])
+        known = np.isfinite(before + after)
         if np.count_nonzero(known) < _MIN_POINTS:
             return _Fit(0.0, np.inf, np.inf)
-        terms = np.column_stack([np.concatenate([p.terms for p in pairs]), speed])[known]
+        a = 0.5 * (before + after)[known]
+        b = 0.5 * (after - before)[known] / interval_ms
+        static = np.concatenate([p.terms for p in pairs])[known]
         rows = np.concatenate([p.rows_px for p in pairs])[known]
         prior = np.diag([*PRIOR_SIGMA_PX**-2.0, 1e-9])
         found = np.array([0.0, 0.0, 0.0, 0.0, 0.0, offset_ms])
-        found[0] = median(rows - terms @ found)
-        for _ in range(_ITERATIONS):
+        for step in range(_ITERATIONS):
+            bounded = float(np.clip(found[-1], -interval_ms, interval_ms))
+            terms = np.column_stack([static, a + bounded * b])
+            if step == 0:
+                found[0] = median(rows - terms @ found)
             residual = rows - terms @ found
             sigma = max(_MIN_SIGMA_PX, 1.4826 * median(np.abs(residual)))
             weight = 1.0 / (_CORRELATION * sigma**2 * (1.0 + (residual / (2.0 * sigma)) ** 2))
