@@ -33,8 +33,7 @@ class ImageChange(NamedTuple):
 
     Attributes:
         repetition: whether the image repeats the one before.
-        motion_px: apparent motion, saturated at about a pixel; infinite if little is the same, NaN
-            if unknown.
+        motion_px: apparent motion, saturated at about a pixel; NaN if unknown.
     """
 
     repetition: Repetition = Repetition.NONE
@@ -42,16 +41,32 @@ class ImageChange(NamedTuple):
 
 
 class RepetitionDetector:
-    """Compares the images of each frame, as recorded, with those of the frame before."""
+    """Compares the images of each frame, as recorded, with those of the frame before.
+
+    Attributes:
+        is_right_frozen: whether the newest right image repeats, but the left ones have not since
+            the right ones began to. A pair that stands still repeats together.
+    """
 
     def __init__(self) -> None:
+        self.is_right_frozen = False
         self._before: tuple[Bytes | None, ...] = ()
+        self._has_stood = False  # left and right, since the right image last changed
 
     def update(self, images: tuple[Bytes | None, ...]) -> tuple[ImageChange, ...]:
         """Change of the next images, by camera."""
         before = self._before or (None,) * len(images)
         self._before = images
-        return tuple(map(image_change, before, images))
+        changes = tuple(map(image_change, before, images))
+        if len(changes) > 1:
+            left, right = changes[0], changes[1]
+            is_repeated = right.repetition is not Repetition.NONE
+            has_stood = self._has_stood or left.repetition is not Repetition.NONE
+            self._has_stood = is_repeated and has_stood
+            is_frozen = is_right_frozen(left, right)
+            is_certain = right.repetition is Repetition.IDENTICAL or not self._has_stood
+            self.is_right_frozen = is_frozen and is_certain
+        return changes
 
 
 def image_change(before: Bytes | None, now: Bytes | None) -> ImageChange:
@@ -83,9 +98,9 @@ def is_right_frozen(left: ImageChange, right: ImageChange) -> bool:
 def _compare(before, now):  # type: ignore[no-untyped-def]
     """Sum of absolute differences, apparent motion in pixels, and whether there are edges.
 
-    Motion by m pixels changes the grey level at an edge of gradient g by m g; noise changes flat
-    parts as much as edges. The motion is infinite if flat parts change by more than noise, and NaN
-    without them.
+    Motion by m pixels changes the grey level at an edge of gradient g by m g; noise and exposure
+    change flat parts as much as edges. The motion is NaN if flat parts are missing, or change by
+    more than noise and as much as edges.
     """
     height, width = now.shape
     total, edge, flat, gradient, edges, flats = 0.0, 0.0, 0.0, 0.0, 0, 0
@@ -104,6 +119,6 @@ def _compare(before, now):  # type: ignore[no-untyped-def]
     has_edges = edges >= _MIN_PIXELS
     if not has_edges or flats < _MIN_PIXELS:
         return total, np.nan, has_edges
-    if flat > _MAX_NOISE * flats:
-        return total, np.inf, has_edges
-    return total, (edge / edges - flat / flats) / (0.5 * gradient / edges), has_edges
+    motion_px = (edge / edges - flat / flats) / (0.5 * gradient / edges)
+    is_unclear = flat > _MAX_NOISE * flats and motion_px < _MIN_MOVING_PX
+    return total, np.nan if is_unclear else motion_px, has_edges

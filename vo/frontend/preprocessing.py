@@ -13,7 +13,7 @@ from vo.faults import Fault, FaultKind
 from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
 from vo.frontend.image_fixed import ImageFixed, ImageFixedDetector
-from vo.frontend.image_repetition import Repetition, RepetitionDetector, is_right_frozen
+from vo.frontend.image_repetition import Repetition, RepetitionDetector
 from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
@@ -170,9 +170,9 @@ class FramePreprocessor:
             pool.shutdown(cancel_futures=True)
 
     def _preprocess(self, frame: Frame) -> PreprocessedFrame:
-        left_change, *right_change = self._repetition.update(frame.images)
+        left_change = self._repetition.update(frame.images)[0]
         faults: tuple[Fault, ...] = ()
-        if self._rig.is_stereo and any(is_right_frozen(left_change, each) for each in right_change):
+        if self._rig.is_stereo and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
             faults = (Fault(FaultKind.REPEATED_RIGHT_IMAGES, is_handled=True),)
         recorded = RecordedFrame(frame, left_change.repetition, faults)
