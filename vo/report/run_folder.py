@@ -23,6 +23,7 @@ _log = logging.getLogger(__name__)
 
 _PARTIAL = ".partial"  # of a run that was killed
 _STAGE_SUFFIX = "_ms"
+_MAX_MS = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +172,11 @@ def _frames(path: Path) -> FrameTable | None:
             for name in rows[0]
             if name.endswith(_STAGE_SUFFIX)
         }
+        if not all((np.abs(values) <= _MAX_MS).all() for values in times.values()):
+            raise ValueError("a time is no finite number")
         state = np.array([row["state"] for row in rows])
         return FrameTable(**counts, state=state, total_ms=times.pop("total"), stage_ms=times)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
 
 
@@ -191,7 +194,7 @@ def _sigmas(path: Path) -> Sigmas | None:
             np.array([int(row[name]) for row in known], dtype=np.int64)
             for name in ("stamp_ns", "segment")
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
     rotation_rad = np.sqrt(rotation.sum(axis=1))
     return Sigmas(stamps, segments, np.sqrt(position.sum(axis=1)), np.rad2deg(rotation_rad))

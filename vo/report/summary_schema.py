@@ -35,6 +35,7 @@ _SCHEMA: dict[str, Any] = {
         }
     ],
     "versions": {},
+    "interpolated?": _WHOLE,
     "faults?": [{"is_handled": _YES_NO}],
     "length_unit?": _TEXT,
     "calibration?": _TEXT + _OPTIONAL,

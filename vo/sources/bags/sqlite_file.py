@@ -120,7 +120,7 @@ class SqliteFile:
                 database.text_factory = lambda text: text.decode(errors="replace")
                 _limit(database, self.path.stat().st_size)
                 yield database
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in names of columns
             raise SourceError(
                 f"{self.path} cannot be read as a ROS 2 bag: {error}; try to recover a damaged "
                 "one with `sqlite3 FILE .recover`"

@@ -107,7 +107,7 @@ def in_order_of_log(stamps: Sequence[int], log_ns: Sequence[int]) -> tuple[list[
     Returns:
         The stamps, and by how many nanoseconds the clock was set back; 0 if it was not.
     """
-    if max(*stamps, *log_ns, 0) > MAX_STAMP_NS:  # damaged; left out later
+    if max([*stamps, *log_ns], default=0) > MAX_STAMP_NS:  # damaged; left out later
         return list(stamps), 0
     times, logged = np.array(stamps, dtype=np.int64), np.array(log_ns, dtype=np.int64)
     jumps = _jumps(times, logged)
