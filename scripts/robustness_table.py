@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from textwrap import fill
 from typing import Any
 
 from robustness_run import Outcome
@@ -107,8 +108,7 @@ def document(rows: list[Row], clean: list[CleanRow]) -> str:
     wrong = sum(row.is_wrong_and_trusted for row in rows)
     alarms = sum(row.false_alarms for row in clean)
     lines = [
-        f"{len(rows)} recordings with faults: {counts}.",
-        f"Wrong and trusted: **{wrong}**.",
+        fill(f"{len(rows)} recordings with faults: {counts}. Wrong and trusted: **{wrong}**.", 100),
         "",
         "| situation | variant | recording | ATE, m | clean, m | frames | step | result "
         "| reported |",
