@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from vo.failures import Failure, FailureReason, ImageDefect
+from vo.frontend.interlacing import share_of_combs
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.quantiles import median, percentiles
 from vo.types import Bytes
@@ -15,12 +16,10 @@ _BLACK, _WHITE = 16, 250
 _MIN_RANGE = 6  # grey levels; the noise of a sensor alone has about as many
 
 # Limits of defects that are named only where tracking has failed. Well exposed, sharp recordings
-# have: 95th percentile above 175, range above 130, blur below 0.4, row ratio below 0.7, noise
-# below 3 grey levels.
+# have: 95th percentile above 175, range above 130, blur below 0.4, noise below 3 grey levels.
 _SMALL_PIXELS = 50_000
 _DARK = 60
 _LOW_RANGE = 30
-_INTERLACED = 1.1  # noise alone has a row ratio of 1
 _BLURRED = 0.6
 _NOISY = 15.0
 
@@ -67,7 +66,7 @@ def image_defect(image: Bytes) -> ImageDefect | None:
         return ImageDefect.DARK
     if high - low < _LOW_RANGE:
         return ImageDefect.LOW_CONTRAST
-    if row_ratio(image) > _INTERLACED:
+    if share_of_combs(image) > 0:
         return ImageDefect.INTERLACED
     if noise_level(image) > _NOISY:
         return ImageDefect.NOISY
@@ -91,17 +90,6 @@ def blur(image: Bytes) -> float:
         lost = float(np.maximum(detail - kept, 0.0).sum())
         worst = max(worst, (total - lost) / total if total > 0 else 1.0)
     return worst
-
-
-def row_ratio(image: Bytes) -> float:
-    """Mean difference of neighbouring rows, relative to rows two apart.
-
-    Below 1 in images, 1 in noise, above 1 where odd and even rows were taken at different times.
-    """
-    grey = image.astype(np.int16)
-    next_row = float(np.abs(grey[1:] - grey[:-1]).mean()) if len(grey) > 1 else 0.0
-    row_after = float(np.abs(grey[2:] - grey[:-2]).mean()) if len(grey) > 2 else 0.0
-    return next_row / row_after if row_after > 0 else 0.0
 
 
 def noise_level(image: Bytes) -> float:

@@ -14,6 +14,7 @@ from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
 from vo.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.frontend.image_repetition import Repetition, RepetitionDetector
+from vo.frontend.interlacing import InterlacingDetector
 from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
@@ -134,6 +135,7 @@ class FramePreprocessor:
         self._vertical_disparity = vertical_disparity
         self._pair_check = pair_check
         self._repetition = RepetitionDetector()
+        self._interlacing = InterlacingDetector()
         self._image_fixed = ImageFixedDetector()
         self._recent = RecentFrames()
         self._time_offset = TimeOffsetEstimator(rig)
@@ -171,10 +173,14 @@ class FramePreprocessor:
 
     def _preprocess(self, frame: Frame) -> PreprocessedFrame:
         left_change = self._repetition.update(frame.images)[0]
-        faults: tuple[Fault, ...] = ()
+        self._interlacing.update(frame.image0)
+        faults = self._interlacing.faults
         if self._rig.is_stereo and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
-            faults = (Fault(FaultKind.REPEATED_RIGHT_IMAGES, is_handled=True),)
+            faults = (
+                *faults,
+                Fault(FaultKind.REPEATED_RIGHT_IMAGES, is_handled=True),
+            )
         recorded = RecordedFrame(frame, left_change.repetition, faults)
         image0 = self._rig.rectify(frame.image0, 0)
         pyramid = half_size_pyramid(image0)

@@ -37,6 +37,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "tracked with the left camera alone, as the right image did not agree: {frames}",
         "tracked with the left camera alone for too long to keep the scale: {frames}",
     ),
+    FaultKind.INTERLACED_IMAGES: (
+        "odd and even rows of images were taken at different times (interlaced video): {frames}",
+        "odd and even rows of images were taken at different times (interlaced video; they "
+        "alternate at up to {value:.1%} of the pixels), which bends what moves: {frames}; "
+        "deinterlace the video first, or keep every second row (and halve fy and cy)",
+    ),
     FaultKind.IMPLAUSIBLE_STEP: (
         "a step that neither the motion before nor that after supports gets no pose: {frames} "
         "(flicker, snow, or something that moves through the image?)",
