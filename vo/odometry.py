@@ -164,13 +164,13 @@ class Odometry:
         newest = self._map.keyframes[-1]
         for each in self._frozen_camera.resume(tracked):
             self._trajectory.add_frame(each, newest, self._tracker.last_pose)
-        self._tracker.update(frame, tracked)
+        faults = self._tracker.update(frame, tracked)
         keyframe = None
         if self._needs_keyframe(frame, tracked):
             keyframe = self._add_keyframe(frame, tracked)
         else:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
-        return FrameResult(frame, tracked, keyframe, before)
+        return FrameResult(frame, tracked, keyframe, before, faults=faults)
 
     def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:
         change = self._policy.change_since_last(self._map, frame, tracked)

@@ -19,8 +19,8 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     FaultKind.TWO_MOTIONS: (
         "two motions explain much of the image (a large moving object?); the path follows the one "
         "that continues: {frames}",
-        "two motions explain much of the image (a large moving object?), and which one is the "
-        "camera's is uncertain: {frames}",
+        "{value:.0%} of the map in view do not agree with the motion found: something large that "
+        "moves may fill the image, and which motion is the camera's is uncertain: {frames}",
     ),
     FaultKind.REPEATED_IMAGES: (
         "images repeat the one before while the camera moves, and get no pose: {frames}; check the "

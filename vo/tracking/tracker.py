@@ -14,6 +14,7 @@ import numpy as np
 
 from vo.config import StartConfig, TrackingConfig
 from vo.failures import Failure, FailureReason
+from vo.faults import Fault
 from vo.frontend.contracts import Circles, FeatureSet, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.preprocessing import PreprocessedFrame
@@ -26,6 +27,7 @@ from vo.stopwatch import Stopwatch, timed
 from vo.tracking.essential_matrix import EssentialMatrixFallback
 from vo.tracking.landmark_alignment import LandmarkAligner
 from vo.tracking.last_frame import LastFrame, last_frame
+from vo.tracking.map_agreement import MapAgreement
 from vo.tracking.motion_model import MotionModel
 from vo.tracking.pose_estimation import PoseEstimator
 from vo.tracking.sparse_image_alignment import sparse_image_alignment
@@ -84,6 +86,7 @@ class Tracker:
         self._aligner = LandmarkAligner(local_map, frontend, config.min_inliers)
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
         self._steps = StepCheck(is_metric=local_map.rig.is_stereo)
+        self._agreement = MapAgreement()
         self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
 
     @property
@@ -95,15 +98,17 @@ class Tracker:
         """Begin at the frame that a new map was made of, with unknown velocity."""
         self._motion.restart(frame.stamp_ns, tracked.world_from_cam)
         self._steps.restart(frame.stamp_ns)
+        self._agreement.restart()
         self.last = last_frame(frame, tracked)
         self.knows_velocity = False
 
-    def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
-        """Continue from a tracked frame."""
+    def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> tuple[Fault, ...]:
+        """Continue from a tracked frame; the faults that it shows."""
         self._steps.update(self._step(frame, tracked))
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
+        return self._agreement.update(tracked)
 
     def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""
