@@ -98,6 +98,9 @@ def _moving() -> Iterator[Case]:
             yield Case("train there from the start, camera stands", f"{percent} %", clip, there)
     for clip in ("kitti06 stereo", "kitti07 mono", "hall stereo"):
         yield from _shares("train, camera moves", clip, overlays.train, ())
+        for px in (6.0, 25.0):
+            slower = overlays.train(0.6, px)
+            yield Case(f"train of {px:.0f} px a frame, camera moves", "60 %", clip, slower)
 
 
 def _repeated() -> Iterator[Case]:
