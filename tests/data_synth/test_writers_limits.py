@@ -49,6 +49,7 @@ def test_recordings_that_fit_are_accepted(name: str, rig: Rig) -> None:
 ROTATED = make_transform(so3_exp(np.array([0.0, 1e-5, 0.0])), BESIDE[:3, 3])
 RAISED = make_transform(np.eye(3), np.array([-0.11, 1e-5, 0.0]))
 LEFT = make_transform(np.eye(3), np.array([0.11, 0.0, 0.0]))
+IN_FRONT = make_transform(np.eye(3), np.array([0.0, 0.0, -0.11]))
 
 
 @pytest.mark.parametrize(
@@ -98,4 +99,4 @@ def test_tum_refuses_a_pair_and_no_depth(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["mcap", "mcap-ros2"])
 def test_mcap_refuses_a_pair_that_cannot_be_rectified(name: str) -> None:
     with pytest.raises(CalibrationError, match="cam1"):
-        check(Recipe(format=name), Rig(IDEAL, IDEAL, LEFT))
+        check(Recipe(format=name), Rig(IDEAL, IDEAL, IN_FRONT))
