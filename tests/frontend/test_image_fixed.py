@@ -100,6 +100,13 @@ def _past_a_plane(count: int) -> Iterable[Bytes]:
         yield _noisy(cv2.remap(scene, moved, v, cv2.INTER_LINEAR), i)
 
 
+def _with_a_slow_part(count: int) -> Iterable[Bytes]:
+    """As a distant place drifts: a fifth of a pixel per frame, where the rest moves by 4."""
+    slow = _panning(0.2, count)
+    for i, image in enumerate(_panning(4.0, count)):
+        yield _noisy(np.vstack([image[:180], slow[i][180:]]), i)
+
+
 def _at_rest(count: int) -> Iterable[Bytes]:
     scene = _texture(5, _SHAPE[1])
     return (_noisy(scene, i) for i in range(count))
@@ -114,7 +121,7 @@ def _passed_by(scene: Floats32, count: int) -> Iterable[Bytes]:
         yield _noisy(image, i)
 
 
-@pytest.mark.parametrize("scene", [_expanding, _past_a_plane, _at_rest])
+@pytest.mark.parametrize("scene", [_expanding, _past_a_plane, _with_a_slow_part, _at_rest])
 def test_finds_nothing_in_scenes(scene: Callable[[int], Iterable[Bytes]]) -> None:
     assert not any(each.is_present for each in _find(scene(80)))
 

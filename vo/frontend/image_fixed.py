@@ -6,7 +6,8 @@ for landmarks, and a camera that does not move explains them perfectly.
 Images are compared when the scene has moved clearly: where nearly all textured places have changed
 and the others are exactly as before. Distant places, the focus of expansion, and vehicles ahead
 move a little too: such images are passed over until they have moved, and so have no long runs of
-comparisons without a change.
+comparisons without a change. What drifts more slowly than the mean of images forgets is told from
+fixed content by its first image, which it matches best a fraction of a pixel away.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.faults import Fault, FaultKind
-from vo.frontend.image_gradients import Gradients, correlation, gradients_of, window_mean
+from vo.frontend.image_gradients import (
+    Gradients,
+    correlation,
+    gradients_of,
+    lies_still,
+    window_mean,
+)
 from vo.frontend.image_overlay import OverlayDetector
 from vo.geometry.quantiles import percentiles
 from vo.types import Bools, Bytes, Floats32
@@ -35,7 +42,10 @@ _MIN_MOVED, _MAX_BETWEEN = 0.4, 0.15
 # A camera stands where this ratio is the same and at least the other one has moved.
 _MIN_STANDING, _MIN_PASSING, _MIN_RELEASE = 0.55, 0.1, 0.6
 _MIN_RUN = 6  # comparisons without a change
-# Ratio of texture: on recordings without such content, at most 0.016 has a run of 6.
+# Pixels of the image of half the size, since the run began. Most of a body lies within a tenth.
+_MAX_DRIFT_PX = 0.3
+# Ratio of texture: on recordings without such content, at most 0.031 has a run of 6, and at most
+# 0.009 lies still as well.
 _MIN_SHARE, _MAX_SHARE = 0.035, 0.5
 # What covers more of the image than this, or this much of its upper and its lower third, may as
 # well be the background of something large that passes a camera at rest.
@@ -94,6 +104,7 @@ class ImageFixedDetector:
         self._frames = self._next = self._comparisons = self._finds = 0
         self._last: Gradients | None = None
         self._mean: tuple[Floats32, Floats32]
+        self._first: tuple[Floats32, Floats32]  # gradients where each pixel's run began
         self._run: NDArray[np.int32]
         self._fixed: Bools
         self._background: Bools | None = None  # has stood still while something passed
@@ -125,6 +136,7 @@ class ImageFixedDetector:
         if self._last is None:
             self._last = now
             self._mean = now.u.copy(), now.v.copy()
+            self._first = now.u.copy(), now.v.copy()
             self._run = np.zeros(now.u.shape, np.int32)
             self._fixed = np.zeros(now.u.shape, bool)
             self._has_moved = np.zeros(now.u.shape, bool)
@@ -149,7 +161,7 @@ class ImageFixedDetector:
             self._has_moved |= moved
             self._standing = 0
             self._count_runs(now, textured, moved)
-            self._judge(count)
+            self._judge(now, count)
 
     def _stand(self, same: Bools, moved_ratio: float) -> None:
         """Most of the image is the same while something moves: the camera stands, probably."""
@@ -168,6 +180,8 @@ class ImageFixedDetector:
         similar = correlation(now, mean_u, mean_v, energy)
         same = textured & (similar > _SAME_AS_MEAN) & (energy > 0.5 * _MIN_TEXTURE)
         self._run = np.where(same, self._run + 1, 0)
+        for first, gradient in zip(self._first, now, strict=False):
+            np.copyto(first, gradient, where=~same)
         weight = 1.0 / (1.0 + np.minimum(self._run, _MEAN_OF)).astype(np.float32)
         mean_u += weight * (now.u - mean_u)
         mean_v += weight * (now.v - mean_v)
@@ -177,7 +191,7 @@ class ImageFixedDetector:
             if np.count_nonzero(self._background & moved) > _MIN_RELEASE * stood:
                 self._background = None  # the camera has moved since
 
-    def _judge(self, count: int) -> None:
+    def _judge(self, now: Gradients, count: int) -> None:
         """Mask what has not changed for long enough."""
         self._comparisons += 1
         fixed, unclear = self._run >= _MIN_RUN, False
@@ -188,6 +202,8 @@ class ImageFixedDetector:
         self._fixed |= fixed
         share = float(np.count_nonzero(self._fixed)) / count
         is_new = self.found.mask is None
+        if is_new and (share >= _MIN_SHARE or unclear) and not self._lies_still(now, count):
+            share, unclear = 0.0, False
         is_ambiguous = unclear or share > _MAX_SHARE or _is_everywhere(self._fixed)
         if share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE) and not unclear:
             is_settled = self._finds == 0 and self._comparisons >= _SETTLED
@@ -197,6 +213,11 @@ class ImageFixedDetector:
         else:
             self._finds += is_new
             self.found = ImageFixed(self._mask(), self._area(), finds=self._finds)
+
+    def _lies_still(self, now: Gradients, count: int) -> bool:
+        """Whether enough of what has not changed is where it was when its run began."""
+        still = (self._run >= _MIN_RUN) & lies_still(now, *self._first, _MAX_DRIFT_PX)
+        return bool(np.count_nonzero(still) >= _MIN_SHARE * count)
 
     def _area(self) -> float:
         return float(np.mean(self._fixed))

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vo.types import Bytes, Floats32
+from vo.types import Bools, Bytes, Floats32
 
 _SIDE_PX = 7  # of the window whose gradients are compared
+_MIN_CURVATURE = 0.02  # of the correlation along an axis; less is an edge, along which all matches
 
 
 class Gradients(NamedTuple):
@@ -35,3 +36,31 @@ def correlation(now: Gradients, u: Floats32, v: Floats32, energy: Floats32) -> F
 def window_mean(values: Floats32) -> Floats32:
     """(H, W) mean of values (H, W) in the window round each pixel."""
     return np.asarray(cv2.boxFilter(values, -1, (_SIDE_PX, _SIDE_PX)))
+
+
+def lies_still(now: Gradients, u: Floats32, v: Floats32, max_px: float) -> Bools:
+    """(H, W) whether gradients match others at the same place better than beside it.
+
+    The correlation's maximum along each axis is that of a parabola through shifts of -1, 0, and
+    1 pixel; a shift along an edge cannot be told and counts as none.
+
+    Args:
+        now: gradients (H, W).
+        u: the others along u (H, W).
+        v: the others along v (H, W).
+        max_px: how far from the place the maximum may be.
+    """
+
+    def correlation_at(shift: int, axis: int) -> Floats32:
+        shifted_u, shifted_v = np.roll(u, shift, axis), np.roll(v, shift, axis)
+        energy = window_mean(shifted_u * shifted_u + shifted_v * shifted_v)
+        return correlation(now, shifted_u, shifted_v, energy)
+
+    centre = correlation_at(0, 0)
+    squared = np.zeros_like(centre)
+    for axis in (0, 1):
+        before, after = correlation_at(-1, axis), correlation_at(1, axis)
+        curvature = 2.0 * centre - before - after
+        peak = 0.5 * (after - before) / np.maximum(curvature, _MIN_CURVATURE)
+        squared += np.where(curvature > _MIN_CURVATURE, peak * peak, 0.0)
+    return np.asarray(squared < max_px * max_px)
