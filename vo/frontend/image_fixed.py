@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vo.faults import Fault, FaultKind
 from vo.frontend.image_gradients import (
@@ -52,7 +51,9 @@ _MIN_SHARE, _MAX_SHARE = 0.035, 0.5
 _MAX_AREA, _MAX_OPPOSITE = 0.33, 0.1
 # Ratio of texture that must move, in how many comparisons, while most of the image never has.
 _MIN_LONG_PASSING, _LONG = 0.3, 15
-_MEAN_OF = 8  # images that the mean gradient remembers
+# Images that the mean gradient remembers, and the weight of the newest after so many.
+_MEAN_OF = 8
+_WEIGHTS = (1.0 / (1.0 + np.arange(256))).astype(np.float32)
 _GROWTH_PX = 8  # added round what is fixed, pixels of the image of half the size: half a feature
 _SETTLED = 8  # comparisons after which a recording is taken to be free of such content
 # Frames between comparisons: at first, after `_SETTLED`, and after twice as many without a find.
@@ -105,7 +106,7 @@ class ImageFixedDetector:
         self._last: Gradients | None = None
         self._mean: tuple[Floats32, Floats32]
         self._first: tuple[Floats32, Floats32]  # gradients where each pixel's run began
-        self._run: NDArray[np.int32]
+        self._run: Bytes  # comparisons without a change, `_MEAN_OF` for more
         self._fixed: Bools
         self._background: Bools | None = None  # has stood still while something passed
         self._has_moved: Bools
@@ -137,7 +138,7 @@ class ImageFixedDetector:
             self._last = now
             self._mean = now.u.copy(), now.v.copy()
             self._first = now.u.copy(), now.v.copy()
-            self._run = np.zeros(now.u.shape, np.int32)
+            self._run = np.zeros(now.u.shape, np.uint8)
             self._fixed = np.zeros(now.u.shape, bool)
             self._has_moved = np.zeros(now.u.shape, bool)
             return
@@ -150,7 +151,7 @@ class ImageFixedDetector:
         moved_ratio, same_ratio = np.count_nonzero(moved) / count, np.count_nonzero(same) / count
         between = 1.0 - moved_ratio - same_ratio
         if moved_ratio > _MIN_MOVED and self._overlay.update(
-            now, textured & (self._run < _MIN_RUN // 2)
+            now, textured & (self._run < _MIN_RUN // 2), self._last, similar
         ):
             self.found = ImageFixed(share=1.0, is_ambiguous=True, finds=self._finds)
             return
@@ -179,10 +180,10 @@ class ImageFixedDetector:
         energy = window_mean(mean_u * mean_u + mean_v * mean_v)
         similar = correlation(now, mean_u, mean_v, energy)
         same = textured & (similar > _SAME_AS_MEAN) & (energy > 0.5 * _MIN_TEXTURE)
-        self._run = np.where(same, self._run + 1, 0)
+        self._run = np.minimum(self._run + same, _MEAN_OF, dtype=np.uint8) * same
         for first, gradient in zip(self._first, now, strict=False):
-            np.copyto(first, gradient, where=~same)
-        weight = 1.0 / (1.0 + np.minimum(self._run, _MEAN_OF)).astype(np.float32)
+            cv2.copyTo(gradient, (~same).view(np.uint8), first)
+        weight = cv2.LUT(self._run, _WEIGHTS)
         mean_u += weight * (now.u - mean_u)
         mean_v += weight * (now.v - mean_v)
         self._fixed &= ~(textured & (similar < _MOVED))

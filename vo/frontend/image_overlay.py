@@ -35,26 +35,36 @@ class OverlayDetector:
         self._images = 0
         self._in_a_row = 0
 
-    def update(self, now: Gradients, textured: Bools) -> bool:
-        """Add an image and where it is textured (H, W); whether a picture lies over the scene."""
+    def update(self, now: Gradients, textured: Bools, other: Gradients, similar: Floats32) -> bool:
+        """Add an image.
+
+        Args:
+            now: the gradients of the image.
+            textured: (H, W) where it is textured.
+            other: the gradients of an image before it.
+            similar: (H, W) correlation of the two, used if that was the last one added here.
+
+        Returns:
+            Whether a picture lies over the scene.
+        """
         if self._last is None:
             self._last, self._mean = now, (now.u.copy(), now.v.copy(), now.energy.copy())
-        elif self._images < _MAX_IMAGES and textured.any() and self._has_moved(now, textured):
-            self._last = now
-            self._images += 1
-            weight = np.float32(max(_WEIGHT, 1.0 / (1 + self._images)))
-            for mean, value in zip(self._mean, now, strict=True):
-                mean += weight * (value - mean)
-            if self._images >= _MIN_IMAGES:
-                is_coherent = self._coherence(textured) > _MIN_COHERENCE
-                self._in_a_row = self._in_a_row + 1 if is_coherent else 0
+        elif self._images < _MAX_IMAGES and textured.any():
+            if other is not self._last:
+                similar = correlation(now, self._last.u, self._last.v, self._last.energy)
+            if _has_moved(similar[textured]):
+                self._add(now, textured)
         return self._in_a_row >= _MIN_IN_A_ROW
 
-    def _has_moved(self, now: Gradients, textured: Bools) -> bool:
-        assert self._last is not None
-        similar = correlation(now, self._last.u, self._last.v, self._last.energy)[textured]
-        moved, same = float(np.mean(similar < _MOVED)), float(np.mean(similar > _SAME))
-        return moved > _MIN_MOVED and 1.0 - moved - same < _MAX_BETWEEN * moved
+    def _add(self, now: Gradients, textured: Bools) -> None:
+        self._last = now
+        self._images += 1
+        weight = np.float32(max(_WEIGHT, 1.0 / (1 + self._images)))
+        for mean, value in zip(self._mean, now, strict=True):
+            mean += weight * (value - mean)
+        if self._images >= _MIN_IMAGES:
+            is_coherent = self._coherence(textured) > _MIN_COHERENCE
+            self._in_a_row = self._in_a_row + 1 if is_coherent else 0
 
     def _coherence(self, textured: Bools) -> float:
         u, v, energy = self._mean
@@ -62,3 +72,9 @@ class OverlayDetector:
         remaining, energy = window_mean(u * u + v * v)[step, step], energy[step, step]
         at = textured[step, step] & (energy > _MIN_ENERGY)
         return median(remaining[at] / energy[at]) if at.any() else 0.0
+
+
+def _has_moved(similar: Floats32) -> bool:
+    """Whether nearly all places, by their correlation (N,), have moved or are the same."""
+    moved, same = float(np.mean(similar < _MOVED)), float(np.mean(similar > _SAME))
+    return moved > _MIN_MOVED and 1.0 - moved - same < _MAX_BETWEEN * moved
