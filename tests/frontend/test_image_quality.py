@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 
 from vo.cli.app import app
 from vo.failures import ImageDefect
-from vo.frontend.image_quality import blur, image_defect, noise_level
+from vo.faults import FaultKind
+from vo.frontend.image_quality import image_defect, noise_level
+from vo.frontend.sharpness import BlurDetector, blur
 from vo.types import Bytes
 
 SIZE = (120, 160)
@@ -94,3 +96,16 @@ def test_each_defect_is_measured(scene: Bytes) -> None:
     ):
         assert image_defect(image) is defect
     assert noise_level(noisy) == pytest.approx(25, rel=0.15)
+
+
+def test_a_recording_that_is_blurred_throughout_is_a_fault(scene: Bytes) -> None:
+    detector, blurred = BlurDetector(), cv2.blur(scene, (1, 21))
+    for _ in range(100):
+        detector.update(scene)
+    detector.update(blurred)  # a single one is no fault
+    assert detector.faults == ()
+    for _ in range(32):
+        detector.update(blurred)
+    (fault,) = detector.faults
+    assert (fault.kind, fault.is_handled) == (FaultKind.BLURRED_IMAGES, False)
+    assert fault.value > 0.6

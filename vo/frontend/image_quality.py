@@ -8,6 +8,7 @@ import numpy as np
 from vo.failures import Failure, FailureReason, ImageDefect
 from vo.frontend.interlacing import share_of_combs
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.frontend.sharpness import MAX_BLUR, blur
 from vo.geometry.quantiles import median, percentiles
 from vo.types import Bytes
 
@@ -20,7 +21,6 @@ _MIN_RANGE = 6  # grey levels; the noise of a sensor alone has about as many
 _SMALL_PIXELS = 50_000
 _DARK = 60
 _LOW_RANGE = 30
-_BLURRED = 0.6
 _NOISY = 15.0
 
 # Failures that a defect of the image may explain.
@@ -70,26 +70,7 @@ def image_defect(image: Bytes) -> ImageDefect | None:
         return ImageDefect.INTERLACED
     if noise_level(image) > _NOISY:
         return ImageDefect.NOISY
-    return ImageDefect.BLURRED if blur(image) > _BLURRED else None
-
-
-def blur(image: Bytes) -> float:
-    """No-reference blur measure of an (H, W) image: 0 is sharp, 1 has no detail.
-
-    Source: Crété et al., "The blur effect", SPIE 2007.
-    """
-    if min(image.shape) < 2:
-        return 1.0
-    small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    grey = np.asarray(small, dtype=np.float32)
-    worst = 0.0
-    for axis, kernel in ((0, (1, 9)), (1, (9, 1))):
-        detail = np.abs(np.diff(grey, axis=axis))
-        kept = np.abs(np.diff(cv2.blur(grey, kernel), axis=axis))
-        total = float(detail.sum())
-        lost = float(np.maximum(detail - kept, 0.0).sum())
-        worst = max(worst, (total - lost) / total if total > 0 else 1.0)
-    return worst
+    return ImageDefect.BLURRED if blur(image) > MAX_BLUR else None
 
 
 def noise_level(image: Bytes) -> float:

@@ -19,6 +19,7 @@ from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
 from vo.frontend.recent_frames import RecentFrames, RecordedFrame
+from vo.frontend.sharpness import BlurDetector
 from vo.frontend.time_offset import TimeOffsetEstimator
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig
@@ -136,6 +137,7 @@ class FramePreprocessor:
         self._pair_check = pair_check
         self._repetition = RepetitionDetector()
         self._interlacing = InterlacingDetector()
+        self._blur = BlurDetector()
         self._image_fixed = ImageFixedDetector()
         self._recent = RecentFrames()
         self._time_offset = TimeOffsetEstimator(rig)
@@ -174,7 +176,8 @@ class FramePreprocessor:
     def _preprocess(self, frame: Frame) -> PreprocessedFrame:
         left_change = self._repetition.update(frame.images)[0]
         self._interlacing.update(frame.image0)
-        faults = self._interlacing.faults
+        self._blur.update(frame.image0)
+        faults = self._interlacing.faults + self._blur.faults
         if self._rig.is_stereo and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
             faults = (

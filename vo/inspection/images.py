@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from vo.errors import SourceError
-from vo.frontend.image_quality import blur
+from vo.frontend.sharpness import blur
 from vo.inspection.image_records import ImageStatistics
 from vo.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.sources.images import StoredImage, is_colour

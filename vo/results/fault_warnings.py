@@ -38,6 +38,11 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "tracked with the left camera alone, as the right image did not agree: {frames}",
         "tracked with the left camera alone for too long to keep the scale: {frames}",
     ),
+    FaultKind.BLURRED_IMAGES: (
+        "images are blurred (blur {value:.2f} of 1): {frames}",
+        "images are blurred (blur {value:.2f} of 1; sharp ones are below 0.4), so that the path is "
+        "inaccurate: {frames}; check the focus, use shorter exposure, or move slower",
+    ),
     FaultKind.INTERLACED_IMAGES: (
         "odd and even rows of images were taken at different times (interlaced video): {frames}",
         "odd and even rows of images were taken at different times (interlaced video; they "
