@@ -299,4 +299,4 @@ def test_frames_asked_for_that_are_all_damaged(
     summary = summary_in(tmp_path / "out")
     assert (summary["status"], len(summary["skipped"])) == ("failed", 4)
     assert summary["without_pose"][0]["state"] == "skipped"
-    assert len(caplog.records) == 4
+    assert len(caplog.records) == 2  # the first, and that the others are the same

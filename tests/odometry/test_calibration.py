@@ -113,7 +113,7 @@ def test_quite_another_lens_is_a_fault_whatever_is_corrected(
 ) -> None:
     run = track(_with_k1(recording, k1, k2), recording.mono())
     faults = {fault for estimate in run.estimates for fault in estimate.faults}
-    assert {fault.kind for fault in faults} == {FaultKind.WRONG_LENS}
+    assert FaultKind.WRONG_LENS in {fault.kind for fault in faults}
     assert not any(fault.is_handled for fault in faults)
 
 
