@@ -82,3 +82,10 @@ def test_a_fault_that_is_not_handled_makes_a_run_untrusted(good: Summary) -> Non
     assert verdict_sentence(wrong) == "not to be trusted: all 6 frames have a pose"
     assert "2 of the frames 3 to 5" in wrong.warnings[0]
     assert replace(wrong, status="interrupted").verdict.word == "interrupted, not to be trusted"
+
+
+def test_a_path_with_a_large_correction_of_disparities_is_doubted(good: Summary) -> None:
+    assert replace(good, disparity_offset_px=0.15).verdict.is_trusted
+    corrected = replace(good, disparity_offset_px=-0.26)
+    assert corrected.verdict == ("bad", "not to be trusted", False)
+    assert "all disparities were wrong by -0.26 px" in corrected.warnings[0]

@@ -51,6 +51,7 @@ def verdict(entry: Entry) -> Assessment:
             len(summary["segments"]),
             summary["median_inliers"],
             has_open_fault=not all(each["is_handled"] for each in summary["faults"]),
+            disparity_offset_px=float(summary.get("disparity_offset_px") or 0.0),
             has_warnings=bool(summary["warnings"]),
         )
     )

@@ -152,6 +152,7 @@ class Summary:
                 len(self.segments),
                 self.median_inliers,
                 not all(record.is_handled for record in self.faults),
+                self.disparity_offset_px,
                 bool(self.warnings),
             )
         )

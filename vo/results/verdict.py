@@ -8,6 +8,9 @@ Grade = Literal["good", "caution", "bad"]
 
 MIN_INLIERS = 50  # a smaller median is poor tracking
 _MIN_TRACKED = 0.5  # of all frames
+# Corrected bias of disparities from which a path is doubted: well calibrated recordings get none,
+# and frames before the correction keep some of the error.
+_MAX_OFFSET_PX = 0.2
 
 
 class VerdictFacts(NamedTuple):
@@ -20,6 +23,7 @@ class VerdictFacts(NamedTuple):
         segments: number of connected parts of the path.
         median_inliers: over the tracked frames, None without one.
         has_open_fault: whether a fault was found that was not handled.
+        disparity_offset_px: bias of disparities that was corrected.
         has_warnings: whether there are warnings.
     """
 
@@ -29,6 +33,7 @@ class VerdictFacts(NamedTuple):
     segments: int
     median_inliers: float | None
     has_open_fault: bool
+    disparity_offset_px: float
     has_warnings: bool
 
 
@@ -51,11 +56,12 @@ def assess(facts: VerdictFacts) -> Verdict:
     if not facts.posed:
         return Verdict("bad", "no path", is_trusted=False)
     is_poor = (facts.median_inliers or 0.0) < MIN_INLIERS
-    is_trusted = not (facts.has_open_fault or is_poor)
-    doubt = "" if is_trusted else ", not to be trusted" if facts.has_open_fault else ", unreliable"
+    is_doubted = facts.has_open_fault or abs(facts.disparity_offset_px) >= _MAX_OFFSET_PX
+    is_trusted = not (is_doubted or is_poor)
+    doubt = "" if is_trusted else ", not to be trusted" if is_doubted else ", unreliable"
     if facts.status != "finished":
         return Verdict("bad", facts.status + doubt, is_trusted)
-    if facts.has_open_fault:
+    if is_doubted:
         return Verdict("bad", "not to be trusted", is_trusted)
     if facts.posed < _MIN_TRACKED * facts.frames:
         return Verdict("bad", "mostly lost" + doubt, is_trusted)
