@@ -45,6 +45,8 @@ def blur(image: Bytes) -> float:
 
     Source: Crété et al., "The blur effect", SPIE 2007.
     """
+    if min(image.shape) < 2:
+        return 1.0
     small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     grey = np.asarray(small, dtype=np.float32)
     worst = 0.0
