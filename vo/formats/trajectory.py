@@ -127,10 +127,7 @@ def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
     Raises:
         SourceError: the file is missing, empty, damaged or has another number of poses than stamps.
     """
-    lines = read_table(Path(path))
-    check_columns(lines, _KITTI_COLUMNS, exactly=True)
-    values = parse_columns(lines, 0, _KITTI_COLUMNS)
-    _check_finite(lines, values)
+    lines, values = _read_numbers(path, _KITTI_COLUMNS)
     stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
     poses[:, :3, :] = values.reshape(-1, 3, 4)
@@ -150,10 +147,7 @@ def read_tartanair(path: Path | str, stamps_ns: Ints | None = None) -> Trajector
     Raises:
         SourceError: the file is missing, empty, damaged or has another number of poses than stamps.
     """
-    lines = read_table(Path(path))
-    check_columns(lines, _TARTANAIR_COLUMNS, exactly=True)
-    values = parse_columns(lines, 0, _TARTANAIR_COLUMNS)
-    _check_finite(lines, values)
+    lines, values = _read_numbers(path, _TARTANAIR_COLUMNS)
     stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
     found = _trajectory(lines, stamps_ns, values[:, :3], values[:, 3:7])
     return Trajectory(found.stamps_ns, found.world_from_cam @ _NED_FROM_CAM)
@@ -299,6 +293,15 @@ def _trajectory(lines: list[Line], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floa
     poses[:, :3, :3] = rotation_from_quat_xyzw(quat_xyzw[known])
     poses[:, :3, 3] = xyz[known]
     return _with_increasing_stamps(lines, stamps_ns[known], poses)
+
+
+def _read_numbers(path: Path | str, columns: int) -> tuple[list[Line], Floats]:
+    """The lines of a table of finite numbers alone, and the numbers (N, columns)."""
+    lines = read_table(Path(path))
+    check_columns(lines, columns, exactly=True)
+    values = parse_columns(lines, 0, columns)
+    _check_finite(lines, values)
+    return lines, values
 
 
 def _check_finite(lines: list[Line], values: Floats) -> None:

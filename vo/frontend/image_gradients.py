@@ -42,7 +42,7 @@ def lies_still(now: Gradients, u: Floats32, v: Floats32, max_px: float) -> Bools
     """(H, W) whether gradients match others at the same place better than beside it.
 
     The correlation's maximum along each axis is that of a parabola through shifts of -1, 0, and
-    1 pixel; a shift along an edge cannot be told and counts as none.
+    1 pixel; a shift along an edge cannot be measured and counts as none.
 
     Args:
         now: gradients (H, W).
