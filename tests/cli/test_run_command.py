@@ -1,66 +1,22 @@
-"""`vo run` as a command: output, exit status, and messages about bad input."""
+"""`vo run` as a command: output, exit status, and signals."""
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from run_calls import VO, summary_in, vo_run
+from typer.testing import CliRunner
 
 from vo.cli.app import app
 from vo.formats.trajectory import read_tum, write_tum
 from vo.types import Trajectory
-
-VO = Path(sys.executable).with_name("vo")
-WIDTH, HEIGHT = 96, 64
-CALIBRATION = "cam0: {{resolution: [96, 64], intrinsics: [{fx}, 80.0, 47.5, 31.5]}}\n"
-
-
-def vo_run(source: Path, output: Path, *arguments: object) -> Result:
-    words = ["run", source, "--output", output, *arguments]
-    return CliRunner().invoke(app, list(map(str, words)))
-
-
-def summary_in(folder: Path) -> dict[str, Any]:
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    assert isinstance(summary, dict)
-    return summary
-
-
-def write_noise(path: Path, seed: int, width: int = WIDTH) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    noise = np.random.default_rng(seed).integers(0, 256, (HEIGHT, width), dtype=np.uint8)
-    assert cv2.imwrite(str(path), noise)
-
-
-@pytest.fixture
-def images(tmp_path: Path) -> Path:
-    """Five noise images of one camera, with calibration and stamps."""
-    folder = tmp_path / "images"
-    for i in range(5):
-        write_noise(folder / f"{i}.png", i)
-    (folder / "calibration.yaml").write_text(CALIBRATION.format(fx=80.0), encoding="utf-8")
-    stamps = "".join(f"{i / 10}\n" for i in range(5))
-    (folder / "times.txt").write_text(stamps, encoding="utf-8")
-    return folder
-
-
-@pytest.fixture
-def out(tmp_path: Path) -> Path:
-    return tmp_path / "out"
-
-
-# --- good runs -----------------------------------------------------------------------------------
 
 
 def test_ends_with_a_table_and_the_next_command(synthetic_stereo: Path, out: Path) -> None:
@@ -241,150 +197,6 @@ def test_a_bug_keeps_its_traceback(
 
     monkeypatch.setattr("vo.odometry.Odometry._process", broken)
     assert isinstance(vo_run(images, out).exception, ZeroDivisionError)
-
-
-# --- bad input -----------------------------------------------------------------------------------
-
-
-def assert_one_line(result: Result, *words: str) -> None:
-    assert result.exit_code == 1, result.output
-    assert result.stdout == ""
-    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
-    others = [line for line in result.stderr.splitlines() if not line.startswith("error: ")]
-    assert len(errors) == 1, result.stderr
-    assert others == []
-    for word in words:
-        assert word in errors[0]
-
-
-def test_missing_folder(tmp_path: Path, out: Path) -> None:
-    assert_one_line(vo_run(tmp_path / "none", out), "none does not exist")
-    assert not out.exists()
-
-
-def test_folder_without_images(tmp_path: Path, out: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    assert_one_line(vo_run(tmp_path / "empty", out), "has no images")
-
-
-def test_unreadable_image_in_the_middle_is_skipped(images: Path, out: Path) -> None:
-    data = (images / "2.png").read_bytes()
-    (images / "2.png").write_bytes(data[: len(data) // 2])
-    result = vo_run(images, out)
-    assert result.exit_code == 0, result.output
-    warnings = [w for w in result.stderr.splitlines() if w.startswith("warning: ")]
-    assert len(warnings) == 1
-    assert "frame 2 skipped" in warnings[0]
-    assert "cut off" in warnings[0]
-    summary = summary_in(out)
-    assert [(s["index"], s["stamp_ns"]) for s in summary["skipped"]] == [(2, 200_000_000)]
-    assert summary["frames"] == 5
-
-
-def test_image_of_another_size_in_the_middle_is_skipped(images: Path, out: Path) -> None:
-    write_noise(images / "3.png", 3, width=WIDTH // 2)
-    result = vo_run(images, out)
-    assert result.exit_code == 0, result.output
-    assert "frame 3 skipped" in result.stderr
-    assert "48x64" in result.stderr
-    assert [s["index"] for s in summary_in(out)["skipped"]] == [3]
-
-
-def test_the_next_command_includes_the_calibration(images: Path, out: Path) -> None:
-    chosen = images.parent / "my camera.yaml"
-    (images / "calibration.yaml").rename(chosen)
-    result = vo_run(images, out, "--calibration", chosen)
-    assert result.exit_code == 0, result.output
-    (again,) = [line for line in result.stdout.splitlines() if line.startswith("next: vo run")]
-    assert f"--calibration '{chosen}'" in again
-
-
-def test_missing_calibration(images: Path, out: Path) -> None:
-    (images / "calibration.yaml").unlink()
-    assert_one_line(vo_run(images, out), "calibration")
-
-
-def test_missing_calibration_file(images: Path, out: Path) -> None:
-    result = vo_run(images, out, "--calibration", images / "none.yaml")
-    assert_one_line(result, "none.yaml")
-
-
-@pytest.mark.parametrize("fx", [".nan", "0.0", "-80.0", ".inf"])
-def test_invalid_calibration(images: Path, out: Path, fx: str) -> None:
-    (images / "calibration.yaml").write_text(CALIBRATION.format(fx=fx), encoding="utf-8")
-    assert_one_line(vo_run(images, out), "calibration.yaml", fx.strip(".").removesuffix(".0"))
-
-
-def test_more_images_than_stamps(images: Path, out: Path) -> None:
-    (images / "times.txt").write_text("0.0\n0.1\n0.2\n", encoding="utf-8")
-    assert_one_line(vo_run(images, out), "5", "3")
-
-
-def test_stamps_that_do_not_increase(images: Path, out: Path) -> None:
-    (images / "times.txt").write_text("0.0\n0.1\n0.3\n0.2\n0.4\n", encoding="utf-8")
-    assert_one_line(vo_run(images, out), "times.txt")
-
-
-def test_unknown_setting_suggests_the_most_similar(images: Path, out: Path) -> None:
-    result = vo_run(images, out, "--set", "features.cuont=100")
-    assert_one_line(result, "features.cuont", "did you mean 'features.count'?")
-    assert not out.exists()
-
-
-def test_unknown_preset(images: Path, out: Path) -> None:
-    assert_one_line(vo_run(images, out, "--config", "fats"), "did you mean 'fast'?")
-
-
-def test_unknown_format(images: Path, out: Path) -> None:
-    assert_one_line(vo_run(images, out, "--format", "kiti"), "kiti", "kitti")
-
-
-def test_mode_stereo_without_a_right_camera(
-    synthetic_stereo: Path, tmp_path: Path, out: Path
-) -> None:
-    source = tmp_path / "left_only"
-    shutil.copytree(synthetic_stereo / "mav0" / "cam0", source / "mav0" / "cam0")
-    assert_one_line(vo_run(source, out, "--mode", "stereo"), "right camera", "--mode mono")
-
-
-@pytest.mark.parametrize("inside", ["out", "deeper/out"])
-def test_output_that_cannot_be_written(images: Path, tmp_path: Path, inside: str) -> None:
-    (tmp_path / "file").touch()
-    assert_one_line(vo_run(images, tmp_path / "file" / inside), "cannot write to folder")
-
-
-def test_output_that_is_a_file(images: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    assert_one_line(vo_run(images, tmp_path / "file"), "cannot write to folder")
-
-
-def test_recording_that_cannot_be_written(images: Path, tmp_path: Path, out: Path) -> None:
-    (tmp_path / "file").touch()
-    result = vo_run(images, out, "--rrd", tmp_path / "file" / "run.rrd")
-    assert_one_line(result, "cannot write the recording")
-
-
-def test_start_beyond_the_end(images: Path, out: Path) -> None:
-    assert_one_line(vo_run(images, out, "--start", 5), "only 5 frames")
-
-
-def test_ground_truth_without_overlap(synthetic_stereo: Path, out: Path) -> None:
-    vo_run(synthetic_stereo, out, "--end", 4, "--config", "fast")
-    true = read_tum(synthetic_stereo / "groundtruth.tum")
-    late = out.with_name("late.tum")
-    write_tum(late, Trajectory(true.stamps_ns + 10**12, true.world_from_cam))
-    assert_one_line(CliRunner().invoke(app, ["eval", str(out), str(late)]))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [("--stride", "0"), ("--start", "-1"), ("--end", "-1"), ("--mode", "both"), ("--bogus",)],
-)
-def test_wrong_usage_exits_2(images: Path, out: Path, wrong: tuple[str, ...]) -> None:
-    result = vo_run(images, out, *wrong)
-    assert result.exit_code == 2
-    assert wrong[0] in result.stderr
-    assert not out.exists()
 
 
 def test_a_terminal_shows_a_progress_bar(synthetic_stereo: Path, out: Path) -> None:
