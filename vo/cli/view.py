@@ -85,9 +85,10 @@ def _serve(file: Path, port: int, bind: str) -> None:
         page, _, _ = str(viewer.page).partition("?")
         server = stack.enter_context(FileServer(file, bind, urlsplit(page).port or 0))
         data = f"http://{host_of(bind)}:{server.port}{server.path}"
-        echo(f"{file} is at {page}?url={data}")
-        echo(f"data on port {server.port}; press Ctrl-C to end")
-        _wait(viewer)
+        with contextlib.suppress(KeyboardInterrupt):  # may come as soon as the address is shown
+            echo(f"{file} is at {page}?url={data}")
+            echo(f"data on port {server.port}; press Ctrl-C to end")
+            _wait(viewer)
 
 
 def _wait(viewer: ViewerProcess) -> None:
