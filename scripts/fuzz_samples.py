@@ -175,7 +175,7 @@ def _trajectories(root: Path) -> Iterator[Sample]:
 
 def _runs(root: Path) -> Iterator[Sample]:
     from vo.config import load_config
-    from vo.run import run
+    from vo.run_recording import run
 
     folder = root / "run"
     folder.mkdir()

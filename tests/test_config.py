@@ -200,7 +200,7 @@ def test_the_wheel_brings_the_presets(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     assert {f"vo/configs/{preset}.yaml" for preset in PRESETS} <= names
-    assert "vo/run.py" in names
+    assert "vo/run_recording.py" in names
     assert "data_synth/sequence.py" in names
 
 

@@ -63,13 +63,13 @@ ALLOWED = {
     "vo.run_session": GROUND
     | OUTER
     | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts"},
-    "vo.run": GROUND
+    "vo.run_recording": GROUND
     | OUTER
     | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session", "vo.stages"},
     "vo.cli": GROUND
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
-    | {"vo.odometry", "vo.run", "vo.warmup"}
+    | {"vo.odometry", "vo.run_recording", "vo.warmup"}
     | {"data_synth"},
     "data_synth": {"vo.errors", "vo.types", "vo.settings"}
     | {"vo.compiling", "vo.geometry", "vo.formats"},
@@ -138,7 +138,7 @@ def _targets(node: ast.Import | ast.ImportFrom, modules: dict[str, Path]) -> lis
 
 
 def room_of(module: str) -> str:
-    """`vo.frontend` for `vo.frontend.orb`, `vo.run`, `data_synth` for all of it."""
+    """`vo.frontend` for `vo.frontend.orb`, `vo.run_recording`, `data_synth` for all of it."""
     parts = module.split(".")
     return "data_synth" if parts[0] == "data_synth" else ".".join(parts[:2])
 
@@ -210,12 +210,12 @@ def test_project_keeps_the_import_rules() -> None:
         ("vo.geometry.pnp", "from vo import formats", "vo.geometry must not know vo.formats"),
         ("vo.frontend.orb", "import vo.sources", "vo.frontend must not know vo.sources"),
         ("vo.odometry", "from vo.recording import x", "vo.odometry must not know vo.recording"),
-        ("vo.run", "import vo.cli.app", "vo.run must not know vo.cli"),
-        ("vo.run", "import data_synth", "vo.run must not know data_synth"),
+        ("vo.run_recording", "import vo.cli.app", "vo.run_recording must not know vo.cli"),
+        ("vo.run_recording", "import data_synth", "vo.run_recording must not know data_synth"),
         ("data_synth.room", "import vo.config", "data_synth must not know vo.config"),
         ("vo.mapping.local_map", "import gtsam", "only vo.backend may"),
-        ("vo.run", "from rerun.blueprint import Grid", "only vo.recording may"),
-        ("vo.run", "import typer", "only vo.cli may"),
+        ("vo.run_recording", "from rerun.blueprint import Grid", "only vo.recording may"),
+        ("vo.run_recording", "import typer", "only vo.cli may"),
         ("vo.mapping.local_map", "from . import x", "relative imports hide the room"),
         ("vo.mapping.utils", "", "a module's name says what it owns"),
         ("vo.newroom.thing", "", "room vo.newroom has no rule"),
@@ -236,7 +236,7 @@ def test_a_broken_rule_is_found(
 
 
 def test_a_type_only_import_of_a_higher_room_is_found(tmp_path: Path) -> None:
-    code = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from vo.run import Summary"
+    code = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import vo.run_recording"
     _write(tmp_path, "vo.frontend.orb", code)
     assert len(find_violations(tmp_path)) == 1
 
@@ -257,7 +257,11 @@ def test_a_type_only_import_makes_no_cycle(tmp_path: Path) -> None:
 def test_imports_that_follow_the_rules_pass(tmp_path: Path) -> None:
     _write(tmp_path, "vo.types", "import numpy")
     _write(tmp_path, "vo.backend.bundle_adjustment", "import gtsam\nfrom vo.types import Floats")
-    _write(tmp_path, "vo.cli.app", "import typer\nfrom vo.run import run\nimport data_synth.room")
+    _write(
+        tmp_path,
+        "vo.cli.app",
+        "import typer\nfrom vo.run_recording import run\nimport data_synth.room",
+    )
     _write(tmp_path, "data_synth.room", "from vo.geometry.cameras import project")
     assert find_violations(tmp_path) == []
 

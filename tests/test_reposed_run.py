@@ -18,7 +18,7 @@ from vo.geometry.transforms import make_transform, so3_exp
 from vo.odometry import Odometry
 from vo.recording import entities
 from vo.recording.exports import Exports
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Estimate, Floats, Frame
 
 MOVE = make_transform(so3_exp(np.array([0.0, 0.1, 0.0])), np.array([2.0, 0.0, 1.0]))
@@ -49,7 +49,7 @@ def runs(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     exports = Exports(folder / "a.mcap", folder / "model", folder / "map.ply")
     rrd = folder / "run.rrd"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vo.run.Odometry", ReposingOdometry)
+        patch.setattr("vo.run_recording.Odometry", ReposingOdometry)
         run(
             synthetic_stereo,
             folder / "reposed",

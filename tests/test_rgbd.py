@@ -10,7 +10,7 @@ import pytest
 from vo.config import load_config
 from vo.evaluation.inputs import load_inputs
 from vo.evaluation.report import evaluate
-from vo.run import run
+from vo.run_recording import run
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
 from vo.recording.recorder import TakeSnapshot
 from vo.results.summary import Summary
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Estimate, Rig, Trajectory
 
 FAST = load_config("fast")

@@ -14,7 +14,7 @@ import pytest
 from vo.config import load_config
 from vo.formats.trajectory import read_tum
 from vo.recording.exports import Exports
-from vo.run import run
+from vo.run_recording import run
 from vo.sources.registry import open_source
 from vo.types import Estimate, Frame
 

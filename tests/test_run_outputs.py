@@ -13,7 +13,7 @@ import pytest
 
 from vo.config import load_config
 from vo.formats.trajectory import read_tum
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Mode
 
 SHIFT_PX = 0.5

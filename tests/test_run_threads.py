@@ -15,7 +15,7 @@ import pytest
 from vo.backend.process import OptimizerProcess
 from vo.backend.window_problem import WindowProblem
 from vo.config import load_config
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Estimate
 
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")

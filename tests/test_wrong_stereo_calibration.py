@@ -14,7 +14,7 @@ import yaml
 
 from vo.config import load_config
 from vo.formats.trajectory import read_tum
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Floats
 
 

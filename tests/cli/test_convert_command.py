@@ -23,7 +23,7 @@ from vo.cli.conversion_size import scaled_camera
 from vo.config import load_config
 from vo.geometry.cameras import project
 from vo.inspection.opening import open_leniently, right_stamps
-from vo.run import run
+from vo.run_recording import run
 from vo.sources.images import Pixels
 from vo.sources.registry import open_source
 from vo.types import Camera, Floats, Frame, Ints, Trajectory

@@ -14,7 +14,7 @@ from vo.faults import FaultKind
 from vo.results.fault_log import FaultRecord
 from vo.results.frames_without_pose import FrameRange
 from vo.results.summary import Summary
-from vo.run import run
+from vo.run_recording import run
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from vo.cli.app import app
 from vo.cli.view import find_recording
 from vo.config import load_config
-from vo.run import run
+from vo.run_recording import run
 
 VO = Path(sys.executable).with_name("vo")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -33,7 +33,7 @@ from vo.recording.model import Model, PointTracks
 from vo.recording.ply import PlyRecorder
 from vo.recording.reconstruction import Reconstruction
 from vo.recording.recorder import Recorder
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Camera, Rig, Trajectory
 
 RIG = Rig(exact_run.PINHOLE)

@@ -12,7 +12,7 @@ from vo.config import load_config
 from vo.formats.trajectory import read_tum
 from vo.geometry.transforms import rotation_from_quat_xyzw
 from vo.recording import entities
-from vo.run import run
+from vo.run_recording import run
 from vo.types import Trajectory
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vo.config import load_config
-from vo.run import run
+from vo.run_recording import run
 
 FRAMES = 14
 

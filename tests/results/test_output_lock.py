@@ -15,7 +15,7 @@ from vo.config import load_config
 from vo.errors import OutputError
 from vo.recording.exports import Exports
 from vo.results.output_lock import locked_folder
-from vo.run import run
+from vo.run_recording import run
 
 FAST = load_config("fast")
 

@@ -13,7 +13,7 @@ from vo.config import load_config
 from vo.errors import ConfigError, SourceError
 from vo.faults import Fault
 from vo.mapping.keyframe_store import MemoryKeyframeStore
-from vo.run import run
+from vo.run_recording import run
 from vo.sources.images import ImageKind
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, Recording

@@ -12,7 +12,7 @@ from mcap_logs import DIALECTS, write_log
 from vo.config import load_config
 from vo.formats.calibration.own import write_calibration
 from vo.formats.messages import CompressedImageMessage, ImageMessage, Message
-from vo.run import run
+from vo.run_recording import run
 from vo.sources.registry import open_source
 
 FRAMES = 6

@@ -10,7 +10,7 @@ from bag_logs import write_bag1, write_bag2
 from mcap_logs import write_log
 
 from vo.config import load_config
-from vo.run import run
+from vo.run_recording import run
 from vo.sources.registry import open_source
 
 FAST = load_config("fast")

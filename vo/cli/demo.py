@@ -75,7 +75,7 @@ def _find_or_make_sequence(output: Path, console: Console) -> Path:
 def _run(sequence: Path, results: Path, rrd: Path, console: Console) -> None:
     from vo.cli.progress import make_progress, warnings_on
     from vo.config import load_config
-    from vo.run import run
+    from vo.run_recording import run
 
     with warnings_on(console):
         progress = make_progress(console, quiet=False)

@@ -22,14 +22,14 @@ def execute(request: RunRequest) -> None:
     """Run the odometry, show its progress, and print its summary.
 
     Raises:
-        VoError: as `vo.run.run`, or a setting is invalid.
+        VoError: as `vo.run_recording.run`, or a setting is invalid.
         typer.Exit: the run was interrupted.
     """
     outputs = request.outputs
     with stop_signals_as_interrupts(outputs.folder) as signals, ExitStack() as stack:
         with collection_paused():
             config, optimizer_process = _start_optimizer(request.settings, stack)
-            import vo.run  # noqa: F401 - loaded while the optimizer's process loads, too
+            import vo.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
             from vo.cli.console import standard_error
             from vo.cli.progress import make_progress, warnings_on
             from vo.cli.run_table import print_summary
@@ -67,7 +67,7 @@ def _run(
     from vo.cli.live_viewer import live_viewer
     from vo.cli.standard_input import NAME, spooled_input
     from vo.recording.exports import Exports
-    from vo.run import run
+    from vo.run_recording import run
 
     given, shown, outputs = request.input, request.visualisation, request.outputs
     viewer = stack.enter_context(live_viewer(shown.connect, spawn=shown.spawn, serve=shown.serve))
