@@ -174,9 +174,11 @@ def _processor() -> str:
 def _versions() -> str:
     from importlib.metadata import version
 
-    packages = ("vo", "opencv-python-headless", "gtsam", "numba", "numpy")
+    from vo import __version__
+
+    packages = ("opencv-python-headless", "gtsam", "numba", "numpy")
     names = [f"{name.removesuffix('-python-headless')} {version(name)}" for name in packages]
-    return ", ".join([f"Python {platform.python_version()}", *names])
+    return ", ".join([f"Python {platform.python_version()}", f"vo {__version__}", *names])
 
 
 def _say(text: str, end: str = "\n") -> None:

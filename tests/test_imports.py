@@ -15,7 +15,7 @@ BASE = {
     f"vo.{name}"
     for name in (
         *("errors", "types", "failures", "faults", "calibration_errors"),
-        *("bounded_documents", "bounded_files", "printable"),
+        *("bounded_documents", "bounded_files", "extras", "printable"),
         *("config", "settings", "scheduling", "stopwatch"),
     )
 }
@@ -56,6 +56,7 @@ ALLOWED = {
     **{room: GROUND | _below(n) for n, rooms in enumerate(FLOORS) for room in rooms},
     "vo.odometry": GROUND | _below(len(FLOORS) - 1) | {"vo.warmup"},
     **{room: GROUND for room in OUTER},
+    "vo.results": GROUND | {"vo"},
     "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
@@ -71,7 +72,7 @@ ALLOWED = {
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup"}
     | {"data_synth"},
-    "data_synth": {"vo.errors", "vo.types", "vo.settings"}
+    "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}
     | {"vo.compiling", "vo.geometry", "vo.formats"},
 }
 ONLY_IN = {"gtsam": "vo.backend", "rerun": "vo.recording", "typer": "vo.cli"}

@@ -85,11 +85,11 @@ def test_installs_once_and_again_when_requirements_change(checkout: Path) -> Non
     log = _fake_python(checkout, pip_status=0)
     for arguments in ((), (), ("dev",), (), ("dev",)):
         assert _call(checkout, "scripts/setup", *arguments).returncode == 0
-    assert log.read_text().split() == ["venv", ".", ".[dev]"]
+    assert log.read_text().split() == ["venv", ".[all]", ".[dev]"]
     with (checkout / "pyproject.toml").open("a") as file:
         file.write("\n# changed\n")
     _call(checkout, "scripts/setup")
-    assert log.read_text().split() == ["venv", ".", ".[dev]", ".[dev]"]
+    assert log.read_text().split() == ["venv", ".[all]", ".[dev]", ".[dev]"]
 
 
 def test_after_an_interrupted_installation_the_environment_is_new(checkout: Path) -> None:
@@ -98,7 +98,7 @@ def test_after_an_interrupted_installation_the_environment_is_new(checkout: Path
     (checkout / ".venv" / ".installed").unlink()
     (checkout / ".venv" / ".installing").touch()
     assert _call(checkout, "scripts/setup").returncode == 0
-    assert log.read_text().split() == ["venv", ".", "venv", "."]
+    assert log.read_text().split() == ["venv", ".[all]", "venv", ".[all]"]
 
 
 def test_a_failed_installation_is_repeated(checkout: Path) -> None:
@@ -107,4 +107,4 @@ def test_a_failed_installation_is_repeated(checkout: Path) -> None:
     assert result.returncode == 1
     assert "the installation failed" in result.stderr
     _call(checkout, "scripts/demo")
-    assert log.read_text().split() == ["venv", ".", "."]
+    assert log.read_text().split() == ["venv", ".[all]", ".[all]"]

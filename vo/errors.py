@@ -5,7 +5,8 @@
     ├── SourceError        a recording is missing, empty, damaged or of an unknown format
     ├── CalibrationError   a calibration is missing or invalid
     ├── EvaluationError    two trajectories cannot be compared
-    └── OutputError        a result cannot be written
+    ├── OutputError        a result cannot be written
+    └── MissingExtraError  an optional package is needed and not installed
 
 A message is one line: what failed, the value found, and what to do. The command line prints it as
 `error: …` and exits with status 1; any other exception is a bug and keeps its traceback.
@@ -34,3 +35,7 @@ class EvaluationError(VoError):
 
 class OutputError(VoError):
     """A result cannot be written."""
+
+
+class MissingExtraError(VoError):
+    """An optional package is needed and not installed."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -19,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 from data_synth.records import Recording, Shot
 from data_synth.writers.encoding import encoded_shots
 from data_synth.writers.mcap_streams import messages_of
+from vo import __version__
 from vo.formats.foxglove import FOXGLOVE
 from vo.formats.messages import Dialect, Message
 from vo.formats.ros2 import ROS2
@@ -98,7 +98,7 @@ class _Channels:
 
 
 def _generator() -> str:
-    return f"vo {version('vo')}"
+    return f"vo {__version__}"
 
 
 def _metadata(recording: Recording) -> dict[str, dict[str, str]]:

@@ -10,8 +10,9 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from vo import __version__
+
 _PACKAGES = {
-    "vo": "vo",
     "opencv": "opencv-python-headless",
     "gtsam": "gtsam",
     "numpy": "numpy",
@@ -46,7 +47,7 @@ def process_age_s() -> float | None:
 
 def versions() -> dict[str, str]:
     """Versions of Python, this package and the libraries that affect results."""
-    found = {"python": ".".join(map(str, sys.version_info[:3]))}
+    found = {"python": ".".join(map(str, sys.version_info[:3])), "vo": __version__}
     for name, package in _PACKAGES.items():
         try:
             found[name] = version(package)
