@@ -47,7 +47,7 @@ def measure_reading(cache: Path, say: Callable[[str], None]) -> list[dict[str, A
     with tempfile.TemporaryDirectory(prefix="vo-reading-") as folder:
         for name, (layout, codec) in KINDS.items():
             made = Path(folder) / (f"{layout}-{codec}" + (".mcap" if "mcap" in layout else ""))
-            _vo("convert", original, made, "--format", layout, "--codec", codec, "--quiet")
+            _vo("convert", original, made, "--to", layout, "--codec", codec, "--quiet")
             runs = [_read(made) for _ in range(RUNS)]
             best = sorted(runs, key=lambda run: run["fps"])[RUNS // 2]
             size = sum(p.stat().st_size for p in [made, *made.rglob("*")] if p.is_file())

@@ -25,7 +25,7 @@ def clock_set_back(vo: Path, seconds: float, after: int) -> Write:
     def write(clip: Clip, folder: Path) -> Path:
         with tempfile.TemporaryDirectory() as name:
             plain, log = write_euroc(clip, Path(name) / "plain"), Path(name) / "log.mcap"
-            command = [str(vo), "convert", str(plain), str(log), "--format", "mcap-ros2", "--quiet"]
+            command = [str(vo), "convert", str(plain), str(log), "--to", "mcap-ros2", "--quiet"]
             subprocess.run(command, check=True)
             folder.mkdir(parents=True)
             _with_stamps_set_back(log, folder / "log.mcap", seconds, after)

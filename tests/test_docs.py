@@ -73,7 +73,7 @@ def _options() -> dict[str, set[str]]:
 
     commands: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     return {
-        name: {"--help"} | {word for parameter in command.params for word in parameter.opts}
+        name: {"--help", "-h"} | {word for parameter in command.params for word in parameter.opts}
         for name, command in commands.items()
     }
 

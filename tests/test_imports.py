@@ -72,6 +72,7 @@ ALLOWED = {
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup"}
     | {"data_synth"},
+    "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}
     | {"vo.compiling", "vo.geometry", "vo.formats"},
 }

@@ -30,7 +30,7 @@ METAVAR = r"[A-Z][A-Z.=:,…|xN-]*"
         (["view", ""], "an argument"),
         (["synth", ""], "an argument"),
         (["demo", "--output", ""], "the value of --output"),
-        (["info", "RECORDING", "--contact-sheet", ""], "the value of --contact-sheet"),
+        (["info", "RECORDING", "--picture", ""], "the value of --picture"),
     ],
 )
 def test_an_empty_argument_is_refused(

@@ -108,7 +108,9 @@ def test_markup_in_names(tmp_path: Path) -> None:
     trajectory.write_text(
         "".join(f"{k} {k * k} {k} 0 0 0 0 1\n" for k in range(20)), encoding="utf-8"
     )
-    status, text = run("eval", trajectory.name, trajectory.name, "--plot", "p.png", folder=tmp_path)
+    status, text = run(
+        "eval", trajectory.name, trajectory.name, "--picture", "p.png", folder=tmp_path
+    )
     assert status == 0 and "[red]$_.tum" in text
     assert "[bold]$x_" in run("info", folder.name, folder=tmp_path)[1]
 

@@ -73,7 +73,7 @@ def test_lossless_conversion_preserves_everything(
     format: str,
     codec: str,
 ) -> None:
-    flags = ("--format", format, "--codec", codec, "--end", FRAMES)
+    flags = ("--to", format, "--codec", codec, "--end", FRAMES)
     output = converted(synthetic_stereo, tmp_path / name, *flags)
     before, after = open_source(synthetic_stereo), open_source(output)
     assert after.stamps_ns.tolist() == before.stamps_ns[:FRAMES].tolist()
@@ -137,11 +137,11 @@ def test_resizing_scales_images_and_calibration(synthetic_stereo: Path, tmp_path
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--format", "tum"), "euroc"),
+        (("--to", "tum"), "euroc"),
         (("--codec", "raw"), "--codec png or jpeg"),
         (("--resize", "big"), "--resize big"),
-        (("--format", "mcap"), "a file ending in .mcap"),
-        (("--format", "bag"), "cannot write format"),
+        (("--to", "mcap"), "a file ending in .mcap"),
+        (("--to", "bag"), "cannot write format"),
         (("--start", "500"), "only 30 frames"),
     ],
 )
@@ -200,14 +200,14 @@ def images_in(folder: Path) -> list[Pixels]:
 @pytest.mark.parametrize(("format", "codec"), [("mcap", "raw"), ("mcap-ros2", "png")])
 def test_colour_and_depth_are_preserved_in_a_log(tmp_path: Path, format: str, codec: str) -> None:
     clip = colour_clip(tmp_path / "clip")
-    log = converted(clip, tmp_path / "a.mcap", "--format", format, "--codec", codec)
-    back = converted(log, tmp_path / "back", "--format", "tum")
+    log = converted(clip, tmp_path / "a.mcap", "--to", format, "--codec", codec)
+    back = converted(log, tmp_path / "back", "--to", "tum")
     for name in ("rgb", "depth"):
         before, after = images_in(clip / name), images_in(back / name)
         assert len(after) == 4
         assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
         assert {image.dtype.name for image in after} == {"uint8" if name == "rgb" else "uint16"}
-    folder = converted(log, tmp_path / "folder", "--format", "folder", "--stride", 2)
+    folder = converted(log, tmp_path / "folder", "--to", "folder", "--stride", 2)
     pairs = zip(images_in(clip / "rgb")[::2], images_in(folder), strict=True)
     assert all(np.array_equal(a, b) for a, b in pairs)
 
@@ -215,7 +215,7 @@ def test_colour_and_depth_are_preserved_in_a_log(tmp_path: Path, format: str, co
 def test_official_decoders_read_the_colours(tmp_path: Path) -> None:
     clip = colour_clip(tmp_path / "clip")
     expected = images_in(clip / "rgb")
-    ros2 = converted(clip, tmp_path / "a.mcap", "--format", "mcap-ros2", "--codec", "raw")
+    ros2 = converted(clip, tmp_path / "a.mcap", "--to", "mcap-ros2", "--codec", "raw")
     foxglove = converted(clip, tmp_path / "b.mcap", "--codec", "raw")
     for path, factory in ((ros2, Ros2Decoder()), (foxglove, ProtobufDecoder())):
         with path.open("rb") as stream:
@@ -238,7 +238,7 @@ def test_gray_writes_the_images_of_the_odometry(tmp_path: Path) -> None:
 
 def test_jpeg_and_resizing_preserve_colour(tmp_path: Path) -> None:
     clip = colour_clip(tmp_path / "clip")
-    small = converted(clip, tmp_path / "s", "--codec", "jpeg", "--resize", 0.5, "--format", "kitti")
+    small = converted(clip, tmp_path / "s", "--codec", "jpeg", "--resize", 0.5, "--to", "kitti")
     assert sorted(folder.name for folder in small.iterdir() if folder.is_dir()) == [
         "depth",
         "image_2",
@@ -274,7 +274,7 @@ def lines_of(recording: Path) -> list[str]:
 def test_inertial_measurements_are_preserved_exactly(
     synthetic_stereo: Path, tmp_path: Path, format: str
 ) -> None:
-    log = converted(synthetic_stereo, tmp_path / "a.mcap", "--format", format, "--end", 6)
+    log = converted(synthetic_stereo, tmp_path / "a.mcap", "--to", format, "--end", 6)
     back = converted(log, tmp_path / "back")
     stamps = open_source(synthetic_stereo).stamps_ns[:6]
     times = [int(line.split(",")[0]) for line in lines_of(synthetic_stereo)]
@@ -294,7 +294,7 @@ def test_inertial_measurements_are_preserved_exactly(
 
 
 def test_rosbags_reads_the_inertial_measurements(synthetic_stereo: Path, tmp_path: Path) -> None:
-    flags = ("--format", "mcap-ros2", "--start", 2, "--end", 6)
+    flags = ("--to", "mcap-ros2", "--start", 2, "--end", 6)
     log = converted(synthetic_stereo, tmp_path / "a.mcap", *flags)
     with log.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[Ros2Decoder()])
@@ -324,7 +324,7 @@ def test_imu_noise_is_preserved_and_an_unknown_pose_stays_unknown(
     assert result.exit_code == 0
     assert "its pose relative to the camera is unknown" in " ".join(result.stderr.split())
     assert open_source(tmp_path / "a.mcap").imus[0].cam0_from_imu is None
-    result = vo_convert(walk, tmp_path / "kitti", "--format", "kitti", "--end", 3)
+    result = vo_convert(walk, tmp_path / "kitti", "--to", "kitti", "--end", 3)
     assert "format kitti does not support it" in " ".join(result.stderr.split())
 
 

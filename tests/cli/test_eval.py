@@ -87,7 +87,7 @@ def test_json_for_machines(run_folder: Path, truth: Path) -> None:
     assert numbers["rpe_frames"]["delta_frames"] == 3
     assert numbers["rpe_metres"]["delta_m"] == 4.0
     assert numbers["association"]["method"] == "interpolated"
-    assert numbers["plot"] is None
+    assert numbers["picture"] is None
 
 
 def test_delta_of_any_size_is_accepted(run_folder: Path, truth: Path) -> None:
@@ -97,9 +97,9 @@ def test_delta_of_any_size_is_accepted(run_folder: Path, truth: Path) -> None:
 
 
 def test_plot(run_folder: Path, truth: Path, tmp_path: Path) -> None:
-    result = vo_eval(run_folder, truth, "--plot", tmp_path / "eval.png")
+    result = vo_eval(run_folder, truth, "--picture", tmp_path / "eval.png")
     assert result.exit_code == 0, result.output
-    assert f"plot: {tmp_path / 'eval.png'}" in result.output
+    assert f"picture: {tmp_path / 'eval.png'}" in result.output
     assert (tmp_path / "eval.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "eval.png").stat().st_size > 20_000
 
@@ -164,7 +164,7 @@ def test_too_few_poses_to_align(truth: Path, tmp_path: Path, walk: Trajectory) -
 
 
 def test_plot_of_unknown_kind(run_folder: Path, truth: Path, tmp_path: Path) -> None:
-    result = vo_eval(run_folder, truth, "--plot", tmp_path / "eval.bmp")
+    result = vo_eval(run_folder, truth, "--picture", tmp_path / "eval.bmp")
     assert_one_line(result, "unsupported kind of plot")
 
 

@@ -35,10 +35,10 @@ def assert_refused(path: Path, *words: str | Path) -> None:
 
 
 def test_a_contact_sheet_does_not_overwrite_the_recording(images: Path, tmp_path: Path) -> None:
-    assert_refused(images / "0.png", "info", images, "--contact-sheet", images / "0.png")
+    assert_refused(images / "0.png", "info", images, "--picture", images / "0.png")
     sheet = tmp_path / "sheet.png"
     for _ in range(2):
-        result = CliRunner().invoke(app, ["info", str(images), "--contact-sheet", str(sheet)])
+        result = CliRunner().invoke(app, ["info", str(images), "--picture", str(sheet)])
         assert result.exit_code == 0, result.output
 
 
@@ -48,4 +48,4 @@ def test_a_conversion_does_not_overwrite_the_recording(images: Path, tmp_path: P
     assert made.exit_code == 0, made.output
     assert_refused(log, "convert", log, log, "--force", "--end", "2")
     target = images / "calibration.yaml"
-    assert_refused(target, "convert", images, target, "--format", "mcap", "--force")
+    assert_refused(target, "convert", images, target, "--to", "mcap", "--force")

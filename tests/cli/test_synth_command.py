@@ -31,7 +31,7 @@ def test_renders_a_recording_and_describes_it(tmp_path: Path) -> None:
 
 def test_options_override_a_preset(tmp_path: Path) -> None:
     result = vo_synth(
-        tmp_path / "a.mcap", "--preset", "tum", *SMALL, "--format", "mcap", "--codec", "jpeg", "-q"
+        tmp_path / "a.mcap", "--preset", "tum", *SMALL, "--to", "mcap", "--codec", "jpeg", "-q"
     )
     assert result.exit_code == 0, result.output
     assert result.output == ""
@@ -55,8 +55,8 @@ def test_refuses_to_overwrite_in_one_line(tmp_path: Path) -> None:
         (("--effects", "blur"), "NAME=STRENGTH"),
         (("--effects", "blurry=1"), "did you mean 'effects.blur'"),
         (("--seconds", "-3"), "setting 'seconds'"),
-        (("--format", "kitti"), "euroc"),
-        (("--format", "tum"), "--mono"),
+        (("--to", "kitti"), "euroc"),
+        (("--to", "tum"), "--mono"),
     ],
 )
 def test_invalid_arguments_are_one_error_line(

@@ -200,7 +200,7 @@ def three_cameras(tmp_path: Path) -> Path:
 def test_all_cameras_of_an_ambiguous_log_are_inspected(three_cameras: Path, tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
     result = CliRunner().invoke(
-        app, ["info", str(three_cameras), "--json", "--contact-sheet", str(sheet)]
+        app, ["info", str(three_cameras), "--json", "--picture", str(sheet)]
     )
     assert result.exit_code == 1
     report = json.loads(result.stdout)

@@ -241,7 +241,7 @@ def test_ground_truth_may_be_given_or_missing(
 
 def test_plots_are_written_as_pdf_and_png(report_runs: list[Path], tmp_path: Path) -> None:
     output, plots = tmp_path / "deep" / "a.html", tmp_path / "plots"
-    make(report_runs[0], "-o", output, "--plots", plots, "--no-images")
+    make(report_runs[0], "-o", output, "--picture", plots, "--no-images")
     assert Page(output).images == 0
     names = {path.stem for path in plots.glob("*.pdf")}
     assert names == {path.stem for path in plots.glob("*.png")}

@@ -118,7 +118,7 @@ def test_a_converted_recording_has_the_shifted_stamps(
 ) -> None:
     copy = _with_right_stamps(synthetic_stereo, tmp_path / "late", 12_345_678)
     arguments = ["convert", str(copy), str(tmp_path / "out"), "--right-offset", "-12.345678"]
-    result = CliRunner().invoke(app, [*arguments, "--format", "euroc"])
+    result = CliRunner().invoke(app, [*arguments, "--to", "euroc"])
     assert result.exit_code == 0, result.output
     made = open_source(tmp_path / "out", right_offset_ns=0)
     assert made.rig.is_stereo

@@ -48,7 +48,7 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
     mono = summary.facts.mode == "mono"
     defects = dict.fromkeys(r.defect for r in summary.without_pose)
     lines += [
-        f"images are {defect.value}: {_CAUSES[defect]} (see vo info --contact-sheet sheet.png)"
+        f"images are {defect.value}: {_CAUSES[defect]} (see vo info --picture sheet.png)"
         for defect in defects
         if defect is not None
     ]
@@ -87,9 +87,7 @@ def _monocular_start_advice(failure: Failure | None) -> list[str]:
             "sideways (--start N), or use two cameras"
         ]
     if failure.reason is FailureReason.FEW_FEATURES:
-        return [
-            "look at the images (vo info --contact-sheet sheet.png); textured scenes are needed"
-        ]
+        return ["look at the images (vo info --picture sheet.png); textured scenes are needed"]
     if failure.defect is not None:
         return []
     return [

@@ -7,6 +7,7 @@ import io
 import os
 import re
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -18,6 +19,7 @@ from vo.cli.demo import demo_command
 from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.info import info_command
+from vo.cli.old_names import Command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import synth_command
@@ -37,7 +39,8 @@ class _Group(TyperGroup):
     """Prints a `VoError` or OSError of any command as one line and exits with status 1."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        _refuse_empty_arguments(args)
+        if not ctx.resilient_parsing:  # of a line that the shell completes
+            _refuse_empty_arguments(args)
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -84,7 +87,10 @@ def _discard_stdout() -> None:
 
 
 app = typer.Typer(
-    cls=_Group, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+    cls=_Group,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
@@ -119,16 +125,19 @@ def _vo(
     """
 
 
-app.command("run", rich_help_panel=_ODOMETRY)(run_command)
-app.command("demo", rich_help_panel=_ODOMETRY)(demo_command)
-app.command("warmup", rich_help_panel=_ODOMETRY)(warmup_command)
-app.command("eval", rich_help_panel=_RESULTS)(eval_command)
-app.command("report", rich_help_panel=_RESULTS)(report_command)
-app.command("view", rich_help_panel=_RESULTS)(view_command)
-app.command("info", rich_help_panel=_RECORDINGS)(info_command)
-app.command("convert", rich_help_panel=_RECORDINGS)(convert_command)
-app.command("calibrate", rich_help_panel=_RECORDINGS)(calibrate_command)
-app.command("synth", rich_help_panel=_RECORDINGS)(synth_command)
+_COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+    _ODOMETRY: {"run": run_command, "demo": demo_command, "warmup": warmup_command},
+    _RESULTS: {"eval": eval_command, "report": report_command, "view": view_command},
+    _RECORDINGS: {
+        "info": info_command,
+        "convert": convert_command,
+        "calibrate": calibrate_command,
+        "synth": synth_command,
+    },
+}
+for _heading, _functions in _COMMANDS.items():
+    for _name, _function in _functions.items():
+        app.command(_name, cls=Command, rich_help_panel=_heading)(_function)
 
 
 def keep_only(arguments: list[str]) -> None:

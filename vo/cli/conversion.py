@@ -193,10 +193,10 @@ def _check(recording: Recording, settings: Conversion) -> None:
         missing = int(np.sum([dropped.sum() for dropped in recording.dropped]))
         raise ConfigError(
             f"format kitti does not allow missing images, and {missing} are missing; use "
-            "--format euroc, or --mode mono"
+            "--to euroc, or --mode mono"
         )
     if settings.format == "tum" and not recording.has_depth:
-        raise ConfigError("format tum needs depth images, and there are none; use --format euroc")
+        raise ConfigError("format tum needs depth images, and there are none; use --to euroc")
     known.check(recording.rig, False)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vo.cli import options
+from vo.cli import completion, options
 from vo.cli.echo import echo
 
 if TYPE_CHECKING:
@@ -22,20 +22,12 @@ if TYPE_CHECKING:
 Output = Annotated[
     Path, typer.Argument(metavar="OUTPUT", help="Folder to create, or a file ending in .mcap.")
 ]
-Format = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FORMAT",
-        help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
-        show_default="mcap for .mcap, else euroc",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
 Codec = Annotated[
     str,
     typer.Option(
         metavar="CODEC",
         help="Image codec: png, jpeg (lossy), or raw in MCAP.",
+        autocompletion=completion.codecs,
         rich_help_panel=options.OUTPUT,
     ),
 ]
@@ -55,15 +47,6 @@ Gray = Annotated[
         rich_help_panel=options.OUTPUT,
     ),
 ]
-SourceFormat = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FORMAT",
-        help="Format of the recording, as --format of `vo run`.",
-        show_default="detected from the files",
-        rich_help_panel=options.INPUT,
-    ),
-]
 Force = Annotated[
     bool,
     typer.Option("--force", help="Replace an existing file.", rich_help_panel=options.OUTPUT),
@@ -73,7 +56,7 @@ Force = Annotated[
 def convert_command(
     source: options.Recording,
     output: Output,
-    format: Format = None,
+    to: options.OutputFormat = None,
     codec: Codec = "png",
     start: options.Start = 0,
     end: options.End = None,
@@ -82,7 +65,7 @@ def convert_command(
     gray: Gray = False,
     mode: options.Mode = options.ModeChoice.AUTO,
     calibration: options.Calibration = None,
-    source_format: SourceFormat = None,
+    format: options.Format = None,
     topic: options.Topics = None,
     right_offset: options.RightOffset = None,
     force: Force = False,
@@ -100,7 +83,7 @@ def convert_command(
 
     Make a small copy in another format:
 
-      vo convert kitti/06 small.mcap --resize 0.5 --codec jpeg --format mcap-ros2
+      vo convert kitti/06 small.mcap --resize 0.5 --codec jpeg --to mcap-ros2
     """
     from vo.cli.console import standard_error
     from vo.cli.conversion import Conversion
@@ -110,11 +93,11 @@ def convert_command(
 
     refuse_to_overwrite((source, calibration), (output,))
     console = standard_error(quiet=quiet)
-    chosen = _output_format(format, output)
+    chosen = _output_format(to, output)
     settings = Conversion(chosen, codec, start, end, stride, _size(resize), gray)
     opened = open_leniently(
         source,
-        format=source_format,
+        format=format,
         calibration=calibration,
         mode=mode.value,
         topics=topic or (),

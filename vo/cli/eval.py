@@ -102,7 +102,7 @@ Topics = Annotated[
         rich_help_panel=options.INPUT,
     ),
 ]
-Plot = Annotated[
+Picture = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
@@ -124,16 +124,16 @@ def eval_command(
     calibration: options.Calibration = None,
     topic: Topics = None,
     json_output: options.Json = False,
-    plot: Plot = None,
+    picture: Picture = None,
 ) -> None:
     """Evaluate an estimated trajectory against ground truth.
 
     Pairs poses by stamp, aligns the estimate (Umeyama 1991) and prints ATE,
     RPE, the drift over sub-paths as in KITTI, and the scale error.
 
-    Evaluate a run against the ground truth of its recording, with a plot:
+    Evaluate a run against the ground truth of its recording, with a picture:
 
-      vo eval out/ my_sequence/ --plot out/eval.png
+      vo eval out/ my_sequence/ --picture out/eval.png
 
     Evaluate a trajectory file, with results for a script:
 
@@ -166,16 +166,16 @@ def eval_command(
         delta_frames=delta,
         delta_m=delta_m,
     )
-    if plot is not None:
+    if picture is not None:
         from vo.evaluation.plots import save_plot
 
-        save_plot(plot, evaluation, inputs.reference, _title(inputs))
+        save_plot(picture, evaluation, inputs.reference, _title(inputs))
     if json_output:
-        _print_json(evaluation, inputs, plot)
+        _print_json(evaluation, inputs, picture)
     else:
         from vo.cli.eval_table import print_evaluation
 
-        print_evaluation(evaluation, inputs, plot)
+        print_evaluation(evaluation, inputs, picture)
 
 
 def _title(inputs: Inputs) -> str:
@@ -184,14 +184,15 @@ def _title(inputs: Inputs) -> str:
     return f"{names[0]}  vs.  {names[1]}"
 
 
-def _print_json(evaluation: Evaluation, inputs: Inputs, plot: Path | None) -> None:
-
+def _print_json(evaluation: Evaluation, inputs: Inputs, picture: Path | None) -> None:
+    written = None if picture is None else str(picture)
     result = {
         "estimate": str(inputs.estimate_path),
         "reference": str(inputs.reference_path),
         "mode": inputs.mode,
         **evaluation.to_dict(),
-        "plot": None if plot is None else str(plot),
+        "picture": written,
+        "plot": written,  # its name in the release before
     }
     result["notes"] = [*inputs.notes, *evaluation.notes]
     echo_json(result)

@@ -18,9 +18,12 @@ _COLUMNS = ("rmse", "mean", "median", "max")
 
 
 def print_evaluation(
-    evaluation: Evaluation, inputs: Inputs, plot: Path | None = None, console: Console | None = None
+    evaluation: Evaluation,
+    inputs: Inputs,
+    picture: Path | None = None,
+    console: Console | None = None,
 ) -> None:
-    """Print the inputs, the alignment, the errors and the path of the plot."""
+    """Print the inputs, the alignment, the errors and the path of the picture."""
     console = console or standard_output()
     for name, value in _facts(evaluation, inputs):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
@@ -31,8 +34,8 @@ def print_evaluation(
         print_table(console, _segments_table(evaluation, plain=not console.is_terminal))
     for note in (*inputs.notes, *evaluation.notes):
         console.print("\nnote:", note, markup=False, soft_wrap=True)
-    if plot is not None:
-        console.print(f"\nplot: {plot}", markup=False, soft_wrap=True)
+    if picture is not None:
+        console.print(f"\npicture: {picture}", markup=False, soft_wrap=True)
 
 
 def _facts(evaluation: Evaluation, inputs: Inputs) -> list[tuple[str, str]]:

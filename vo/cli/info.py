@@ -10,11 +10,11 @@ import typer
 from vo.cli import options
 from vo.cli.echo import echo_json
 
-ContactSheet = Annotated[
+Picture = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Write evenly spaced images to this PNG file.",
+        help="Write a contact sheet of evenly spaced images to this PNG file.",
         rich_help_panel=options.OUTPUT,
     ),
 ]
@@ -30,7 +30,7 @@ AllImages = Annotated[
 
 def info_command(
     source: options.Recording,
-    contact_sheet: ContactSheet = None,
+    picture: Picture = None,
     json_output: options.Json = False,
     all_images: AllImages = False,
     calibration: options.Calibration = None,
@@ -46,7 +46,7 @@ def info_command(
 
     Inspect a log, and save some of its images:
 
-      vo info log.mcap --contact-sheet sheet.png
+      vo info log.mcap --picture sheet.png
 
     Exit status: 0 no problem, 1 at least one problem (not for warnings),
     2 wrong usage.
@@ -58,7 +58,7 @@ def info_command(
     from vo.inspection.report import DEFAULT_IMAGES, inspect
     from vo.results.output_paths import refuse_to_overwrite
 
-    refuse_to_overwrite((source, calibration), (contact_sheet,))
+    refuse_to_overwrite((source, calibration), (picture,))
 
     with standard_error().status("checking images"):
         opened = open_leniently(
@@ -71,16 +71,16 @@ def info_command(
         )
         report = inspect(opened, None if all_images else DEFAULT_IMAGES)
         if not opened.cameras:
-            contact_sheet = None  # the report contains the reason
-        if contact_sheet is not None:
+            picture = None  # the report contains the reason
+        if picture is not None:
             from vo.inspection.contact_sheet import write_contact_sheet
 
-            write_contact_sheet(contact_sheet, opened)
+            write_contact_sheet(picture, opened)
     if json_output:
         echo_json(asdict(report))
     else:
         from vo.cli.info_table import print_report
 
-        print_report(report, contact_sheet)
+        print_report(report, picture)
     if any(finding.level == "error" for finding in report.findings):
         raise typer.Exit(1)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from vo.cli import completion
+
 # Headings of the options in `--help`.
 INPUT, OUTPUT = "Input", "Output"
 
@@ -67,6 +69,7 @@ Topics = Annotated[
         help="Image topic of a log: left=/cam0/image and right=/cam1/image, or a single name; "
         "repeatable.",
         show_default="detected from the names",
+        autocompletion=completion.image_topics,
         rich_help_panel=INPUT,
     ),
 ]
@@ -78,6 +81,7 @@ Format = Annotated[
         help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
         "nerf, video, glob or folder.",
         show_default="detected from the files",
+        autocompletion=completion.input_formats,
         rich_help_panel=INPUT,
     ),
 ]
@@ -90,6 +94,18 @@ RightOffset = Annotated[
         "if they are stamped too late.",
         show_default="0, or the constant offset of all right stamps",
         rich_help_panel=INPUT,
+    ),
+]
+
+OutputFormat = Annotated[
+    str | None,
+    typer.Option(
+        "--to",
+        metavar="FORMAT",
+        help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+        show_default="mcap for .mcap, else euroc",
+        autocompletion=completion.output_formats,
+        rich_help_panel=OUTPUT,
     ),
 ]
 

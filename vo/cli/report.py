@@ -33,7 +33,7 @@ Truth = Annotated[
         show_default="that of the run's recording",
     ),
 ]
-Plots = Annotated[
+Pictures = Annotated[
     Path | None,
     typer.Option(metavar="FOLDER", help="Also save each figure as PNG and PDF in this folder."),
 ]
@@ -44,7 +44,7 @@ def report_command(
     runs: Runs,
     output: Output = Path("report.html"),
     truth: Truth = None,
-    plots: Plots = None,
+    picture: Pictures = None,
     images: Images = True,
 ) -> None:
     """Write an HTML report of one or several runs.
@@ -59,7 +59,7 @@ def report_command(
 
     Compare two runs, and save the figures for a paper:
 
-      vo report out/mono out/stereo -o compared.html --plots figures/
+      vo report out/mono out/stereo -o compared.html --picture figures/
     """
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
@@ -71,9 +71,9 @@ def report_command(
     figures = list(draw_all(entries))
     write_page(output, make_page(entries, figures))
     echo(f"report      {output}")
-    if plots is not None:
-        written = write_plots(plots, figures)
-        echo(f"plots       {len(written)} files in {plots}")
+    if picture is not None:
+        written = write_plots(picture, figures)
+        echo(f"pictures    {len(written)} files in {picture}")
 
 
 def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from vo.cli import options
+from vo.cli import completion, options
 from vo.cli.run_request import Input, Outputs, RunRequest, Settings, Visualisation
 
 # Headings of the options in `--help`, besides those in `options`.
@@ -56,6 +56,7 @@ Config = Annotated[
     typer.Option(
         metavar="PRESET|FILE",
         help="default, fast or accurate, or a YAML file like configs/default.yaml.",
+        autocompletion=completion.presets,
         rich_help_panel=_ODOMETRY,
     ),
 ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vo.cli import options
+from vo.cli import completion, options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,6 +28,7 @@ Preset = Annotated[
     typer.Option(
         metavar="PRESET|FILE",
         help="Settings to start from: a preset (see --list) or a YAML file.",
+        autocompletion=completion.recipes,
         rich_help_panel=_SCENE,
     ),
 ]
@@ -52,6 +53,7 @@ Camera = Annotated[
     typer.Option(
         metavar="NAME|FILE",
         help="Name of a camera (see --list), or a calibration file.",
+        autocompletion=completion.cameras,
         rich_help_panel=_CAMERA,
     ),
 ]
@@ -85,8 +87,10 @@ Seed = Annotated[
 Format = Annotated[
     str | None,
     typer.Option(
+        "--to",
         metavar="FORMAT",
-        help="euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+        help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+        autocompletion=completion.output_formats,
         rich_help_panel=options.OUTPUT,
     ),
 ]
@@ -95,6 +99,7 @@ Codec = Annotated[
     typer.Option(
         metavar="CODEC",
         help="Image codec: png, jpeg (lossy), or raw in MCAP.",
+        autocompletion=completion.codecs,
         rich_help_panel=options.OUTPUT,
     ),
 ]
@@ -131,7 +136,7 @@ def synth_command(
     seconds: Seconds = None,
     fps: Fps = None,
     seed: Seed = None,
-    format: Format = None,
+    to: Format = None,
     codec: Codec = None,
     depth: Depth = None,
     overrides: Overrides = None,
@@ -157,7 +162,7 @@ def synth_command(
     Make it difficult, or write another format:
 
       vo synth out/hard --preset euroc --effects blur=2,noise=3,dark=1 --seed 7
-      vo synth log.mcap --preset phone --format mcap-ros2 --codec jpeg
+      vo synth log.mcap --preset phone --to mcap-ros2 --codec jpeg
     """
     from vo.cli.console import standard_output
 
@@ -173,7 +178,7 @@ def synth_command(
 
     scene = {"world": world, "motion": motion, "camera": camera, "mono": mono}
     sampling = {"seconds": seconds, "fps": fps, "seed": seed}
-    files = {"format": format, "codec": codec, "depth": depth}
+    files = {"format": to, "codec": codec, "depth": depth}
     named = {**scene, **sampling, **files}
     given = [f"{key}={value}" for key, value in named.items() if value is not None]
     recipe = load_recipe(preset, [*(overrides or ()), *given, *_effect_settings(effects)])

@@ -117,7 +117,7 @@ def _image_findings(camera: CameraReport) -> Iterator[Finding]:
         camera, blurred, "blurred", "use shorter exposure, check the focus, move slower"
     )
     yield from _quality_finding(
-        camera, untextured, "nearly without texture", "tracking is difficult; see --contact-sheet"
+        camera, untextured, "nearly without texture", "tracking is difficult; see --picture"
     )
     yield from _quality_finding(
         camera, repeats, "identical to the previous image", "remove them; check the camera driver"

@@ -1,0 +1,133 @@
+"""One grammar for all commands: short help, completion, and names of the release before."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from run_calls import VO
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from data_synth.writers.registry import FORMATS as WRITERS
+from vo.cli.app import app
+from vo.cli.completion import CODECS, INPUT_FORMATS, OUTPUT_FORMATS
+from vo.cli.old_names import with_new_names
+from vo.sources.registry import FORMATS as SOURCES
+
+COMMANDS = {name: command for name, command in get_command(app).commands.items()}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_h_prints_the_help(name: str) -> None:
+    words = [name] if name else []
+    short, long = (CliRunner().invoke(app, [*words, option]) for option in ("-h", "--help"))
+    assert short.exit_code == 0
+    assert short.stdout == long.stdout
+    assert "Usage:" in short.stdout
+
+
+def test_the_package_runs_as_a_module(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "vo"]
+    for arguments in (["--version"], ["info", "none"]):
+        module = subprocess.run([*words, *arguments], cwd=tmp_path, capture_output=True, text=True)
+        program = subprocess.run([VO, *arguments], cwd=tmp_path, capture_output=True, text=True)
+        assert (module.returncode, module.stdout) == (program.returncode, program.stdout)
+        assert module.stderr == program.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "given", "new", "note"),
+    [
+        ("eval", ["a", "b", "--plot", "p.png"], ["a", "b", "--picture", "p.png"], "--plot"),
+        ("eval", ["--plot=p.png"], ["--picture=p.png"], "--plot"),
+        ("info", ["--contact-sheet", "s.png"], ["--picture", "s.png"], "--contact-sheet"),
+        ("report", ["out", "--plots", "figs"], ["out", "--picture", "figs"], "--plots"),
+        ("synth", ["a", "--format", "tum"], ["a", "--to", "tum"], "--format"),
+        ("convert", ["--source-format=euroc"], ["--format=euroc"], "--source-format"),
+        ("convert", ["a", "b", "--format", "kitti"], ["a", "b", "--to", "kitti"], "--to kitti"),
+        ("convert", ["--format=mcap-ros2"], ["--to=mcap-ros2"], "--to mcap-ros2"),
+    ],
+)
+def test_old_names_are_understood_with_a_note(
+    command: str,
+    given: list[str],
+    new: list[str],
+    note: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert with_new_names(command, given) == new
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("note: ") and printed.err.count("\n") == 1
+    assert note in printed.err
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("convert", ["a", "b", "--format", "kitti", "--to", "euroc"]),
+        ("convert", ["a", "b", "--format", "kitti_raw"]),  # not a format to write
+        ("convert", ["a", "b", "--", "--source-format"]),
+        ("run", ["a", "--format", "euroc"]),
+        ("info", ["a", "--picture", "b.png"]),
+    ],
+)
+def test_new_names_are_left_alone(
+    command: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert with_new_names(command, words) == words
+    assert capsys.readouterr().err == ""
+
+
+def test_old_names_are_in_no_help() -> None:
+    options = {(name, word) for name, c in COMMANDS.items() for p in c.params for word in p.opts}
+    old = {("eval", "--plot"), ("info", "--contact-sheet"), ("report", "--plots")}
+    old |= {("convert", "--source-format"), ("synth", "--format")}
+    assert not options & old
+
+
+def completed(tmp_path: Path, *words: str) -> list[str]:
+    """Completions of the last word in bash."""
+    environment = {
+        **os.environ,
+        "_VO_COMPLETE": "complete_bash",
+        "COMP_WORDS": "\n".join(["vo", *words]),
+        "COMP_CWORD": str(len(words)),
+    }
+    done = subprocess.run([VO], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["de"], ["demo"]),
+        (["run", "--fo"], ["--format", "--follow"]),
+        (["run", "--mode", ""], ["auto", "mono", "stereo"]),
+        (["run", "x", "--config", ""], ["accurate", "default", "fast"]),
+        (["convert", "x", "y", "--to", "m"], ["mcap", "mcap-ros2"]),
+        (["info", "x", "--format", "kitti"], ["kitti", "kitti_raw"]),
+        (["synth", "--preset", "ki"], ["kitti"]),
+        (["synth", "x", "--camera", "ki"], ["kitti"]),
+        (["run", "x.mcap", "--topic", ""], []),  # there is no such file
+    ],
+)
+def test_the_shell_completes(words: list[str], found: list[str], tmp_path: Path) -> None:
+    assert sorted(completed(tmp_path, *words)) == sorted(found)
+
+
+def test_the_shell_completes_topics_of_a_log(images: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    assert CliRunner().invoke(app, ["convert", str(images), str(log)]).exit_code == 0
+    assert completed(tmp_path, "run", "log.mcap", "--topic", "") == ["/cam0/image_raw/compressed"]
+
+
+def test_completed_values_are_those_that_exist() -> None:
+    assert set(INPUT_FORMATS) == set(SOURCES)
+    assert set(OUTPUT_FORMATS) == set(WRITERS)
+    assert set(CODECS) == {codec for writer in WRITERS.values() for codec in writer.codecs}

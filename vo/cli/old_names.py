@@ -1,0 +1,71 @@
+"""Names of options in earlier releases, which are understood for one more release."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.core import TyperCommand
+
+from vo.cli.completion import OUTPUT_FORMATS
+from vo.cli.echo import echo
+
+_RENAMED = {
+    "convert": {"--source-format": "--format"},
+    "eval": {"--plot": "--picture"},
+    "info": {"--contact-sheet": "--picture"},
+    "report": {"--plots": "--picture"},
+    "synth": {"--format": "--to"},
+}
+
+
+class Command(TyperCommand):
+    """A command that understands the options of the release before, and says their new names."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments after the name of the command."""
+        if not ctx.resilient_parsing:  # of a line that the shell completes
+            args = with_new_names(self.name or "", args)
+        return super().parse_args(ctx, args)
+
+
+def with_new_names(command: str, arguments: list[str]) -> list[str]:
+    """The arguments of a command with the present names of options; prints what was renamed."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    words, rest = arguments[:end], arguments[end:]
+    if command == "convert" and not any(_name(word) == "--to" for word in words):
+        words = _with_output_format(words)
+    renamed = _RENAMED.get(command, {})
+    return [_replaced(word, renamed) for word in words] + rest
+
+
+def _replaced(word: str, renamed: dict[str, str]) -> str:
+    old = _name(word)
+    if old not in renamed:
+        return word
+    echo(f"note: {old} is now {renamed[old]}", err=True)
+    return renamed[old] + word.removeprefix(old)
+
+
+def _with_output_format(words: list[str]) -> list[str]:
+    """Replace `--format` by `--to` where it names a format that can be written.
+
+    Without `--to`, that is what it meant in the release before.
+    """
+    words = list(words)
+    for number, word in enumerate(words):
+        name, equals, value = word.partition("=")
+        if name != "--format":
+            continue
+        if not equals:
+            value = words[number + 1] if number + 1 < len(words) else ""
+        if value in OUTPUT_FORMATS:
+            words[number] = "--to" + word.removeprefix("--format")
+            echo(
+                f"note: the format to write is now --to {value}; --format is that of the recording",
+                err=True,
+            )
+    return words
+
+
+def _name(word: str) -> str:
+    return word.partition("=")[0]
