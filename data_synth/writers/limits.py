@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.errors import ConfigError
+from vo.extras import require
 from vo.geometry.rectification import rectified_rig
 from vo.types import Rig
 
@@ -55,6 +56,17 @@ def check_mcap(rig: Rig, has_drops: bool) -> None:
         CalibrationError: it cannot.
     """
     rectified_rig(rig)
+
+
+def check_ros2(rig: Rig, has_drops: bool) -> None:
+    """As `check_mcap`, and that messages of ROS can be written.
+
+    Raises:
+        CalibrationError: the pair cannot be rectified.
+        MissingExtraError: rosbags is not installed.
+    """
+    require("rosbags", extra="ros", what="ROS messages")
+    check_mcap(rig, has_drops)
 
 
 def check_nothing(rig: Rig, has_drops: bool) -> None:

@@ -21,7 +21,6 @@ from data_synth.writers.mcap_streams import messages_of
 from vo import __version__
 from vo.formats.foxglove import FOXGLOVE
 from vo.formats.messages import Dialect, Message
-from vo.formats.ros2 import ROS2
 
 
 def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
@@ -42,6 +41,8 @@ def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], code
 
 def write_ros2(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
     """As `write_foxglove`, with the messages of ROS 2."""
+    from vo.formats.ros2 import ROS2
+
     _write(path, recording, shots, codec, ROS2)
 
 

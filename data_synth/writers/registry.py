@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 
 from data_synth.recipe import Recipe
 from data_synth.records import Write
-from data_synth.writers.limits import check_kitti, check_mcap, check_nothing, check_tum
+from data_synth.writers.limits import check_kitti, check_mcap, check_nothing, check_ros2, check_tum
 from vo.errors import ConfigError
 from vo.types import Rig
 
@@ -38,7 +38,7 @@ FORMATS: dict[str, Format] = {
     "tum": Format("data_synth.writers.tum:write", _IN_FILES, check=check_tum),
     "folder": Format("data_synth.writers.folder:write", _IN_FILES),
     "mcap": Format("data_synth.writers.mcap:write_foxglove", _IN_MESSAGES, ".mcap", check_mcap),
-    "mcap-ros2": Format("data_synth.writers.mcap:write_ros2", _IN_MESSAGES, ".mcap", check_mcap),
+    "mcap-ros2": Format("data_synth.writers.mcap:write_ros2", _IN_MESSAGES, ".mcap", check_ros2),
 }
 
 

@@ -11,6 +11,7 @@ from vo.calibrating.advice import coverage
 from vo.calibrating.calibrate import CalibrationResult
 from vo.calibrating.report import camera_rms_px
 from vo.errors import OutputError
+from vo.extras import require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +32,7 @@ def save_plot(path: Path | str, result: CalibrationResult) -> None:
 
     Raises:
         OutputError: unsupported suffix, or the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
     """
     path = Path(path)
     check_suffix(path)
@@ -42,11 +44,13 @@ def save_plot(path: Path | str, result: CalibrationResult) -> None:
 
 
 def check_suffix(path: Path) -> None:
-    """Check the suffix of the file.
+    """Check the suffix of the file, and that it can be drawn.
 
     Raises:
         OutputError: unsupported suffix.
+        MissingExtraError: matplotlib is not installed.
     """
+    require("matplotlib", extra="report", what="plots")
     if path.suffix.lower() not in _SUFFIXES:
         raise OutputError(f"{path}: unsupported kind of picture; use {', '.join(_SUFFIXES)}")
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.calibrating.board import Board
 from vo.errors import OutputError
+from vo.extras import require
 from vo.types import Bytes
 
 _SUFFIXES = (".pdf", ".png", ".svg")
@@ -21,7 +22,9 @@ def save_board(path: Path | str, board: Board) -> None:
 
     Raises:
         OutputError: unsupported suffix, or the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
     """
+    require("matplotlib", extra="report", what="printed boards")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

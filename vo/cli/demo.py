@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.errors import MissingExtraError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -44,11 +46,12 @@ def demo_command(
     results = output / "run"
     rrd, plot = results / "run.rrd", results / "eval.png"
     _run(sequence, results, rrd, console)
-    inputs, evaluation = _evaluate(results, sequence, plot)
+    inputs, evaluation = _evaluate(results, sequence)
+    has_plot = _try_to_plot(plot, inputs, evaluation, console)
     from vo.cli.eval_table import print_evaluation
 
     print_evaluation(evaluation, inputs, console=console)
-    _print_next_steps(console, sequence, results, rrd, plot)
+    _print_next_steps(console, sequence, results, rrd, plot if has_plot else None)
 
 
 def _find_or_make_sequence(output: Path, console: Console) -> Path:
@@ -86,24 +89,34 @@ def _run(sequence: Path, results: Path, rrd: Path, console: Console) -> None:
     )
 
 
-def _evaluate(results: Path, sequence: Path, plot: Path) -> tuple[Inputs, Evaluation]:
+def _evaluate(results: Path, sequence: Path) -> tuple[Inputs, Evaluation]:
     from vo.evaluation.inputs import load_inputs
-    from vo.evaluation.plots import save_plot
     from vo.evaluation.report import evaluate
 
     inputs = load_inputs(results, sequence)
-    evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
-    save_plot(plot, evaluation, inputs.reference, "vo demo: estimate and ground truth")
-    return inputs, evaluation
+    return inputs, evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
+
+
+def _try_to_plot(plot: Path, inputs: Inputs, evaluation: Evaluation, console: Console) -> bool:
+    """Save the plot, or say in one line what it needs."""
+    from vo.evaluation.plots import save_plot
+
+    try:
+        save_plot(plot, evaluation, inputs.reference, "vo demo: estimate and ground truth")
+    except MissingExtraError as missing:
+        console.print(f"no plot: {missing}", markup=False, soft_wrap=True)
+        return False
+    return True
 
 
 def _print_next_steps(
-    console: Console, sequence: Path, results: Path, rrd: Path, plot: Path
+    console: Console, sequence: Path, results: Path, rrd: Path, plot: Path | None
 ) -> None:
     vo, rerun = _program("vo"), _program("rerun")
     quoted = [shlex.quote(str(path)) for path in (sequence, results, rrd)]
     lines = (
-        f"\nplot        {plot}",
+        "",
+        *([] if plot is None else [f"plot        {plot}"]),
         f"rerun file  {rrd}",
         f"results     {results}",
         "\nTry next:",

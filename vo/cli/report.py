@@ -63,9 +63,11 @@ def report_command(
     """
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
+    from vo.extras import require
     from vo.report.page import make_page, write_page, write_plots
     from vo.report.plots.catalogue import draw_all
 
+    require("matplotlib", extra="report", what="reports")
     with warnings_on(standard_error()):
         entries = _entries(runs, truth, images)
     figures = list(draw_all(entries))

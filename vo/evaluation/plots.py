@@ -9,6 +9,7 @@ import numpy as np
 
 from vo.errors import OutputError
 from vo.evaluation.report import Evaluation
+from vo.extras import require
 from vo.printable import printable
 from vo.types import Floats, Trajectory
 
@@ -40,6 +41,7 @@ def save_plot(
 
     Raises:
         OutputError: unsupported suffix, or the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
@@ -52,7 +54,12 @@ def save_plot(
 
 
 def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figure:
-    """Draw the plot as a figure without a window."""
+    """Draw the plot as a figure without a window.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    require("matplotlib", extra="report", what="plots")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

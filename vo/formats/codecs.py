@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from vo.extras import require
 from vo.formats.messages import Codec
 
 
@@ -15,9 +16,13 @@ def find_codec(
         schema: name of the schema, such as `sensor_msgs/msg/Image` or `foxglove.RawImage`.
         schema_encoding: as in MCAP, such as `ros2msg`.
         definition: the schema as stored.
+
+    Raises:
+        MissingExtraError: they are messages of ROS, and rosbags is not installed.
     """
     # Both libraries are slow to import, and most logs need only one.
     if message_encoding in ("cdr", "ros1"):
+        require("rosbags", extra="ros", what="ROS messages")
         from vo.formats.ros_reading import ros1_codec, ros2_codec
 
         if message_encoding == "ros1":

@@ -78,7 +78,7 @@ FORMATS: dict[str, Format] = {
         "vo.sources.nerf:gather_nerf", ("transforms.json", "transforms_train.json"), (".json",)
     ),
     "glob": Format("vo.sources.glob:gather_glob"),
-    "video": Format("vo.sources.video:gather_video", suffixes=VIDEO_SUFFIXES),
+    "video": Format("vo.sources.video_file:gather_video", suffixes=VIDEO_SUFFIXES),
     "folder": Format(
         "vo.sources.folder:gather_folder",
         ("left", *(f"*{s}" for s in IMAGE_SUFFIXES), "images", "images.zip"),

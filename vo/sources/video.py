@@ -1,10 +1,9 @@
-"""Video files of one camera, with the time stamps of the container."""
+"""Frames of video files with the time stamps of the container, decoded by PyAV."""
 
 from __future__ import annotations
 
 import bisect
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import av
@@ -13,72 +12,30 @@ from av.container import InputContainer
 from av.video.frame import VideoFrame
 
 from vo.errors import SourceError
-from vo.sources.assembly import RecordingContents, calibration_reader
-from vo.sources.listing import Shot
-from vo.sources.video_index import VideoIndex, open_video, read_index, video_stream
-from vo.types import Bytes, Mode
+from vo.sources.video_index import open_video, read_index, video_stream
+from vo.types import Bytes
 
 _THREADS = 2
 
 
-def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List the frames of the first video stream.
+class PyavDecoder:
+    """Decodes frames sequentially, and seeks only if that saves decoding.
 
     Raises:
         SourceError: the file cannot be opened or has no frames.
-        CalibrationError: the calibration is missing or invalid.
     """
-    index = read_index(path)
-    decoder = _Decoder(path, index)
-    shots = [
-        Shot(stamp, _StoredFrame(decoder, i), f"frame {i} of {path}")
-        for i, stamp in enumerate(index.stamps_ns)
-    ]
-    return RecordingContents(
-        name=path.stem,
-        format="video",
-        left=shots,
-        right=None,
-        calibrate=calibration_reader(
-            calibration, [path.with_suffix(".yaml"), path.parent / "calibration.yaml"]
-        ),
-        read_truth=lambda _: None,
-        close=decoder.close,
-    )
 
-
-@dataclass(frozen=True)
-class _StoredFrame:
-    """A `StoredImage` in a video file."""
-
-    decoder: _Decoder
-    index: int
-
-    @property
-    def name(self) -> str:
-        return f"{self.index} of {self.decoder.path}"
-
-    def read(self, colour: bool = False) -> Bytes:
-        return self.decoder.read(self.index, colour)
-
-
-class _Decoder:
-    """Decodes frames sequentially, and seeks only if that saves decoding."""
-
-    def __init__(self, path: Path, index: VideoIndex) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._index = index
+        self._index = read_index(path)
+        self.stamps_ns = self._index.stamps_ns
         self._container: InputContainer | None = None
         self._frames: Iterator[tuple[int | None, VideoFrame]] = iter(())
         self._position: int | None = None  # ticks of the last decoded frame
         self._last_frame: VideoFrame | None = None
 
     def read(self, index: int, colour: bool = False) -> Bytes:
-        """Read a frame as (H, W) grey, or as (H, W, 3) with `colour` if it has colour.
-
-        Raises:
-            SourceError: it cannot be decoded.
-        """
+        """See `VideoDecoder.read`."""
         target = self._index.ticks[index]
         try:
             self._seek(target)
@@ -99,7 +56,7 @@ class _Decoder:
         return np.ascontiguousarray(upright, dtype=np.uint8)
 
     def close(self) -> None:
-        """Close the file; the next read opens it again."""
+        """See `VideoDecoder.close`."""
         self._frames, self._last_frame, self._position = iter(()), None, None
         if self._container is not None:
             self._container.close()

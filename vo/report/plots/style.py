@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vo.extras import require
 from vo.types import Floats
 
 if TYPE_CHECKING:
@@ -58,7 +59,12 @@ _RC: Any = {
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Apply the style of the report, independently of the user's matplotlibrc."""
+    """Apply the style of the report, independently of the user's matplotlibrc.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    require("matplotlib", extra="report", what="reports")
     import matplotlib
 
     with matplotlib.rc_context(), warnings.catch_warnings():

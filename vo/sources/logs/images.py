@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from vo.errors import SourceError
+from vo.extras import require
 from vo.faults import Fault
 from vo.formats.messages import CompressedImageMessage, CompressedVideoMessage, ImageMessage
 from vo.formats.pixels import colour_pixels, grey_pixels
@@ -100,9 +101,13 @@ def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[
         topic: topic of the images.
         entries: all messages of the topic in the order of the log, as video frames depend on
             earlier ones; may grow.
+
+    Raises:
+        MissingExtraError: they are frames of a video, and PyAV is not installed.
     """
     if not issubclass(topic.codec.kind, CompressedVideoMessage):
         return lambda number: MessageImage(log, topic, entries[number])
+    require("av", extra="video", what="video messages")
     from vo.sources.logs.video import LogVideo, VideoImage  # av is slow to import
 
     video = LogVideo(log, topic, entries)
