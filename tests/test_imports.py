@@ -20,7 +20,7 @@ BASE = {
     )
 }
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
-OUTER = {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results")}
+OUTER = {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results", "streaming")}
 # Floors of the odometry: a room imports from floors below its own, never from one beside it.
 FLOORS = (
     {"vo.frontend"},

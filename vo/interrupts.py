@@ -19,9 +19,10 @@ class DeferredInterrupts:
 
     While frames are tracked, signals wait for `check`, because in the middle of a frame they could
     leave the map inconsistent, and an exception inside a callback of compiled code ends the
-    process. Only inside `waiting`, where a source may wait for a frame forever, a second one takes
-    effect at once. Once a signal is delivered, or after `close`, signals have no effect but a
-    message: what was computed is being saved, and nothing may cost results.
+    process. Only inside `waiting`, where a source may wait for a frame forever, or an output for
+    its reader, they take effect at once: of a source the second one, of an output the first. Once a
+    signal is delivered, or after `close`, signals have no effect but a message: what was computed
+    is being saved, and nothing may cost results.
     """
 
     def __init__(self) -> None:
@@ -29,16 +30,16 @@ class DeferredInterrupts:
         self._pending: list[int] = []
         self._is_closing = False
         self._is_explained = False
-        self._is_waiting = False
+        self._needed: int | None = None  # signals that take effect at once
 
     @contextmanager
-    def waiting(self) -> Iterator[None]:
-        """Deliver a second signal at once inside this block."""
-        self._is_waiting = True
+    def waiting(self, *, signals: int = 2) -> Iterator[None]:
+        """Deliver a signal at once inside this block, if it is the second, or of another number."""
+        self._needed = signals
         try:
             yield
         finally:
-            self._is_waiting = False
+            self._needed = None
 
     def check(self) -> None:
         """Deliver a signal that has arrived."""
@@ -55,7 +56,7 @@ class DeferredInterrupts:
             self._explain_once()
             return
         self._pending.append(number)
-        if len(self._pending) > 1 and self._is_waiting:
+        if self._needed is not None and len(self._pending) >= self._needed:
             self._deliver(number, frame)
 
     def _explain_once(self) -> None:

@@ -22,6 +22,8 @@ from vo.run_session import Request, RunSession
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, Recording
 from vo.stages import BUILT_IN, Components
+from vo.streaming.sink import PoseSink
+from vo.streaming.streams import opened_streams
 from vo.trajectory.store import InterpolatedFrames
 from vo.types import Mode
 
@@ -46,6 +48,7 @@ class RunOptions(TypedDict, total=False):
         viewer: URL of a rerun viewer to stream to.
         recorder: recorder to use instead of `rrd` and `viewer`.
         exports: files for other programs.
+        poses: where to send each pose at once: `-`, `udp://HOST:PORT`, `ws://HOST:PORT`, or a sink.
         components: parts of the odometry to use instead of the built-in ones.
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
@@ -67,6 +70,7 @@ class RunOptions(TypedDict, total=False):
     viewer: str | None
     recorder: Recorder | None
     exports: Exports | None
+    poses: Sequence[str | PoseSink]
     components: Components
     progress: Progress | None
     profile_since: float | None
@@ -98,7 +102,9 @@ def run(
         ConfigError: `tracking.every` is above 1 for a stream, or a log that is followed.
         OutputError: the folder or the recording cannot be written, another run is writing there,
             it holds files of others with names of a run's, two outputs are the same file or
-            one is the input, or no viewer answers.
+            one is the input, no viewer answers, or poses cannot be sent.
+        KeyboardInterrupt: a stop signal came before the last frame, or the reader of the poses on
+            standard output is gone.
     """
     exports = options.get("exports") or Exports()
     _check_outputs(source, output, exports, options)
@@ -109,6 +115,7 @@ def run(
     components = options.get("components", BUILT_IN)
     process = options.get("optimizer_process")
     with (
+        opened_streams(options.get("poses", ())) as poses,
         locked_folder(Path(output)),
         closing(Odometry(stream.rig, config, components, process)) as odometry,
     ):
@@ -121,7 +128,7 @@ def run(
         recorder.begin(name, stream.rig, stream.ground_truth)
         folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run
         progress = options.get("progress") or NullProgress()
-        session = RunSession(stream, request, odometry, folder, recorder, progress)
+        session = RunSession(stream, request, odometry, folder, recorder, progress, poses)
         return session.run(frames)
 
 

@@ -25,6 +25,7 @@ from vo.results.run_statistics import RunStatistics
 from vo.results.summary import RunFacts, RunState, Status, Summary, summarise
 from vo.sources.source import FrameStream, Recording
 from vo.stopwatch import Stopwatch
+from vo.streaming.streams import PoseStreams
 from vo.trajectory.pose_log import PoseLog
 from vo.types import Estimate, Frame
 
@@ -101,6 +102,7 @@ class RunSession:
         folder: receives the results.
         recorder: records the run.
         progress: observes the run.
+        poses: receive each pose at once.
     """
 
     def __init__(
@@ -111,6 +113,7 @@ class RunSession:
         folder: RunFolder,
         recorder: Recorder,
         progress: Progress,
+        poses: PoseStreams,
     ) -> None:
         self._stream = stream
         self._request = request
@@ -119,6 +122,8 @@ class RunSession:
         self._folder = folder
         self._recorder = recorder
         self._progress = progress
+        self._poses = poses
+        self._poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults)
         self._statistics = RunStatistics()
         self._statistics.faults.add(stream.faults)
         self._causal = PoseLog()
@@ -157,6 +162,8 @@ class RunSession:
         since = self._request.profile_since
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
         for estimate in self._odometry.track_all(_awaited(frames, clock, interrupts)):
+            with clock.stage("write"), interrupts.waiting(signals=1):
+                self._poses.send(estimate)
             self._output(estimate, clock)
             self._folder.frames.append(frame_line(estimate, clock.stage_ms))
             self._statistics.add_times(clock.stage_ms)
@@ -164,6 +171,7 @@ class RunSession:
             self._refresh_if_due()
             if not self._is_last(estimate):  # a signal in the last frame does not stop the run
                 interrupts.check()
+                self._poses.check()
         if not self._statistics.frames:
             raise _nothing_readable(self._stream)
 

@@ -138,18 +138,21 @@ class _Counts:
 def warnings_on(console: Console, *, quiet: bool = False) -> Iterator[None]:
     """Print each warning of the library once, as one line, above a progress bar.
 
-    Also print when functions are compiled, unless quiet.
+    Also print when functions are compiled, and where poses are served, unless quiet.
     """
     handler = _LineHandler(console)
-    logger, compiler = logging.getLogger("vo"), logging.getLogger("vo.compiling")
+    logger = logging.getLogger("vo")
+    talkative = [logging.getLogger(name) for name in ("vo.compiling", "vo.streaming")]
     logger.addHandler(handler)
     if not quiet:
-        compiler.setLevel(logging.INFO)
+        for each in talkative:
+            each.setLevel(logging.INFO)
     try:
         yield
     finally:
         logger.removeHandler(handler)
-        compiler.setLevel(logging.NOTSET)
+        for each in talkative:
+            each.setLevel(logging.NOTSET)
 
 
 class _LineHandler(logging.Handler):

@@ -137,6 +137,15 @@ Ply = Annotated[
         rich_help_panel=options.OUTPUT,
     ),
 ]
+Poses = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="-|ADDRESS",
+        help="Send each pose at once: - (JSON lines on standard output), udp://HOST:PORT, or "
+        "ws://HOST:PORT (a server for Foxglove; ws://:8765 for this machine alone); repeatable.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
 Profile = Annotated[
     bool,
     typer.Option(
@@ -170,6 +179,7 @@ def run_command(
     mcap: Mcap = None,
     colmap: Colmap = None,
     ply: Ply = None,
+    poses: Poses = None,
     profile: Profile = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -192,8 +202,13 @@ def run_command(
 
       vo run images/ -o out/ --calibration camera.yaml
 
+    Pass each pose to another program as soon as it is known (docs/outputs.md):
+
+      vo run my_sequence/ -o out/ --poses - | jq .world_from_cam0
+
     Exit status: 0 finished, even if tracking failed (with a warning), 1 error,
-    2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM.
+    2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM, 141 if the reader of
+    --poses - ended before the run.
     """
     begun = _process_start()
     from vo.cli.run_execution import execute
@@ -215,7 +230,9 @@ def run_command(
             ),
             Settings(config, tuple(overrides or ()), threads),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
-            Outputs(output, mcap, colmap, ply, begun if profile else None, quiet),
+            Outputs(
+                output, mcap, colmap, ply, begun if profile else None, quiet, tuple(poses or ())
+            ),
         )
     )
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from vo.cli.garbage import collection_paused
-from vo.cli.run_request import RunRequest, Settings
+from vo.cli.run_request import Outputs, RunRequest, Settings
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from vo.config import Config
     from vo.progress import Progress
     from vo.results.summary import Summary
+    from vo.streaming.sink import PoseSink
 
 
 def execute(request: RunRequest) -> None:
@@ -30,15 +32,17 @@ def execute(request: RunRequest) -> None:
         with collection_paused():
             config, optimizer_process = _start_optimizer(request.settings, stack)
             import vo.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
-            from vo.cli.console import standard_error
+            from vo.cli.console import standard_error, standard_output
             from vo.cli.progress import make_progress, warnings_on
             from vo.cli.run_table import print_summary
         console = standard_error()
         stack.enter_context(warnings_on(console, quiet=outputs.quiet))
-        progress = IgnoringAtEnd(make_progress(console, quiet=outputs.quiet), signals)
+        is_quiet = outputs.quiet or _is_terminal_for_poses(outputs)
+        progress = IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals)
         summary = _run(request, config, optimizer_process, progress, stack)
         if not outputs.quiet:
-            print_summary(summary, outputs.folder, request.visualisation.rrd)
+            console = standard_error() if outputs.poses_on_standard_output else standard_output()
+            print_summary(summary, outputs.folder, request.visualisation.rrd, console)
         if request.visualisation.serve:
             signals.obey()  # one of them ends the viewer
 
@@ -70,6 +74,7 @@ def _run(
     from vo.run_recording import run
 
     given, shown, outputs = request.input, request.visualisation, request.outputs
+    poses = _pose_targets(outputs, stack)
     viewer = stack.enter_context(live_viewer(shown.connect, spawn=shown.spawn, serve=shown.serve))
     source = stack.enter_context(spooled_input()) if given.is_piped else given.source
     return run(
@@ -82,6 +87,7 @@ def _run(
         stride=given.stride,
         rrd=shown.rrd,
         exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
+        poses=poses,
         rrd_images=shown.rrd_images,
         viewer=viewer,
         calibration=given.calibration,
@@ -94,3 +100,20 @@ def _run(
         profile_since=outputs.profile_since,
         optimizer_process=optimizer_process,
     )
+
+
+def _pose_targets(outputs: Outputs, stack: ExitStack) -> list[str | PoseSink]:
+    """Where to send poses; standard output is reserved for them if they are written there."""
+    from vo.cli.reserved_output import reserved_standard_output
+    from vo.streaming.json_lines import JsonLines
+
+    if not outputs.poses_on_standard_output:
+        return list(outputs.poses)
+    lines = JsonLines(stack.enter_context(reserved_standard_output()))
+    return [lines if address == "-" else address for address in outputs.poses]
+
+
+def _is_terminal_for_poses(outputs: Outputs) -> bool:
+    """Whether poses are written to a terminal, where a progress bar would be mixed with them."""
+    is_open = sys.stdout is not None and not sys.stdout.closed
+    return outputs.poses_on_standard_output and is_open and sys.stdout.isatty()

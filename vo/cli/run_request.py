@@ -51,7 +51,10 @@ class Visualisation(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """Files and text to write; `profile_since` is the process start on `time.perf_counter`."""
+    """Files and text to write; `profile_since` is the process start on `time.perf_counter`.
+
+    `poses` are addresses of `vo.streaming.address`.
+    """
 
     folder: Path
     mcap: Path | None
@@ -59,6 +62,12 @@ class Outputs(NamedTuple):
     ply: Path | None
     profile_since: float | None
     quiet: bool
+    poses: tuple[str, ...] = ()
+
+    @property
+    def poses_on_standard_output(self) -> bool:
+        """Whether nothing else may be written there."""
+        return "-" in self.poses
 
 
 class RunRequest(NamedTuple):

@@ -80,8 +80,10 @@ def stop_signals_as_interrupts(output: Path) -> Iterator[StopSignals]:
         yield signals
     except KeyboardInterrupt as stop:
         signals.ignore()
-        echo(f"interrupted{_remaining_results(output, begun_s)}", err=True)
-        raise typer.Exit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
+        number = stop.args[0] if stop.args else signal.SIGINT
+        what = "interrupted" if number != signal.SIGPIPE else "nothing reads the poses any more"
+        echo(f"{what}{_remaining_results(output, begun_s)}", err=True)
+        raise typer.Exit(128 + number) from None
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -73,7 +73,11 @@ def imu_class() -> type[PbMessage]:
 
 def schema(kind: type[Message]) -> Schema:
     """The protobuf schema of a message type, with its dependencies."""
-    message_class = _class_of(kind)
+    return schema_of(_class_of(kind))
+
+
+def schema_of(message_class: type[PbMessage]) -> Schema:
+    """The schema of a protobuf class, with its dependencies."""
     definition = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
     return Schema(message_class.DESCRIPTOR.full_name, definition)
 

@@ -16,7 +16,8 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 
-from vo.formats.foxglove import quaternion, timestamp, vector
+from vo.formats.foxglove import quaternion, schema_of, timestamp, vector
+from vo.formats.messages import Schema
 from vo.types import Bytes, Floats, Floats32
 
 _POINT = np.dtype(
@@ -32,6 +33,11 @@ class Colour(NamedTuple):
     red: float
     green: float
     blue: float
+
+
+def path_schema() -> Schema:
+    """The schema of a path."""
+    return schema_of(PosesInFrame)
 
 
 def path_message(stamp_ns: int, frame: str, poses: Floats) -> PosesInFrame:

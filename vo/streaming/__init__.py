@@ -1,0 +1,1 @@
+"""Poses of a run for other programs, frame by frame: JSON lines, UDP datagrams, Foxglove."""
