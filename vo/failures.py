@@ -70,3 +70,17 @@ def describe(failure: Failure | None) -> str:
     )
     is_told = not defect or failure.reason is FailureReason.IMAGE_DEFECT
     return text if is_told else f"{text}; the {side}image is {defect}"
+
+
+class Gap(NamedTuple):
+    """A time without images of a live stream, because its connection was lost.
+
+    Attributes:
+        first_ns: stamp of the last image before.
+        last_ns: stamp of the first image after.
+        reason: why the connection was lost.
+    """
+
+    first_ns: int
+    last_ns: int
+    reason: str

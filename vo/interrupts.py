@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
@@ -23,6 +23,8 @@ class DeferredInterrupts:
     its reader, they take effect at once: of a source the second one, of an output the first. Once a
     signal is delivered, or after `close`, signals have no effect but a message: what was computed
     is being saved, and nothing may cost results.
+
+    A live source has no end of its own: there the first signal is the usual end (`end_gently`).
     """
 
     def __init__(self) -> None:
@@ -31,6 +33,11 @@ class DeferredInterrupts:
         self._is_closing = False
         self._is_explained = False
         self._needed: int | None = None  # signals that take effect at once
+        self._stop: Callable[[], None] | None = None
+
+    def end_gently(self, stop: Callable[[], None]) -> None:
+        """Let the first signal call a function that ends the run, as if it were finished."""
+        self._stop = stop
 
     @contextmanager
     def waiting(self, *, signals: int = 2) -> Iterator[None]:
@@ -54,6 +61,10 @@ class DeferredInterrupts:
         """Handle a signal."""
         if self._is_closing:
             self._explain_once()
+            return
+        if self._stop is not None:
+            stop, self._stop = self._stop, None
+            stop()
             return
         self._pending.append(number)
         if self._needed is not None and len(self._pending) >= self._needed:

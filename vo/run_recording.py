@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from pathlib import Path
 from subprocess import Popen
 from typing import TypedDict, Unpack
 
 from vo.config import Config, dump_config
-from vo.errors import ConfigError
+from vo.errors import ConfigError, SourceError
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
@@ -19,8 +20,11 @@ from vo.results.output_lock import locked_folder
 from vo.results.output_paths import refuse_to_collide, refuse_to_overwrite
 from vo.results.summary import Summary
 from vo.run_session import Request, RunSession
+from vo.sources.live.address import LiveAddress, parse_address
+from vo.sources.live.opening import DEFAULT_TIMEOUT_S, LiveOptions, open_live
+from vo.sources.live.stream import LiveFrames
 from vo.sources.registry import open_source
-from vo.sources.source import FrameStream, Recording
+from vo.sources.source import FrameStream, LiveStream, Recording
 from vo.stages import BUILT_IN, Components
 from vo.streaming.sink import PoseSink
 from vo.streaming.streams import opened_streams
@@ -42,6 +46,9 @@ class RunOptions(TypedDict, total=False):
         right_offset_ns: added to the stamps of right images before they are paired; by default the
             constant offset of all right stamps, if there is one.
         follow: whether the log is still being written; frames are tracked as they arrive.
+        side_by_side: whether each image has the left and the right one beside each other.
+        timeout_s: time without images after which a run on a live source ends; by default 10 s.
+        duration_s: time after which it ends anyway.
         source_name: name of the recording in the summary, instead of its path.
         rrd: file to record for the rerun viewer.
         rrd_images: size of its images, and of those streamed to `viewer`; by default `half`.
@@ -64,6 +71,9 @@ class RunOptions(TypedDict, total=False):
     topics: Sequence[str]
     right_offset_ns: int | None
     follow: bool
+    side_by_side: bool
+    timeout_s: float | None
+    duration_s: float | None
     source_name: str | None
     rrd: Path | None
     rrd_images: ImageChoice
@@ -91,7 +101,8 @@ def run(
     the files have `.partial` after their names.
 
     Args:
-        source: folder or file of the recording, or a stream of frames.
+        source: folder or file of the recording, address of a live source (docs/live.md), or a
+            stream of frames.
         output: folder for the results (docs/outputs.md); those of an earlier run are removed.
         config: all settings.
         **options: see `RunOptions`.
@@ -110,11 +121,12 @@ def run(
     _check_outputs(source, output, exports, options)
     stream = _open(source, config, options)
     request = _request(source, stream, config, options)
-    every = config.tracking.every
+    every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(request.start, request.end, request.stride * every)
     components = options.get("components", BUILT_IN)
     process = options.get("optimizer_process")
     with (
+        _disconnected_at_end(stream),
         opened_streams(options.get("poses", ())) as poses,
         locked_folder(Path(output)),
         closing(Odometry(stream.rig, config, components, process)) as odometry,
@@ -122,7 +134,7 @@ def run(
         if every > 1 and isinstance(stream, Recording):
             interpolated = InterpolatedFrames(stream.stamps_ns, request.stride, every)
             odometry.trajectory.interpolated = interpolated
-        recorder = with_exports(_recorder(options), exports)
+        recorder = with_exports(_recorder(options, is_live=is_live), exports, may_drop=is_live)
         # rerun and MCAP accept no other bytes
         name = stream.name.encode("utf-8", "replace").decode()
         recorder.begin(name, stream.rig, stream.ground_truth)
@@ -151,6 +163,12 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
         raise ConfigError(f"tracking.every is {every}; {what} needs 1")
     if not isinstance(source, str | Path):
         return source
+    address = parse_address(str(source))
+    if address is not None:
+        return _open_live(address, config, options)
+    for option in ("timeout", "duration"):
+        if options.get(f"{option}_s") is not None:
+            raise SourceError(f"--{option} is for live sources, and {source} is a recording")
     return open_source(
         source,
         format=options.get("format"),
@@ -159,13 +177,37 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
         topics=options.get("topics", ()),
         follow=follow,
         right_offset_ns=options.get("right_offset_ns"),
+        side_by_side=options.get("side_by_side", False),
     )
+
+
+def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> LiveFrames:
+    name = address.public_name
+    if config.tracking.every > 1:
+        raise ConfigError(f"tracking.every is {config.tracking.every}; a live source needs 1")
+    for option in ("format", "topics", "right_offset_ns", "follow"):
+        if options.get(option) not in (None, (), False):
+            word = {"topics": "topic", "right_offset_ns": "right-offset"}.get(option, option)
+            raise SourceError(f"--{word} is for recordings, and {name} is a live source")
+    timeout_s, duration_s = options.get("timeout_s"), options.get("duration_s")
+    live = LiveOptions(
+        options.get("side_by_side", False),
+        DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s,
+        math.inf if duration_s is None else duration_s,
+    )
+    return open_live(address, options.get("calibration"), options.get("mode", "auto"), live)
+
+
+def _disconnected_at_end(stream: FrameStream) -> AbstractContextManager[object]:
+    return closing(stream) if isinstance(stream, LiveStream) else nullcontext()
 
 
 def _request(
     source: str | Path | FrameStream, stream: FrameStream, config: Config, options: RunOptions
 ) -> Request:
-    path = str(source) if isinstance(source, str | Path) else stream.name
+    path = stream.name
+    if isinstance(source, str | Path) and not isinstance(stream, LiveStream):
+        path = str(Path(source))
     return Request(
         path,
         options.get("source_name") or path,
@@ -181,7 +223,7 @@ def _request(
     )
 
 
-def _recorder(options: RunOptions) -> Recorder:
+def _recorder(options: RunOptions, *, is_live: bool) -> Recorder:
     given, rrd, viewer = options.get("recorder"), options.get("rrd"), options.get("viewer")
     if given is not None:
         return given
@@ -192,4 +234,4 @@ def _recorder(options: RunOptions) -> Recorder:
 
     images = options.get("rrd_images", "half")
     recorder = RerunRecorder(rrd, images=images, viewer=viewer)
-    return BackgroundRecorder(recorder, may_drop=viewer is not None)
+    return BackgroundRecorder(recorder, may_drop=viewer is not None or is_live)

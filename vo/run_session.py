@@ -19,11 +19,12 @@ from vo.recording.recorder import Recorder
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
+from vo.results.live_summary import LiveState
 from vo.results.poses import pose_lines
 from vo.results.profile import Profile, make_profile
 from vo.results.run_statistics import RunStatistics
 from vo.results.summary import RunFacts, RunState, Status, Summary, summarise
-from vo.sources.source import FrameStream, Recording
+from vo.sources.source import FrameStream, LiveStream, Recording
 from vo.stopwatch import Stopwatch
 from vo.streaming.streams import PoseStreams
 from vo.trajectory.pose_log import PoseLog
@@ -161,7 +162,7 @@ class RunSession:
         clock = Stopwatch()
         since = self._request.profile_since
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
-        for estimate in self._odometry.track_all(_awaited(frames, clock, interrupts)):
+        for estimate in self._estimates(_awaited(frames, clock, interrupts), interrupts):
             with clock.stage("write"), interrupts.waiting(signals=1):
                 self._poses.send(estimate)
             self._output(estimate, clock)
@@ -174,6 +175,20 @@ class RunSession:
                 self._poses.check()
         if not self._statistics.frames:
             raise _nothing_readable(self._stream)
+
+    def _estimates(
+        self, frames: Iterator[Frame], interrupts: DeferredInterrupts
+    ) -> Iterator[Estimate]:
+        """The results of all frames; those of a live stream at once, without reading ahead."""
+        stream = self._stream
+        if not isinstance(stream, LiveStream):
+            yield from self._odometry.track_all(frames)
+            return
+        interrupts.end_gently(stream.stop)
+        for frame in frames:
+            estimate = replace(self._odometry.track(frame), dropped=stream.dropped)
+            self._statistics.add_delay(1e-6 * (stream.now_ns() - frame.stamp_ns))
+            yield estimate
 
     def _end(self) -> Summary:
         """Finish the files and the recording after the last frame, and summarise."""
@@ -283,10 +298,18 @@ class RunSession:
             calibration=self._odometry.calibration_errors,
             error=None if error is None else named(error),
             profile=self._profile(),
+            live=self._live_state(),
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())
         return summary
+
+    def _live_state(self) -> LiveState | None:
+        """Drops and gaps of a live stream until now."""
+        stream = self._stream
+        if not isinstance(stream, LiveStream):
+            return None
+        return LiveState(stream.dropped, tuple(stream.gaps))
 
     def _profile(self) -> Profile | None:
         """Profile of the run until now."""

@@ -368,6 +368,7 @@ class Estimate:
         faults: faults of the recording that were found in the frame.
         tracked_anew_from: number of the first frame that has been tracked once more, with what was
             found in this one; None for no such frame.
+        dropped: images of a live source that were left out so far.
     """
 
     frame_index: int
@@ -387,3 +388,4 @@ class Estimate:
     median_disparity_px: float | None = None
     faults: tuple[Fault, ...] = ()
     tracked_anew_from: int | None = None
+    dropped: int = 0

@@ -109,6 +109,16 @@ OutputFormat = Annotated[
     ),
 ]
 
+SideBySide = Annotated[
+    bool,
+    typer.Option(
+        "--side-by-side",
+        help="Each image has the left and the right one beside each other (video, folder of "
+        "images, live camera).",
+        rich_help_panel=INPUT,
+    ),
+]
+
 Start = Annotated[
     int,
     typer.Option(min=0, metavar="N", help="First frame, counted from 0.", rich_help_panel=INPUT),

@@ -129,6 +129,8 @@ class _Counts:
         parts.append(f"{self._keyframes} keyframe{'s' * (self._keyframes != 1)}")
         if self._lost:
             parts.append(f"lost in {self._lost} frame{'s' * (self._lost != 1)}")
+        if estimate.dropped:
+            parts.append(f"{estimate.dropped} dropped")
         if abs(estimate.disparity_offset_px) >= _MIN_SHOWN_OFFSET_PX:
             parts.append(f"disparity bias {estimate.disparity_offset_px:+.2f} px")
         return ", ".join(parts)

@@ -25,11 +25,12 @@ class ImageSize(StrEnum):
 
 
 Recording = Annotated[
-    Path,
+    str,
     typer.Argument(
         metavar="RECORDING",
         help="MCAP file (- for standard input), ROS bag, video, folder of KITTI, KITTI raw, EuRoC "
-        "or TUM RGB-D, folder of images (or of left/ and right/), or a quoted glob pattern.",
+        "or TUM RGB-D, folder of images (or of left/ and right/), or a quoted glob pattern. Live: "
+        "camera:0, camera:0,1 (stereo), /dev/video0, rtsp://HOST/PATH or http://HOST/PATH.",
     ),
 ]
 Output = Annotated[
@@ -48,6 +49,26 @@ Follow = Annotated[
         "--follow",
         help="Follow an MCAP file that is still being written, until it is closed or has not "
         "grown for 10 s.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+Timeout = Annotated[
+    float | None,
+    typer.Option(
+        min=0.1,
+        metavar="SECONDS",
+        help="Live: end after this time without images.",
+        show_default="10",
+        rich_help_panel=options.INPUT,
+    ),
+]
+Duration = Annotated[
+    float | None,
+    typer.Option(
+        min=0.1,
+        metavar="SECONDS",
+        help="Live: end after this time.",
+        show_default="until Ctrl-C",
         rich_help_panel=options.INPUT,
     ),
 ]
@@ -164,7 +185,10 @@ def run_command(
     topic: options.Topics = None,
     right_offset: options.RightOffset = None,
     format: options.Format = None,
+    side_by_side: options.SideBySide = False,
     follow: Follow = False,
+    timeout: Timeout = None,
+    duration: Duration = None,
     start: options.Start = 0,
     end: options.End = None,
     stride: options.Stride = 1,
@@ -206,6 +230,10 @@ def run_command(
 
       vo run my_sequence/ -o out/ --poses - | jq .world_from_cam0
 
+    Run on a live camera until Ctrl-C (see docs/live.md):
+
+      vo run camera:0 -o out/ --calibration camera.yaml --serve
+
     Exit status: 0 finished, even if tracking failed (with a warning), 1 error,
     2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM, 141 if the reader of
     --poses - ended before the run.
@@ -227,6 +255,9 @@ def run_command(
                 start,
                 end,
                 stride,
+                side_by_side,
+                timeout,
+                duration,
             ),
             Settings(config, tuple(overrides or ()), threads),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),

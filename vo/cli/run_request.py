@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 class Input(NamedTuple):
     """The recording and the frames to use."""
 
-    source: Path
+    source: str
     calibration: Path | None
     mode: Literal["auto", "mono", "stereo"]
     topics: tuple[str, ...]
@@ -19,11 +19,14 @@ class Input(NamedTuple):
     start: int
     end: int | None
     stride: int
+    side_by_side: bool
+    timeout_s: float | None
+    duration_s: float | None
 
     @property
     def is_piped(self) -> bool:
         """Whether the recording is read from standard input."""
-        return str(self.source) == "-"
+        return self.source == "-"
 
 
 class Settings(NamedTuple):

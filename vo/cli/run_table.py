@@ -48,6 +48,11 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
         ("speed", f"{speed}, peak memory {summary.peak_rss_mb:.0f} MB"),
         ("output", str(output)),
     ]
+    if summary.live is not None and summary.live.delay_ms is not None:
+        delay = summary.live.delay_ms
+        facts.append(
+            ("delay", f"{delay.median:.0f} ms from image to pose, at most {delay.max:.0f}")
+        )
     if summary.profile is not None:
         facts.append(("profile", _profile(summary.profile)))
     return facts if rrd is None else [*facts, ("recording", str(rrd))]

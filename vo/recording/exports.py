@@ -47,12 +47,20 @@ class Exports:
         return recorders
 
 
-def with_exports(recorder: Recorder, exports: Exports) -> Recorder:
-    """A recorder, together with those of the exports in a separate thread."""
+def with_exports(recorder: Recorder, exports: Exports, *, may_drop: bool = False) -> Recorder:
+    """A recorder, together with those of the exports in a separate thread.
+
+    Args:
+        recorder: the recorder.
+        exports: the exports.
+        may_drop: whether they may leave out frames, rather than let the run wait.
+    """
     others = exports.recorders()
     if not others:
         return recorder
-    return SeveralRecorders([recorder, BackgroundRecorder(SeveralRecorders(others))])
+    return SeveralRecorders(
+        [recorder, BackgroundRecorder(SeveralRecorders(others), may_drop=may_drop)]
+    )
 
 
 class SeveralRecorders:

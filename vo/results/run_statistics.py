@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +47,7 @@ class RunStatistics:
         self._highest_landmark = -1
         self._inliers = array("i")
         self._disparities_px = array("f")
+        self._delays_ms = array("f")
         self._stage_ms: dict[str, array[float]] = {}
 
     def add(self, estimate: Estimate) -> None:
@@ -77,6 +78,15 @@ class RunStatistics:
         """Add the wall time by stage of one frame."""
         for stage, spent in stage_ms.items():
             self._stage_ms.setdefault(stage, array("f")).append(spent)
+
+    def add_delay(self, delay_ms: float) -> None:
+        """Add the time from the capture of a live image to its pose."""
+        self._delays_ms.append(delay_ms)
+
+    @property
+    def delays_ms(self) -> Sequence[float]:
+        """Delays of all frames; empty unless the source is live."""
+        return self._delays_ms
 
     @property
     def median_inliers(self) -> float | None:

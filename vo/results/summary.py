@@ -14,6 +14,7 @@ from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
 from vo.results.fault_warnings import fault_warnings
 from vo.results.frames_without_pose import FrameRange, ranges_without_pose
+from vo.results.live_summary import LiveState, LiveSummary, delay_of, live_warnings
 from vo.results.profile import Profile
 from vo.results.run_statistics import RunStatistics, StageTime
 from vo.results.verdict import MIN_INLIERS, Verdict, VerdictFacts, assess
@@ -70,6 +71,7 @@ class RunState:
         calibration: errors of the calibration that were found.
         error: message of the error that ended the run, None without one.
         profile: None if it was not requested.
+        live: None for a recording.
     """
 
     facts: RunFacts
@@ -83,6 +85,7 @@ class RunState:
     calibration: CalibrationErrors
     error: str | None = None
     profile: Profile | None = None
+    live: LiveState | None = None
 
 
 class Segment(NamedTuple):
@@ -130,6 +133,7 @@ class Summary:
     main_failure: Failure | None = None
     faults: tuple[FaultRecord, ...] = ()
     profile: Profile | None = None
+    live: LiveSummary | None = None
 
     @property
     def length_unit(self) -> str:
@@ -168,6 +172,7 @@ class Summary:
         facts, stages = fields.pop("facts"), fields.pop("stages")
         del fields["main_failure"]  # without_pose has the reasons
         profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
+        live: LiveSummary | None = fields.pop("live")
         return {
             "schema_version": SCHEMA_VERSION,
             **fields,
@@ -181,6 +186,7 @@ class Summary:
             "segments": [s._asdict() for s in self.segments],
             "stages": {name: _rounded(times) for name, times in stages.items()},
             **({} if profile is None else {"profile": profile._asdict()}),
+            **({} if live is None else {"live": live.to_dict()}),
             "versions": dict(self.versions),
             "length_unit": self.length_unit,
             "frames_per_s": round(self.frames_per_s, 3),
@@ -230,6 +236,9 @@ def summarise(state: RunState) -> Summary:
         main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
         profile=state.profile,
+        live=None
+        if state.live is None
+        else LiveSummary(state.live, delay_of(statistics.delays_ms)),
     )
 
 
@@ -276,6 +285,7 @@ def _warnings(summary: Summary) -> list[str]:
     return [
         *fault_warnings(summary.faults),
         *_tracking_warnings(summary),
+        *live_warnings(summary.live, summary.frames),
         *calibration_warnings(
             summary.right_camera,
             summary.lens_error,

@@ -113,7 +113,8 @@ class _QuietOpenCv:
                 cv2.utils.logging.setLogLevel(self._level)
 
 
-_quiet_opencv = _QuietOpenCv()
+quiet_opencv = _QuietOpenCv()
+"""Silences OpenCV's log inside a `with` block."""
 
 
 def estimate_bit_depth(images: Sequence[StoredImage]) -> int:
@@ -172,7 +173,7 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     if grey is not None:
         return grey
     try:
-        with _quiet_opencv:
+        with quiet_opencv:
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS[colour])
     except cv2.error as error:
         raise SourceError(f"image {name} cannot be decoded: {error.err}") from error

@@ -14,6 +14,7 @@ from vo.bounded_files import lfs_pointer_message
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
+from vo.sources.side_by_side import split_side_by_side
 from vo.sources.source import Recording
 from vo.types import Mode
 
@@ -96,6 +97,7 @@ def open_source(
     topics: Sequence[str] = (),
     follow: bool = False,
     right_offset_ns: int | None = None,
+    side_by_side: bool = False,
 ) -> Recording:
     """Open a recording.
 
@@ -109,6 +111,7 @@ def open_source(
         follow: whether it is still being written; frames are then read as they arrive.
         right_offset_ns: added to the stamps of right images before they are paired; by default 0,
             or the offset that all right stamps have against left ones.
+        side_by_side: whether each image has the left and the right one beside each other.
 
     Raises:
         SourceError: the recording is missing, empty, damaged or of unknown format.
@@ -118,6 +121,10 @@ def open_source(
     name = choose_format(path, format)
     chosen = None if calibration is None else Path(calibration)
     open_it = _load(FORMATS[name].opener)
+    if side_by_side and (follow or FORMATS[name].has_topics):
+        raise SourceError(
+            f"{path} ({name}) is a log: --side-by-side is for videos and folders of images"
+        )
     if follow:
         if not FORMATS[name].can_grow:
             growing = ", ".join(n for n, entry in FORMATS.items() if entry.can_grow)
@@ -128,6 +135,8 @@ def open_source(
     if topics:
         raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
     contents = cast(Gather, open_it)(path, chosen, mode)
+    if side_by_side:
+        contents = split_side_by_side(contents)
     return assemble(replace(contents, right_offset_ns=right_offset_ns), mode)
 
 

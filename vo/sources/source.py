@@ -1,10 +1,11 @@
-"""Contracts of frame sources: streams, and recordings, which are streams of known length."""
+"""Contracts of frame sources: streams, live ones, and recordings, which are of known length."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
+from vo.failures import Gap
 from vo.faults import Fault
 from vo.sources.images import ImageKind
 from vo.sources.imu import Imu
@@ -70,4 +71,31 @@ class Recording(FrameStream, Protocol):
     @property
     def stamps_ns(self) -> Ints:
         """(N,) times of all frames, known without reading an image."""
+        ...
+
+
+@runtime_checkable
+class LiveStream(FrameStream, Protocol):
+    """A stream that does not wait: of the images that come, the newest is handed out."""
+
+    @property
+    def dropped(self) -> int:
+        """Number of images so far that were left out, as a newer one came first."""
+        ...
+
+    @property
+    def gaps(self) -> list[Gap]:
+        """Times without images so far, because the connection was lost."""
+        ...
+
+    def now_ns(self) -> int:
+        """The present time on the clock of the stamps."""
+        ...
+
+    def stop(self) -> None:
+        """End `frames` soon; may be called by a signal handler."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect from the camera."""
         ...

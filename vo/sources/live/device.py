@@ -1,0 +1,51 @@
+"""The contract of a capture device: one camera, or several that give their images together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import cv2
+import numpy as np
+
+from vo.sources.images import Pixels
+from vo.types import Bytes
+
+
+class CapturedImages(NamedTuple):
+    """Images of one time.
+
+    Attributes:
+        stamp_ns: capture time of the first image, nanoseconds since 1970 on the host's clock.
+        images: (H, W) uint8 grey, by camera.
+    """
+
+    stamp_ns: int
+    images: tuple[Bytes, ...]
+
+
+class Device(Protocol):
+    """A connected device, used by one thread."""
+
+    def read(self) -> CapturedImages:
+        """Wait for the next images, of increasing stamps.
+
+        Raises:
+            SourceError: the connection is lost, or nothing came for several seconds.
+        """
+        ...
+
+    def close(self) -> None:
+        """End the connection; never fails."""
+        ...
+
+
+Connect = Callable[[], Device]
+"""Connects to a device; raises SourceError if it does not answer."""
+
+
+def as_grey(image: Pixels) -> Bytes:
+    """An 8-bit image as (H, W) grey; (H, W, 3) is BGR."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.shape[2] == 3 else image[:, :, 0]
+    return np.ascontiguousarray(image, dtype=np.uint8)
