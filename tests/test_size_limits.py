@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 MAX_PARAMETERS = 8
-MAX_ODOMETRY_LINES = 260
+MAX_ODOMETRY_LINES = 275
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -8,6 +8,7 @@ which adds landmarks and is optimised together with the keyframes before it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from subprocess import Popen
 
 import cv2
@@ -15,13 +16,12 @@ import cv2
 from vo.calibration_errors import CalibrationErrors
 from vo.config import Config
 from vo.failures import Failure, FailureReason
-from vo.frontend.image_quality import explained
 from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.tracked_frame import TrackedFrame, as_tracked_frame
 from vo.refinement.corrected_errors import corrected_errors
-from vo.snapshot import FrameResult, feature_count, make_snapshot
+from vo.snapshot import FrameResult, make_estimate, make_snapshot
 from vo.stages import BUILT_IN, Components, make_stages
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.store import TrajectoryStore
@@ -87,8 +87,26 @@ class Odometry:
         for pending in self._preprocessor.ahead(frames):
             yield self._process(pending)
 
+    def locate(self, frame: Frame) -> Estimate:
+        """The pose of the next frame, at once.
+
+        The rest, which the next frame needs, is left to `update_map`; keyframes that it adds or
+        moves are in the next estimate.
+        """
+        return self._estimate(self._locate(self._preprocessor.submit(frame)))
+
+    def update_map(self) -> None:
+        """Make the newest frame a keyframe if the map needs one; in any thread, before the next."""
+        result = self._result
+        if result is None or not result.is_keyframe or result.keyframe is not None:
+            return
+        assert result.tracked is not None
+        keyframe = self._add_keyframe(result.frame, result.tracked)
+        self._result = result._replace(keyframe=keyframe)
+
     def finish(self) -> Mapping[str, float]:
         """Apply the last result of the optimizer; the time by stage that it took."""
+        self.update_map()
         self._updater.apply()
         return self.stopwatch.take()
 
@@ -116,7 +134,14 @@ class Odometry:
         return make_snapshot(self._result, self._map, sigma_px, has_moved=self._has_moved)
 
     def _process(self, pending: LazyFuture[PreprocessedFrame]) -> Estimate:
+        result = self._locate(pending)
+        self.update_map()
+        return self._estimate(result)
+
+    def _locate(self, pending: LazyFuture[PreprocessedFrame]) -> FrameResult:
+        """Track a frame, after the frames before it once more if they were misled."""
         frame = self._preprocess(pending)
+        self.update_map()
         if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
             self._monocular_initializer.restart()
             self._state, self._lost = State.STARTING, []
@@ -125,16 +150,18 @@ class Odometry:
         result = self._advance(frame)
         is_tracking = self._state is State.TRACKING
         self._preprocessor.is_eager = self._forecast.expects_all or not is_tracking
-        return self._estimate(result)
+        return result
 
     def _advance(self, frame: PreprocessedFrame) -> FrameResult:
         """Track a frame, and give up the map after too many lost ones."""
+        self.update_map()
         self._updater.follow(frame)
-        result = self._track(frame)
+        self._result = self._track(frame)
         if len(self._lost) > self._config.tracking.recover_frames:
             for each in self._start_segment():  # a new map may hold the frames that were lost
-                result = self._track(each)
-        return result
+                self.update_map()
+                self._result = self._track(each)
+        return self._result
 
     @timed("features")
     def _preprocess(self, pending: LazyFuture[PreprocessedFrame]) -> PreprocessedFrame:
@@ -165,12 +192,10 @@ class Odometry:
         for each in self._frozen_camera.resume(tracked):
             self._trajectory.add_frame(each, newest, self._tracker.last_pose)
         faults = self._tracker.update(frame, tracked)
-        keyframe = None
-        if self._needs_keyframe(frame, tracked):
-            keyframe = self._add_keyframe(frame, tracked)
-        else:
+        is_keyframe = self._needs_keyframe(frame, tracked)
+        if not is_keyframe:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
-        return FrameResult(frame, tracked, keyframe, before, faults=faults)
+        return FrameResult(frame, tracked, is_keyframe, before, faults=faults)
 
     def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:
         change = self._policy.change_since_last(self._map, frame, tracked)
@@ -205,7 +230,7 @@ class Odometry:
         self._updater.add_keyframe(keyframe)
         tracked = as_tracked_frame(self._map, keyframe)
         self._tracker.restart(frame, tracked)
-        return FrameResult(frame, tracked, keyframe, before)
+        return FrameResult(frame, tracked, True, before, keyframe=keyframe)
 
     def _start_mono(self, frame: PreprocessedFrame, pose: Floats) -> Keyframe | Failure:
         """The second of two keyframes that make a map.
@@ -235,24 +260,13 @@ class Odometry:
         return frames
 
     def _estimate(self, result: FrameResult) -> Estimate:
-        frame, tracked, pose = result.frame, result.tracked, result.world_from_cam
-        self._result = result
         moved = self._trajectory.take_moved()
         self._has_moved = bool(moved)
-        return Estimate(
-            frame_index=frame.index,
-            stamp_ns=frame.stamp_ns,
-            state=self._state,
-            failure=None if tracked is not None else explained(result.failure, frame),
-            segment=self._segment,
+        pose = result.world_from_cam
+        return replace(
+            make_estimate(result, self._state, self._segment),
             world_from_cam0=None if pose is None else self._trajectory.world_from_cam0(pose),
-            is_keyframe=result.keyframe is not None,
-            features=feature_count(frame, tracked),
-            matches=0 if tracked is None else len(tracked.observed),
-            inliers=0 if tracked is None else tracked.inliers,
-            median_disparity_px=None if tracked is None else tracked.median_disparity_px,
             faults=result.every_fault + self._updater.faults,
-            tracked_anew_from=frame.misled[0].index if frame.misled else None,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,
             stage_ms=self.stopwatch.take(),

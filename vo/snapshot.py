@@ -1,4 +1,4 @@
-"""The newest frame and the local map, for display."""
+"""The result of a frame, as an estimate and, with the local map, for display."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.failures import Failure, FailureReason
 from vo.faults import Fault, FaultKind
+from vo.frontend.image_quality import explained
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.point_uncertainty import position_sigma
@@ -19,6 +20,7 @@ from vo.mapping.lookup import rows_of
 from vo.mapping.tracked_frame import TrackedFrame
 from vo.tracking.last_frame import LastFrame
 from vo.types import (
+    Estimate,
     FeatureState,
     Floats,
     Floats32,
@@ -26,6 +28,7 @@ from vo.types import (
     Landmarks,
     Sightings,
     Snapshot,
+    State,
     View,
 )
 
@@ -47,18 +50,20 @@ class FrameResult(NamedTuple):
     Attributes:
         frame: the frame.
         tracked: its pose and observations, None where it has none.
-        keyframe: the keyframe that it became, or None.
+        is_keyframe: whether it is to become a keyframe.
         before: the tracked frame before it, or None.
         failure: why it has no pose.
         faults: faults that tracking has found.
+        keyframe: the keyframe that it has become, or None.
     """
 
     frame: PreprocessedFrame
     tracked: TrackedFrame | None = None
-    keyframe: Keyframe | None = None
+    is_keyframe: bool = False
     before: LastFrame | None = None
     failure: Failure | None = None
     faults: tuple[Fault, ...] = ()
+    keyframe: Keyframe | None = None
 
     @property
     def every_fault(self) -> tuple[Fault, ...]:
@@ -81,10 +86,34 @@ class FrameResult(NamedTuple):
 
     @property
     def world_from_cam(self) -> Floats | None:
-        """(4, 4); of a keyframe as it was moved by the result of the window before."""
-        if self.keyframe is not None:
-            return self.keyframe.world_from_cam
+        """(4, 4) pose as tracked, None where it has none."""
         return None if self.tracked is None else self.tracked.world_from_cam
+
+
+def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
+    """What is known of a frame alone: all but its pose and what concerns the map.
+
+    Args:
+        result: of the frame.
+        state: of the odometry.
+        segment: number of its segment.
+    """
+    frame, tracked = result.frame, result.tracked
+    return Estimate(
+        frame_index=frame.index,
+        stamp_ns=frame.stamp_ns,
+        state=state,
+        failure=None if tracked is not None else explained(result.failure, frame),
+        segment=segment,
+        world_from_cam0=None,
+        is_keyframe=result.is_keyframe,
+        features=feature_count(frame, tracked),
+        matches=0 if tracked is None else len(tracked.observed),
+        inliers=0 if tracked is None else tracked.inliers,
+        keyframes=(),
+        median_disparity_px=None if tracked is None else tracked.median_disparity_px,
+        tracked_anew_from=frame.misled[0].index if frame.misled else None,
+    )
 
 
 def make_snapshot(
@@ -196,6 +225,8 @@ def _neighbours(local_map: LocalMap, keyframe: Keyframe) -> dict[int, int]:
 def _reprojection_error(result: FrameResult, local_map: LocalMap) -> Floats:
     """(n,) ideal pixels, NaN for landmarks that have been removed."""
     tracked, pose = result.tracked, result.world_from_cam
+    if result.keyframe is not None:
+        pose = result.keyframe.world_from_cam  # may have been moved since, with the map
     assert tracked is not None and pose is not None
     rows = local_map.rows(tracked.ids)
     there = rows >= 0
