@@ -33,7 +33,8 @@ def read_bytes(path: Path | str, max_bytes: int) -> bytes:
             reason = f"it has {info.st_size} bytes; at most {max_bytes} are read"
             raise OSError(errno.EFBIG, reason, str(path))
         with open(number, "rb", closefd=False) as file:
-            data = file.read(max_bytes)  # it may still grow
+            # The buffer is made for all that is asked for, and some file systems state no size.
+            data = file.read(info.st_size or max_bytes)
         if data.startswith(_LFS_POINTER):
             raise OSError(errno.EINVAL, f"it {_LFS_REASON}", str(path))
         return data

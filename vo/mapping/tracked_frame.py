@@ -61,7 +61,7 @@ class TrackedFrame:
     @property
     def inliers(self) -> int:
         """Number of observations that agree with the pose."""
-        return int(self.inlier.sum())
+        return int(np.count_nonzero(self.inlier))
 
     @property
     def inlier_ratio(self) -> float:

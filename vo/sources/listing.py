@@ -133,7 +133,8 @@ def inside(root: Path, file: Path, location: str) -> Path:
     Raises:
         SourceError: it does.
     """
-    if not Path(os.path.abspath(file)).is_relative_to(os.path.abspath(root)):
+    folder, absolute = os.path.abspath(root), os.path.abspath(file)
+    if absolute != folder and not absolute.startswith(os.path.join(folder, "")):
         raise SourceError(
             f"{location}: {file} is outside of the recording; images are read from {root} only"
         )

@@ -42,6 +42,7 @@ class ConstantVelocity:
         self._stamp_ns = 0
         self._world_from_cam: Floats = np.eye(4)
         self._twist_per_s: Floats | None = None
+        self._predicted: tuple[int, Floats] | None = None  # newest prediction and its time
 
     @property
     def last(self) -> Floats:
@@ -51,7 +52,7 @@ class ConstantVelocity:
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Begin at a pose of unknown velocity."""
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
-        self._twist_per_s = None
+        self._twist_per_s = self._predicted = None
 
     def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Add the pose of a newly tracked frame."""
@@ -60,14 +61,19 @@ class ConstantVelocity:
             moved = se3_log(inverse(self._world_from_cam) @ world_from_cam)
             self._twist_per_s = moved / elapsed_s
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
+        self._predicted = None
 
     def move(self, motion: Floats) -> None:
         """Move the newest pose by (4, 4) in the world; the velocity in its own frame stays."""
         self._world_from_cam = orthonormalised(motion @ self._world_from_cam)
+        self._predicted = None
 
     def predict(self, stamp_ns: int) -> Floats:
         """Pose at a later time."""
         if self._twist_per_s is None:
             return self._world_from_cam
-        elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
-        return np.asarray(self._world_from_cam @ se3_exp(self._twist_per_s * elapsed_s))
+        if self._predicted is None or self._predicted[0] != stamp_ns:  # asked for several times
+            elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
+            pose = np.asarray(self._world_from_cam @ se3_exp(self._twist_per_s * elapsed_s))
+            self._predicted = stamp_ns, pose
+        return self._predicted[1]

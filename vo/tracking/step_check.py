@@ -8,6 +8,7 @@ confirmed by fewer landmarks than usual, is implausible, unless the next frame c
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -15,7 +16,6 @@ import numpy as np
 
 from vo.failures import Failure, FailureReason
 from vo.geometry.quantiles import median
-from vo.geometry.transforms import inverse
 from vo.mapping.tracked_frame import TrackedFrame
 from vo.types import Floats
 
@@ -101,8 +101,9 @@ class StepCheck:
         if not self.knows_motion:
             return None
         excess = self._acceleration(step) / self._usual()
-        is_supported = self._is_well_supported(step.tracked) or self._is_confirming(step)
-        if excess < _MAX_EXCESS or is_supported:
+        if excess < _MAX_EXCESS:
+            return None
+        if self._is_well_supported(step.tracked) or self._is_confirming(step):
             return None
         return Failure(FailureReason.IMPLAUSIBLE_STEP, excess, _MAX_EXCESS)
 
@@ -145,4 +146,4 @@ class StepCheck:
 
 
 def _distance(a: Floats, b: Floats) -> float:
-    return float(np.linalg.norm((inverse(a) @ b)[:3, 3]))
+    return math.dist(a[:3, 3].tolist(), b[:3, 3].tolist())
