@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 NEEDS_EXTRA = {
     "vo.formats.ros2": "rosbags",
     "vo.formats.ros_reading": "rosbags",
+    "vo.sources.live.pyav_device": "av",
     "vo.sources.logs.video": "av",
     "vo.sources.video": "av",
     "vo.sources.video_index": "av",

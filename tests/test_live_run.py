@@ -16,7 +16,7 @@ import pytest
 from live_servers import served
 
 from vo.config import load_config
-from vo.errors import CalibrationError, ConfigError, SourceError
+from vo.errors import CalibrationError, ConfigError, OutputError, SourceError
 from vo.formats.calibration import write_calibration
 from vo.formats.trajectory import read_tum
 from vo.run_recording import run
@@ -250,9 +250,49 @@ def test_what_cannot_work_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("option", ["timeout", "duration"])
+def test_a_recorded_run_can_be_repeated(walk: Walk, tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    consumer = Consumer(slow=range(5, 10), slow_s=0.1)  # what it drops is not recorded
+    with served("rtsp", walk.both, RATE_HZ) as server:
+        live = run(
+            server.url,
+            tmp_path / "live",
+            config=FAST,
+            calibration=walk.stereo,
+            side_by_side=True,
+            end=30,
+            progress=consumer,
+            record=log,
+        )
+    assert live.live is not None
+    assert (live.live.state.unrecorded, live.live.state.dropped > 0) == (0, True)
+    assert summary_in(tmp_path / "live")["live"]["unrecorded"] == 0
+    again = run(log, tmp_path / "again", config=FAST)
+    assert (again.frames, again.facts.mode) == (30, "stereo")
+    one, other = (read_tum(tmp_path / name / "causal.tum") for name in ("live", "again"))
+    np.testing.assert_array_equal(one.stamps_ns, other.stamps_ns)
+    np.testing.assert_allclose(one.world_from_cam, other.world_from_cam, atol=1e-6)
+    assert again.keyframes == live.keyframes
+
+
+def test_a_recording_that_exists_is_not_replaced(walk: Walk, tmp_path: Path) -> None:
+    (tmp_path / "log.mcap").write_text("precious")
+    with served("http", walk.left, RATE_HZ) as server, pytest.raises(OutputError, match="exists"):
+        run(
+            server.url,
+            tmp_path / "out",
+            config=FAST,
+            calibration=walk.mono,
+            record=tmp_path / "log.mcap",
+        )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "option", [{"timeout_s": 5.0}, {"duration_s": 5.0}, {"record": Path("log.mcap")}]
+)
 def test_options_of_live_sources_are_refused_for_recordings(
-    option: str, synthetic_stereo: Path, tmp_path: Path
+    option: dict[str, Any], synthetic_stereo: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(SourceError, match=f"--{option} is for live sources"):
-        run(synthetic_stereo, tmp_path / "out", config=FAST, **{f"{option}_s": 5.0})
+    with pytest.raises(SourceError, match="is for live sources, and .* is a recording"):
+        run(synthetic_stereo, tmp_path / "out", config=FAST, **option)

@@ -10,7 +10,7 @@ from subprocess import Popen
 from typing import TypedDict, Unpack
 
 from vo.config import Config, dump_config
-from vo.errors import ConfigError, SourceError
+from vo.errors import ConfigError, SourceError, VoError
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
@@ -49,6 +49,7 @@ class RunOptions(TypedDict, total=False):
         side_by_side: whether each image has the left and the right one beside each other.
         timeout_s: time without images after which a run on a live source ends; by default 10 s.
         duration_s: time after which it ends anyway.
+        record: MCAP file to which its frames are written.
         source_name: name of the recording in the summary, instead of its path.
         rrd: file to record for the rerun viewer.
         rrd_images: size of its images, and of those streamed to `viewer`; by default `half`.
@@ -74,6 +75,7 @@ class RunOptions(TypedDict, total=False):
     side_by_side: bool
     timeout_s: float | None
     duration_s: float | None
+    record: Path | None
     source_name: str | None
     rrd: Path | None
     rrd_images: ImageChoice
@@ -153,7 +155,9 @@ def _check_outputs(
     inputs = (path, options.get("calibration"))
     replaced = None if rrd is None or rrd.suffix == ".rrd" else rrd  # no recording is an .rrd
     refuse_to_overwrite(inputs, (exports.mcap, exports.ply, replaced), Path(output))
-    refuse_to_collide(Path(output), (rrd, exports.mcap, exports.ply, exports.colmap))
+    refuse_to_collide(
+        Path(output), (rrd, exports.mcap, exports.ply, exports.colmap, options.get("record"))
+    )
 
 
 def _open(source: str | Path | FrameStream, config: Config, options: RunOptions) -> FrameStream:
@@ -166,8 +170,8 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     address = parse_address(str(source))
     if address is not None:
         return _open_live(address, config, options)
-    for option in ("timeout", "duration"):
-        if options.get(f"{option}_s") is not None:
+    for option, value in _live_options(options).items():
+        if value is not None:
             raise SourceError(f"--{option} is for live sources, and {source} is a recording")
     return open_source(
         source,
@@ -195,7 +199,26 @@ def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> Liv
         DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s,
         math.inf if duration_s is None else duration_s,
     )
-    return open_live(address, options.get("calibration"), options.get("mode", "auto"), live)
+    stream = open_live(address, options.get("calibration"), options.get("mode", "auto"), live)
+    record = options.get("record")
+    if record is not None:
+        from vo.recording.frame_log import FrameLog  # protobuf takes long to import
+
+        try:
+            stream.tap = FrameLog(record, stream.rig)
+        except VoError:
+            stream.close()
+            raise
+    return stream
+
+
+def _live_options(options: RunOptions) -> dict[str, object]:
+    """Options that only live sources have, by their names in the command line."""
+    return {
+        "timeout": options.get("timeout_s"),
+        "duration": options.get("duration_s"),
+        "record": options.get("record"),
+    }
 
 
 def _disconnected_at_end(stream: FrameStream) -> AbstractContextManager[object]:

@@ -186,9 +186,10 @@ class RunSession:
             return
         interrupts.end_gently(stream.stop)
         for frame in frames:
-            estimate = replace(self._odometry.track(frame), dropped=stream.dropped)
+            estimate = replace(self._odometry.locate(frame), dropped=stream.dropped)
             self._statistics.add_delay(1e-6 * (stream.now_ns() - frame.stamp_ns))
             yield estimate
+            self._odometry.update_map()
 
     def _end(self) -> Summary:
         """Finish the files and the recording after the last frame, and summarise."""
@@ -309,7 +310,7 @@ class RunSession:
         stream = self._stream
         if not isinstance(stream, LiveStream):
             return None
-        return LiveState(stream.dropped, tuple(stream.gaps))
+        return LiveState(stream.dropped, tuple(stream.gaps), stream.unrecorded)
 
     def _profile(self) -> Profile | None:
         """Profile of the run until now."""

@@ -20,9 +20,9 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
-from vo.geometry.rectification import rectified_rig
+from vo.geometry.rectification import rectified_projections
 from vo.geometry.transforms import inverse
-from vo.types import Camera, Floats, Ints, Rig
+from vo.types import Camera, Floats, Ints
 
 OnTopic = tuple[str, Message]
 
@@ -143,7 +143,7 @@ def _images(recording: Recording, shots: Iterator[EncodedShot], codec: str) -> l
     needs = np.sum([~dropped for dropped in recording.dropped], axis=0)
     buffer = _ShotBuffer(shots, needs)
     cameras = [camera for camera in (recording.rig.cam0, recording.rig.cam1) if camera is not None]
-    rectified = _rectified(recording.rig)
+    rectified = rectified_projections(recording.rig)
     return [
         _camera(recording, number, camera, rectified[number], buffer, codec)
         for number, camera in enumerate(cameras)
@@ -184,15 +184,3 @@ def _image(
         return topic, ImageMessage(stamp_ns, frame, *size, pixel_format, data)
     message = CompressedImageMessage(stamp_ns, frame, _IMAGE_FORMATS[codec], data)
     return f"{topic}/compressed", message
-
-
-def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:
-    """For each camera, rectified_from_cam (3, 3) and projection (3, 4) of the rectified camera."""
-    if rig.cam1_from_cam0 is None:
-        return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
-    rectified = rectified_rig(rig)
-    left_rotation = rectified.cam0_from_rectified[:3, :3].T
-    left = np.column_stack([rectified.matrix, np.zeros(3)])
-    right = left.copy()
-    right[0, 3] = -rectified.fx * rectified.baseline_m
-    return [(left_rotation, left), (left_rotation @ rig.cam1_from_cam0[:3, :3].T, right)]

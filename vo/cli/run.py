@@ -72,6 +72,14 @@ Duration = Annotated[
         rich_help_panel=options.INPUT,
     ),
 ]
+Record = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.mcap",
+        help="Live: also write the tracked images, for another run on them.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
 Config = Annotated[
     str,
     typer.Option(
@@ -189,6 +197,7 @@ def run_command(
     follow: Follow = False,
     timeout: Timeout = None,
     duration: Duration = None,
+    record: Record = None,
     start: options.Start = 0,
     end: options.End = None,
     stride: options.Stride = 1,
@@ -258,6 +267,7 @@ def run_command(
                 side_by_side,
                 timeout,
                 duration,
+                record,
             ),
             Settings(config, tuple(overrides or ()), threads),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),

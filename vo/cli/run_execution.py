@@ -98,6 +98,7 @@ def _run(
         side_by_side=given.side_by_side,
         timeout_s=given.timeout_s,
         duration_s=given.duration_s,
+        record=given.record,
         source_name=NAME if given.is_piped else None,
         progress=progress,
         profile_since=outputs.profile_since,

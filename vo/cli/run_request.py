@@ -22,6 +22,7 @@ class Input(NamedTuple):
     side_by_side: bool
     timeout_s: float | None
     duration_s: float | None
+    record: Path | None
 
     @property
     def is_piped(self) -> bool:

@@ -196,3 +196,21 @@ def _is_rectified(rig: Rig) -> bool:
     sideways = bool(np.all(np.abs(motion[1:3, 3]) < 1e-4 * baseline))
     undistorted = not a.is_distorted and not b.is_distorted
     return bool(same_matrix and same_size and parallel and sideways and is_right and undistorted)
+
+
+def rectified_projections(rig: Rig) -> list[tuple[Floats, Floats]]:
+    """For each camera, rectified_from_cam (3, 3) and projection (3, 4) of the rectified camera.
+
+    These are R and P of calibration messages of ROS and Foxglove.
+
+    Raises:
+        CalibrationError: the pair cannot be rectified.
+    """
+    if rig.cam1_from_cam0 is None:
+        return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
+    rectified = rectified_rig(rig)
+    left_rotation = rectified.cam0_from_rectified[:3, :3].T
+    left = np.column_stack([rectified.matrix, np.zeros(3)])
+    right = left.copy()
+    right[0, 3] = -rectified.fx * rectified.baseline_m
+    return [(left_rotation, left), (left_rotation @ rig.cam1_from_cam0[:3, :3].T, right)]

@@ -88,6 +88,11 @@ class LiveStream(FrameStream, Protocol):
         """Times without images so far, because the connection was lost."""
         ...
 
+    @property
+    def unrecorded(self) -> int | None:
+        """Number of frames so far that its recording left out; None if it is not recorded."""
+        ...
+
     def now_ns(self) -> int:
         """The present time on the clock of the stamps."""
         ...

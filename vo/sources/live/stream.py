@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Iterator
+from typing import Protocol
 
 import numpy as np
 
@@ -21,10 +22,31 @@ from vo.types import Bytes, Frame, Rig, Skipped, Trajectory
 _log = logging.getLogger(__name__)
 
 
+class FrameTap(Protocol):
+    """Receives every frame that is handed out, for example to record it; must not wait.
+
+    Attributes:
+        unrecorded: number of frames that it has left out.
+    """
+
+    unrecorded: int
+
+    def add(self, frame: Frame) -> None:
+        """Receive a frame."""
+        ...
+
+    def close(self) -> None:
+        """End."""
+        ...
+
+
 class LiveFrames:
     """The newest images of a device whenever a frame is asked for; see `LiveStream`.
 
     Frames are numbered as they are handed out. Images are grey, whatever kind is asked for.
+
+    Attributes:
+        tap: receives every frame; None for nothing.
 
     Args:
         name: of the source, without passwords.
@@ -49,6 +71,7 @@ class LiveFrames:
         self.ground_truth: Trajectory | None = None
         self.skipped: list[Skipped] = []
         self.unpaired = 0
+        self.tap: FrameTap | None = None
         self.faults: list[Fault] = []
         self._capture = capture
         self._clock = clock
@@ -65,6 +88,11 @@ class LiveFrames:
         """See `LiveStream`."""
         return self._capture.gaps
 
+    @property
+    def unrecorded(self) -> int | None:
+        """See `LiveStream`."""
+        return None if self.tap is None else self.tap.unrecorded
+
     def now_ns(self) -> int:
         """See `LiveStream.now_ns`."""
         return self._clock.now_ns()
@@ -76,6 +104,8 @@ class LiveFrames:
     def close(self) -> None:
         """See `LiveStream.close`."""
         self._capture.close()
+        if self.tap is not None:
+            self.tap.close()
 
     def frames(
         self, start: int = 0, end: int | None = None, stride: int = 1, images: ImageKind = "grey"
@@ -93,7 +123,10 @@ class LiveFrames:
             if captured is None:
                 return
             if number >= start and (number - start) % stride == 0:
-                yield Frame(number, captured.stamp_ns, self._checked(captured.images))
+                frame = Frame(number, captured.stamp_ns, self._checked(captured.images))
+                if self.tap is not None:
+                    self.tap.add(frame)
+                yield frame
             number += 1
 
     def _next(self, ends_at: float) -> CapturedImages | None:
