@@ -1,3 +1,142 @@
-"""Visual odometry: a camera's path, with its uncertainty, from images."""
+"""Visual odometry: a camera's path, with its uncertainty, from images.
+
+The names in `__all__` are the public interface (docs/library.md). All other modules and names are
+private: they may change in any release.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from vo.compiling.processor import use_common_instructions
 
 __version__ = "0.2.0"
+
+if TYPE_CHECKING:
+    from vo.api.functions import evaluate, run
+    from vo.api.odometry import Odometry
+    from vo.calibration_errors import CalibrationErrors
+    from vo.config import Config, load_config
+    from vo.errors import (
+        CalibrationError,
+        ConfigError,
+        EvaluationError,
+        InputError,
+        OutputError,
+        SourceError,
+        VoError,
+    )
+    from vo.evaluation.report import Evaluation
+    from vo.failures import Failure, FailureReason
+    from vo.faults import Fault, FaultKind
+    from vo.formats.calibration import Calibration, read_calibration, write_calibration
+    from vo.formats.trajectory import read_trajectory
+    from vo.formats.trajectory import write_tum as write_trajectory
+    from vo.geometry.transforms import quat_xyzw_from_rotation
+    from vo.recording.exports import Exports
+    from vo.results.summary import Summary
+    from vo.sources.registry import open_source as open
+    from vo.sources.source import FrameStream, Recording
+    from vo.stages import Components
+    from vo.types import Camera, Estimate, Frame, KeyframePose, Rig, Snapshot, State, Trajectory
+
+# Where each public name is defined, and its name there; imported when it is first used.
+_DEFINED_IN = {
+    "CalibrationError": "vo.errors:CalibrationError",
+    "CalibrationErrors": "vo.calibration_errors:CalibrationErrors",
+    "Calibration": "vo.formats.calibration:Calibration",
+    "Camera": "vo.types:Camera",
+    "Components": "vo.stages:Components",
+    "Config": "vo.config:Config",
+    "ConfigError": "vo.errors:ConfigError",
+    "Estimate": "vo.types:Estimate",
+    "Evaluation": "vo.evaluation.report:Evaluation",
+    "EvaluationError": "vo.errors:EvaluationError",
+    "Exports": "vo.recording.exports:Exports",
+    "Failure": "vo.failures:Failure",
+    "FailureReason": "vo.failures:FailureReason",
+    "Fault": "vo.faults:Fault",
+    "FaultKind": "vo.faults:FaultKind",
+    "Frame": "vo.types:Frame",
+    "FrameStream": "vo.sources.source:FrameStream",
+    "InputError": "vo.errors:InputError",
+    "KeyframePose": "vo.types:KeyframePose",
+    "Odometry": "vo.api.odometry:Odometry",
+    "OutputError": "vo.errors:OutputError",
+    "Recording": "vo.sources.source:Recording",
+    "Rig": "vo.types:Rig",
+    "Snapshot": "vo.types:Snapshot",
+    "SourceError": "vo.errors:SourceError",
+    "State": "vo.types:State",
+    "Summary": "vo.results.summary:Summary",
+    "Trajectory": "vo.types:Trajectory",
+    "VoError": "vo.errors:VoError",
+    "evaluate": "vo.api.functions:evaluate",
+    "load_config": "vo.config:load_config",
+    "open": "vo.sources.registry:open_source",
+    "quat_xyzw_from_rotation": "vo.geometry.transforms:quat_xyzw_from_rotation",
+    "read_calibration": "vo.formats.calibration:read_calibration",
+    "read_trajectory": "vo.formats.trajectory:read_trajectory",
+    "run": "vo.api.functions:run",
+    "write_calibration": "vo.formats.calibration:write_calibration",
+    "write_trajectory": "vo.formats.trajectory:write_tum",
+}
+
+__all__ = [
+    "Calibration",
+    "CalibrationError",
+    "CalibrationErrors",
+    "Camera",
+    "Components",
+    "Config",
+    "ConfigError",
+    "Estimate",
+    "Evaluation",
+    "EvaluationError",
+    "Exports",
+    "Failure",
+    "FailureReason",
+    "Fault",
+    "FaultKind",
+    "Frame",
+    "FrameStream",
+    "InputError",
+    "KeyframePose",
+    "Odometry",
+    "OutputError",
+    "Recording",
+    "Rig",
+    "Snapshot",
+    "SourceError",
+    "State",
+    "Summary",
+    "Trajectory",
+    "VoError",
+    "__version__",
+    "evaluate",
+    "load_config",
+    "open",
+    "quat_xyzw_from_rotation",
+    "read_calibration",
+    "read_trajectory",
+    "run",
+    "write_calibration",
+    "write_trajectory",
+]
+
+
+def __getattr__(name: str) -> Any:
+    place = _DEFINED_IN.get(name)
+    if place is None:
+        raise AttributeError(f"module 'vo' has no public name '{name}'")
+    # Before numpy and the compiler are loaded, if they are not yet: as `vo run` does.
+    use_common_instructions()
+    module, _, attribute = place.partition(":")
+    value = getattr(importlib.import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -4,6 +4,7 @@
     ├── ConfigError        a setting is unknown, of the wrong type or out of range
     ├── SourceError        a recording is missing, empty, damaged or of an unknown format
     ├── CalibrationError   a calibration is missing or invalid
+    ├── InputError         a value given to the library is of the wrong type, shape or order
     ├── EvaluationError    two trajectories cannot be compared
     ├── OutputError        a result cannot be written
     └── MissingExtraError  an optional package is needed and not installed
@@ -27,6 +28,10 @@ class SourceError(VoError):
 
 class CalibrationError(VoError):
     """A calibration is missing or invalid."""
+
+
+class InputError(VoError):
+    """A value given to the library is of the wrong type, shape, size or order."""
 
 
 class EvaluationError(VoError):

@@ -107,6 +107,7 @@ class Frame:
         depth: (H, W) float32 metres along the axis of camera 0 at its pixels, 0 where unknown; None
             without a depth camera or image.
         path: the file with the image of camera 0 as recorded, perhaps in colour; None without one.
+        mask: (H, W) uint8, 0 where the image of camera 0 is not to be used; None to use all of it.
     """
 
     index: int
@@ -114,6 +115,7 @@ class Frame:
     images: tuple[Bytes | None, ...]
     depth: Floats32 | None = None
     path: Path | None = None
+    mask: Bytes | None = None
 
     @property
     def image0(self) -> Bytes:
@@ -389,3 +391,8 @@ class Estimate:
     faults: tuple[Fault, ...] = ()
     tracked_anew_from: int | None = None
     dropped: int = 0
+
+    @property
+    def position(self) -> Floats | None:
+        """(3,) centre of cam0 in the world, None where there is no pose."""
+        return None if self.world_from_cam0 is None else self.world_from_cam0[:3, 3]

@@ -46,6 +46,7 @@ class PreprocessedFrame:
         faults: faults that the images show.
         repetition: whether the image of camera 0 repeats the one before.
         image_fixed: what stands still in images[0] while the scene moves.
+        mask: (H, W) uint8, 0 where images[0] is not to be used, or None.
         misled: frames before this one, to be tracked anew without such content, found just now.
     """
 
@@ -61,6 +62,7 @@ class PreprocessedFrame:
     faults: tuple[Fault, ...] = ()
     repetition: Repetition = Repetition.NONE
     image_fixed: ImageFixed = ImageFixed()
+    mask: Bytes | None = None
     misled: tuple[PreprocessedFrame, ...] = ()
 
     @property
@@ -213,7 +215,8 @@ class FramePreprocessor:
         pair_check: PairCheck | None,
     ) -> PreprocessedFrame:
         frame = recorded.frame
-        images, features = self._images_and_features(frame, image0, fixed.mask, pair_check)
+        mask = fixed.mask if frame.mask is None else self._combined(frame.mask, fixed.mask)
+        images, features = self._images_and_features(frame, image0, mask, pair_check)
         return PreprocessedFrame(
             frame.index,
             frame.stamp_ns,
@@ -230,7 +233,14 @@ class FramePreprocessor:
             + recorded.faults,
             recorded.repetition,
             fixed,
+            mask,
         )
+
+    def _combined(self, recorded: Bytes, fixed: Bytes | None) -> Bytes:
+        """A mask at the pixels of the rectified image, with that of fixed content."""
+        rectified = self._rig.rectify(recorded, 0)
+        mask = np.where(rectified == 255, np.uint8(255), np.uint8(0))  # no pixel between
+        return mask if fixed is None else np.minimum(mask, fixed)
 
     def _images_and_features(
         self, frame: Frame, image0: Bytes, mask: Bytes | None, pair_check: PairCheck | None

@@ -272,7 +272,7 @@ class Tracker:
         different times don't.
         """
         visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
-        visible = outside(frame.image_fixed.mask, visible)
+        visible = outside(frame.mask, visible)
         observed = self._aligner.align(visible, frame.image0)
         if not is_alone:
             observed = self._aligner.with_disparity(observed, world_from_cam, frame)

@@ -1,0 +1,1 @@
+"""The public interface: what `import vo` gives, and nothing else is meant to be depended on."""

@@ -1,0 +1,101 @@
+"""Functions of the public interface: recordings, runs and evaluations by one call each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Unpack
+
+from vo.api.same_bits import prepare
+from vo.config import Config, load_config
+from vo.errors import ConfigError
+from vo.evaluation.alignment import AlignMethod
+from vo.evaluation.inputs import GivenTrajectory, load_inputs
+from vo.evaluation.report import Evaluation
+from vo.evaluation.report import evaluate as evaluate_trajectories
+from vo.results.summary import Summary
+from vo.run_recording import RunOptions
+from vo.run_recording import run as run_recording
+from vo.sources.source import FrameStream
+from vo.types import Trajectory
+
+
+def run(
+    source: str | Path | FrameStream,
+    output: str | Path,
+    config: Config | str | Path = "default",
+    *,
+    overrides: Sequence[str] = (),
+    **options: Unpack[RunOptions],
+) -> Summary:
+    """Compute a camera's path from a recording and write it, as `vo run` does.
+
+    Args:
+        source: folder or file of the recording, or a stream of frames.
+        output: folder for the results (docs/outputs.md); those of an earlier run are removed.
+        config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
+        overrides: settings to change, such as `["features.count=2500"]`.
+        **options: see `vo.run_recording.RunOptions`: mode, start, end, stride, calibration, topics,
+            rrd, exports and others.
+
+    Raises:
+        VoError: see `vo.run_recording.run`.
+    """
+    if not isinstance(config, Config):
+        config = load_config(config, list(overrides))
+    elif overrides:
+        raise ConfigError("give overrides with the name of a preset or file, not with a Config")
+    prepare()
+    return run_recording(source, Path(output), config=config, **options)
+
+
+def evaluate(
+    estimate: str | Path | Trajectory,
+    reference: str | Path | Trajectory,
+    *,
+    align: AlignMethod = "auto",
+    tolerance_s: float = 0.01,
+    interpolated: bool = False,
+    delta_frames: int = 1,
+    delta_m: float | None = None,
+    calibration: str | Path | None = None,
+) -> Evaluation:
+    """Errors of a trajectory against ground truth, as `vo eval` prints them.
+
+    Args:
+        estimate: a trajectory, its file in any supported format, or the folder of a run.
+        reference: a trajectory, its file, or the folder of a sequence with its ground truth.
+        align: transform that aligns the estimate: `se3`, `sim3`, `scale`, `none`; `auto` for that
+            of the run's mode, else `se3`.
+        tolerance_s: largest time between paired poses in seconds.
+        interpolated: whether to interpolate the reference at the times of the estimate.
+        delta_frames: step of relative errors, in paired poses.
+        delta_m: step of relative errors in metres; None for one that suits the path.
+        calibration: file with the pose of cam0 on the body, for ground truth of the body.
+
+    Raises:
+        SourceError: a file is missing or damaged.
+        CalibrationError: the calibration is missing or damaged.
+        EvaluationError: the trajectories cannot be compared.
+    """
+    inputs = load_inputs(
+        _given(estimate, "estimate"),
+        _given(reference, "reference"),
+        calibration=None if calibration is None else Path(calibration),
+    )
+    return evaluate_trajectories(
+        inputs.estimate,
+        inputs.reference,
+        align,
+        inputs.mode,
+        tolerance_s=tolerance_s,
+        interpolated=interpolated,
+        delta_frames=delta_frames,
+        delta_m=delta_m,
+    )
+
+
+def _given(trajectory: str | Path | Trajectory, name: str) -> str | Path | GivenTrajectory:
+    if isinstance(trajectory, Trajectory):
+        return GivenTrajectory(trajectory, Path(name))
+    return trajectory

@@ -1,0 +1,249 @@
+"""Checks and conversions of what callers of the library give."""
+
+from __future__ import annotations
+
+import operator
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import cv2
+import numpy as np
+
+from vo.api.grey_levels import Pixels, RunningStretch
+from vo.config import Config, load_config
+from vo.errors import CalibrationError, ConfigError, InputError
+from vo.formats.calibration import Calibration, read_calibration
+from vo.types import Bytes, Camera, Floats32, Frame, Rig
+
+ColourOrder = Literal["bgr", "rgb"]
+
+_MAX_STAMP_NS = 2**63 - 1
+_MAX_DEPTH_M = 1e6
+_MILLIMETRES = np.float32(1e-3)
+_TO_GREY = {
+    ("bgr", 3): cv2.COLOR_BGR2GRAY,
+    ("rgb", 3): cv2.COLOR_RGB2GRAY,
+    ("bgr", 4): cv2.COLOR_BGRA2GRAY,
+    ("rgb", 4): cv2.COLOR_RGBA2GRAY,
+}
+
+
+def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth: bool) -> Rig:
+    """The cameras to use.
+
+    Args:
+        calibration: a calibration, its file, or the cameras.
+        mode: `mono` leaves the right camera out, `stereo` requires it, `auto` takes what there is.
+        has_depth: whether there will be depth images; then the right camera is left out.
+
+    Raises:
+        CalibrationError: the file cannot be read, or has no right camera in mode `stereo`.
+        ConfigError: an argument is of another type, or there is no such mode.
+    """
+    if isinstance(calibration, str | Path):
+        calibration = read_calibration(calibration)
+    rig = calibration.rig if isinstance(calibration, Calibration) else calibration
+    if not isinstance(rig, Rig):
+        raise ConfigError(
+            f"calibration is {_kind(calibration)}; give a file, vo.read_calibration(file), the rig "
+            "of vo.open(recording), or a vo.Rig"
+        )
+    if mode not in ("auto", "mono", "stereo"):
+        raise ConfigError(f"mode is {_shown(mode)}; give 'auto', 'mono' or 'stereo'")
+    if mode == "stereo" and not rig.is_stereo:
+        raise CalibrationError("mode is 'stereo', but the calibration has one camera only")
+    if mode == "stereo" and has_depth:
+        raise ConfigError("a pair of cameras does not use depth; leave mode or has_depth out")
+    if mode == "mono" or has_depth:
+        rig = Rig(rig.cam0, has_depth=rig.has_depth or has_depth)
+    return rig
+
+
+def config_of(config: Config | str | Path, overrides: Any) -> Config:
+    """The settings for frames that are given one by one.
+
+    Raises:
+        ConfigError: a setting is unknown or invalid, or frames would be left out.
+    """
+    if isinstance(overrides, str):
+        overrides = [overrides]
+    if isinstance(config, Config):
+        if overrides:
+            raise ConfigError("give overrides with the name of a preset or file, not with a Config")
+    elif isinstance(config, str | Path):
+        config = load_config(config, list(overrides))
+    else:
+        raise ConfigError(f"config is {_kind(config)}; give a preset, a file or a vo.Config")
+    if config.tracking.every != 1:
+        raise ConfigError(f"tracking.every is {config.tracking.every}; single frames need 1")
+    return config
+
+
+class FrameInput:
+    """Makes frames of what callers give, and refuses what cannot be meant.
+
+    Args:
+        rig: the cameras.
+        colour: order of the channels of colour images.
+
+    Raises:
+        ConfigError: there is no such order.
+    """
+
+    def __init__(self, rig: Rig, colour: ColourOrder) -> None:
+        if colour not in ("bgr", "rgb"):
+            raise ConfigError(f"colour is {_shown(colour)}; give 'bgr' (OpenCV) or 'rgb'")
+        self._rig = rig
+        self._colour = colour
+        self._stretch = RunningStretch()
+        self._count = 0
+        self._last_stamp_ns: int | None = None
+
+    def frame(self, stamp_ns: Any, left: Any, right: Any, depth: Any, mask: Any) -> Frame:
+        """The next frame, with copies of its images; see `vo.Odometry.track`.
+
+        Raises:
+            InputError: a value is of the wrong type, shape or size, or not later than the last.
+        """
+        stamp = self._stamp(stamp_ns)
+        images = self._images(left, right)
+        frame = Frame(
+            self._count,
+            stamp,
+            images,
+            None if depth is None else self._depth(depth),
+            mask=None if mask is None else self._mask(mask),
+        )
+        self._count += 1
+        self._last_stamp_ns = stamp
+        return frame
+
+    def _stamp(self, value: Any) -> int:
+        if isinstance(value, float | np.floating):
+            raise InputError(
+                f"stamp_ns is {value!r}, a float; give integer nanoseconds, for seconds "
+                "round(1e9 * seconds)"
+            )
+        if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
+            raise InputError(
+                f"stamp_ns is {_kind(value)}; give integer nanoseconds, such as time.time_ns()"
+            )
+        try:
+            stamp = operator.index(value)
+        except Exception as error:  # such as of an array, which is no single number
+            raise InputError(f"stamp_ns is no integer: {error}") from None
+        if not 0 <= stamp <= _MAX_STAMP_NS:
+            raise InputError(f"stamp_ns is {stamp}; give nanoseconds from 0 to 2**63 - 1")
+        if self._last_stamp_ns is not None and stamp <= self._last_stamp_ns:
+            raise InputError(
+                f"stamp_ns is {stamp}, the frame before had {self._last_stamp_ns}; stamps must "
+                "increase: give each frame once, in order"
+            )
+        return stamp
+
+    def _images(self, left: Any, right: Any) -> tuple[Bytes | None, ...]:
+        cam1 = self._rig.cam1
+        if right is not None and cam1 is None:
+            raise InputError("right is given, but the calibration has one camera only")
+        pixels = [self._pixels(left, "left", self._rig.cam0)]
+        if right is not None and cam1 is not None:
+            pixels.append(self._pixels(right, "right", cam1))
+            if pixels[0].dtype != pixels[1].dtype:
+                raise InputError(
+                    f"left is {pixels[0].dtype}, right is {pixels[1].dtype}; give both alike"
+                )
+        if pixels[0].dtype == np.uint16:
+            self._stretch.update(pixels[0])
+        images: list[Bytes | None] = [self._as_8_bits(each) for each in pixels]
+        return (*images, None) if cam1 is not None and right is None else tuple(images)
+
+    def _pixels(self, value: Any, name: str, camera: Camera) -> Pixels:
+        """A grey image of 8 or 16 bits, perhaps the given one itself."""
+        image = _array(value, name, "an (H, W) or (H, W, 3) array of uint8 or uint16")
+        if image.dtype not in (np.uint8, np.uint16):
+            advice = "; scale it to 0 to 255 and convert it" if image.dtype.kind == "f" else ""
+            raise InputError(f"{name} has pixels of {image.dtype}; give uint8 or uint16{advice}")
+        if image.ndim == 3 and image.shape[2] == 1:
+            image = image[:, :, 0]
+        if image.ndim == 3 and image.shape[2] not in (3, 4) or image.ndim not in (2, 3):
+            raise InputError(
+                f"{name} has shape {image.shape}; give (H, W) in grey or (H, W, 3) in colour"
+            )
+        _check_size(image, name, camera)
+        if image.ndim == 2:
+            return cast("Pixels", image)
+        code = _TO_GREY[self._colour, image.shape[2]]
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), code))
+
+    def _as_8_bits(self, image: Pixels) -> Bytes:
+        """A copy, since the caller may use its buffer again."""
+        if image.dtype == np.uint16:
+            return self._stretch.to_8_bits(image)
+        return np.array(image, dtype=np.uint8, order="C")
+
+    def _depth(self, value: Any) -> Floats32:
+        if not self._rig.has_depth:
+            advice = (
+                "a pair of cameras does not use it"
+                if self._rig.is_stereo
+                else "create the odometry with has_depth=True"
+            )
+            raise InputError(f"depth is given, but not expected; {advice}")
+        wanted = "an (H, W) array, float metres or uint16 millimetres"
+        depth = _array(value, "depth", wanted)
+        if depth.dtype.kind != "f" and depth.dtype != np.uint16:
+            raise InputError(f"depth has pixels of {depth.dtype}; give {wanted}")
+        if depth.ndim != 2:
+            raise InputError(f"depth has shape {depth.shape}; give {wanted}")
+        _check_size(depth, "depth", self._rig.cam0)
+        scale = _MILLIMETRES if depth.dtype == np.uint16 else np.float32(1.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            metres = depth.astype(np.float32) * scale
+            known = (metres > 0) & (metres < _MAX_DEPTH_M)
+        return np.ascontiguousarray(np.where(known, metres, np.float32(0.0)))
+
+    def _mask(self, value: Any) -> Bytes:
+        wanted = "an (H, W) array of bool or uint8, nonzero where the left image may be used"
+        mask = _array(value, "mask", wanted)
+        if mask.dtype not in (np.bool_, np.uint8) or mask.ndim != 2:
+            raise InputError(f"mask is {mask.dtype} of shape {mask.shape}; give {wanted}")
+        _check_size(mask, "mask", self._rig.cam0)
+        return np.where(mask, np.uint8(255), np.uint8(0))
+
+
+def _array(value: Any, name: str, wanted: str) -> Any:
+    """The value as a plain array in native byte order; objects, such as None, are refused."""
+    if value is None or isinstance(value, str | bytes | Path):
+        raise InputError(f"{name} is {_kind(value)}; give {wanted}")
+    try:
+        if np.ma.isMaskedArray(value):
+            raise InputError(f"{name} is a masked array; give {wanted}, and mask= for the pixels")
+        array = np.asarray(value)
+        native = array.astype(array.dtype.newbyteorder("="), copy=False)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{name} is {_kind(value)}, no array ({error}); give {wanted}") from None
+    if native.dtype == object or native.ndim == 0:
+        raise InputError(f"{name} is {_kind(value)}; give {wanted}")
+    return native
+
+
+def _check_size(image: Any, name: str, camera: Camera) -> None:
+    height, width = image.shape[:2]
+    if (width, height) == (camera.width, camera.height):
+        return
+    turned = (width, height) == (camera.height, camera.width)
+    advice = "are rows and columns exchanged?" if turned else "give images as calibrated"
+    raise InputError(
+        f"{name} has {width}x{height} pixels, the calibration is for "
+        f"{camera.width}x{camera.height}; {advice}"
+    )
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else f"of type {type(value).__name__}"
+
+
+def _shown(value: Any) -> str:
+    return repr(value)[:80]

@@ -1,0 +1,39 @@
+"""The instructions of `vo run`, for the same bits in a program of one's own."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import threading
+
+from vo.compiling.openblas import choose_kernels_again
+from vo.compiling.processor import use_common_instructions
+from vo.odometry import Odometry
+from vo.warmup import is_warm, warm_up
+
+_log = logging.getLogger(__name__)
+_PROGRAM = """
+import sys
+sys.path[:0] = {path!r}
+from vo.compiling.processor import use_common_instructions
+use_common_instructions()
+from vo.odometry import Odometry
+from vo.warmup import warm_up
+warm_up(Odometry)
+"""
+_lock = threading.Lock()
+
+
+def prepare() -> None:
+    """Choose the instructions, and compile the inner loops unless that was done before."""
+    with _lock:
+        use_common_instructions()
+        choose_kernels_again()
+        if is_warm():
+            return
+        _log.warning("compiling the inner loops, once: 10 to 20 s; `vo warmup` does it beforehand")
+        if "numba" in sys.modules:  # it has chosen its instructions when it was imported
+            program = _PROGRAM.format(path=[path for path in sys.path if path])
+            subprocess.run([sys.executable, "-P", "-c", program], check=False)
+        warm_up(Odometry)
