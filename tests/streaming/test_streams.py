@@ -6,7 +6,11 @@ import errno
 import io
 import json
 import logging
+import os
 import signal
+import threading
+import time
+from contextlib import suppress
 
 import pytest
 from pose_updates import estimate, update
@@ -89,6 +93,33 @@ def test_a_file_that_takes_parts_of_a_line_gets_all_of_it() -> None:
     file = Narrow()
     JsonLines(file).send(update(3))
     assert file.getvalue() == update(3).record + b"\n"
+
+
+def test_a_full_pipe_that_does_not_block_gets_every_line() -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    received = []
+
+    def read() -> None:
+        while part := os.read(reading, 4096):
+            received.append(part)
+
+    with open(writing, "wb", buffering=0) as file:
+        sink = JsonLines(file)
+        sink.send(update(0))
+        with suppress(BlockingIOError):
+            while os.write(writing, b"\n" * 4096):
+                pass
+        reader = threading.Thread(target=read)
+        threading.Timer(0.2, reader.start).start()
+        for frame in range(1, 200):
+            sink.send(update(frame))
+    while not reader.ident:
+        time.sleep(0.01)
+    reader.join()
+    os.close(reading)
+    lines = [json.loads(line) for line in b"".join(received).splitlines() if line]
+    assert [line["frame"] for line in lines] == list(range(200))
 
 
 def test_without_outputs_nothing_is_made() -> None:

@@ -44,7 +44,7 @@ def _standard_output() -> PoseSink:
     if sys.stdout is None or sys.stdout.closed:
         raise OutputError("standard output is closed, so poses cannot be written there")
     sys.stdout.flush()
-    return JsonLines(sys.stdout.buffer)
+    return JsonLines(getattr(sys.stdout.buffer, "raw", sys.stdout.buffer))
 
 
 def _parts(address: str) -> tuple[str, str, int | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 from typing import IO
 
 from vo.streaming.sink import PoseUpdate
@@ -30,7 +31,11 @@ class JsonLines:
         """
         rest = memoryview(update.record + b"\n")
         while rest:  # a file without a buffer may write a part only
-            rest = rest[self._file.write(rest) :]
+            written = self._file.write(rest)
+            if written is None:  # a full pipe that does not let its writer wait
+                select.select([], [self._file], [])
+            else:
+                rest = rest[written:]
         self._file.flush()
 
     def close(self) -> None:
