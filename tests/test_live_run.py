@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import time
+from contextlib import closing
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -21,6 +23,7 @@ from vo.formats.calibration import write_calibration
 from vo.formats.trajectory import read_tum
 from vo.run_recording import run
 from vo.sources.registry import open_source
+from vo.streaming.json_lines import JsonLines
 from vo.types import Camera, Estimate, Rig
 
 FAST = load_config("fast")
@@ -130,6 +133,37 @@ def test_a_consumer_that_is_slow_for_a_while_loses_images_and_no_time(
     assert any("images of the camera dropped" in warning for warning in summary.warnings)
     assert live["delay_ms"]["median"] <= live["delay_ms"]["p95"] <= live["delay_ms"]["max"]
     assert [estimate.frame_index for estimate in consumer.estimates] == list(range(50))
+
+
+def test_poses_are_sent_and_a_reader_that_stands_still_does_not_hold_up_the_run(
+    walk: Walk, tmp_path: Path
+) -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    while True:
+        try:
+            os.write(writing, b"\n" * 4096)
+        except BlockingIOError:
+            break
+    os.set_blocking(writing, True)
+    with (
+        closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as receiver,
+        open(writing, "wb", buffering=0) as full,
+        served("http", walk.both, RATE_HZ) as server,
+    ):
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        poses = [f"udp://127.0.0.1:{receiver.getsockname()[1]}", JsonLines(full)]
+        options = {"calibration": walk.stereo, "side_by_side": True, "end": 20}
+        summary = run(server.url, tmp_path, config=FAST, poses=poses, **options)
+        records = [json.loads(receiver.recv(65536)) for _ in range(20)]
+    os.close(reading)
+    assert (summary.status, summary.frames) == ("finished", 20)
+    posed = [r["stamp_ns"] for r in records if r["world_from_cam0"] is not None]
+    assert posed == read_tum(tmp_path / "causal.tum").stamps_ns.tolist()
+    dropped = [record["dropped"] for record in records]
+    assert dropped == sorted(dropped)
+    assert dropped[-1] <= summary_in(tmp_path)["live"]["dropped"]
 
 
 def test_a_gap_of_the_stream_gets_no_poses(walk: Walk, tmp_path: Path) -> None:

@@ -124,7 +124,8 @@ class RunSession:
         self._recorder = recorder
         self._progress = progress
         self._poses = poses
-        self._poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults)
+        is_live = isinstance(stream, LiveStream)
+        poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults, is_live=is_live)
         self._statistics = RunStatistics()
         self._statistics.faults.add(stream.faults)
         self._causal = PoseLog()

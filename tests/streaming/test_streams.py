@@ -122,6 +122,29 @@ def test_a_full_pipe_that_does_not_block_gets_every_line() -> None:
     assert [line["frame"] for line in lines] == list(range(200))
 
 
+def test_a_live_source_does_not_wait_for_a_reader(caplog: pytest.LogCaptureFixture) -> None:
+    reading, writing = os.pipe()
+    frames = 400
+    with open(writing, "wb", buffering=0) as file, opened_streams([JsonLines(file)]) as streams:
+        streams.begin(is_metric=True, is_live=True)
+        for frame in range(frames):
+            streams.send(estimate(frame))
+        with open(reading, "rb", buffering=0, closefd=False) as pipe:
+            early = pipe.read(1 << 20).splitlines()
+        streams.send(estimate(frames))
+        streams.check()
+    (late,) = os.read(reading, 1 << 20).splitlines()
+    os.close(reading)
+    written = [json.loads(line)["frame"] for line in early]
+    assert written == list(range(len(written)))
+    assert 10 < len(written) < frames
+    assert json.loads(late)["frame"] == frames
+    assert caplog.messages == [
+        "standard output: poses are left out, as they are read too slowly",
+        f"standard output: {frames - len(written)} poses were left out",
+    ]
+
+
 def test_without_outputs_nothing_is_made() -> None:
     streams = PoseStreams()
     streams.send(estimate(0))

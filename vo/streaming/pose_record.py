@@ -52,6 +52,7 @@ class PoseRecords:
                 {"kind": f.kind.value, "is_handled": f.is_handled, "value": f.value} for f in faults
             ],
             "tracked_anew_from": estimate.tracked_anew_from,
+            "dropped": estimate.dropped,
         }
 
     def _update_covariance(self, estimate: Estimate) -> None:

@@ -13,10 +13,12 @@ class PoseUpdate(NamedTuple):
     Attributes:
         estimate: its result.
         record: the same as JSON (docs/outputs.md), a single line without its end.
+        is_live: whether the source goes on while an output waits, which must not wait then.
     """
 
     estimate: Estimate
     record: bytes
+    is_live: bool = False
 
 
 class PoseSink(Protocol):

@@ -28,15 +28,19 @@ class PoseStreams:
         self._sinks = list(sinks)
         self._stop: KeyboardInterrupt | None = None
 
-    def begin(self, *, is_metric: bool, faults: Sequence[Fault] = ()) -> None:
-        """Before the first frame; the arguments are those of `PoseRecords`."""
+    def begin(
+        self, *, is_metric: bool, faults: Sequence[Fault] = (), is_live: bool = False
+    ) -> None:
+        """Before the first frame; the arguments are those of `PoseRecords` and `PoseUpdate`."""
         self._records = PoseRecords(is_metric=is_metric, faults=faults)
+        self._is_live = is_live
 
     def send(self, estimate: Estimate) -> None:
         """Send one frame. Whatever happens, the run can finish the frame: see `check`."""
         if not self._sinks:
             return
-        update = PoseUpdate(estimate, encoded(self._records.record(estimate)))
+        record = encoded(self._records.record(estimate))
+        update = PoseUpdate(estimate, record, self._is_live)
         for sink in list(self._sinks):
             try:
                 sink.send(update)
