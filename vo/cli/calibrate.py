@@ -158,6 +158,7 @@ def calibrate_command(
     format: options.Format = None,
     topic: options.Topics = None,
     right_offset: options.RightOffset = None,
+    side_by_side: options.SideBySide = False,
     start: options.Start = 0,
     end: options.End = None,
     look_at: LookAt = 400,
@@ -192,7 +193,17 @@ def calibrate_command(
     topics = tuple(topic or ())
     offset_ns = options.offset_ns(right_offset)
     request = _Request(
-        source, format, mode, topics, offset_ns, start, end, look_at, model.value, views
+        source,
+        format,
+        mode,
+        topics,
+        offset_ns,
+        side_by_side,
+        start,
+        end,
+        look_at,
+        model.value,
+        views,
     )
     result = _calibrate_and_write(request, made, output, picture)
     if json_output:
@@ -220,6 +231,7 @@ class _Request(NamedTuple):
     mode: options.ModeChoice
     topics: tuple[str, ...]
     right_offset_ns: int | None
+    side_by_side: bool
     start: int
     end: int | None
     max_frames: int
@@ -251,10 +263,16 @@ def _calibrate(request: _Request, board: Board) -> CalibrationResult:
     from vo.sources.uncalibrated import open_uncalibrated
 
     console = standard_error()
-    path, format, mode, topics, offset_ns, start, end, max_frames, model, max_views = request
+    path, format, mode, topics, offset_ns, side_by_side, start, end = request[:8]
+    max_frames, model, max_views = request[8:]
     with warnings_on(console):
         source = open_uncalibrated(
-            path, format=format, mode=mode.value, topics=topics, right_offset_ns=offset_ns
+            path,
+            format=format,
+            mode=mode.value,
+            topics=topics,
+            right_offset_ns=offset_ns,
+            side_by_side=side_by_side,
         )
         count = max(min(end or len(source), len(source)) - start, 1)
         group_size = min(-(-count // max_frames), _MAX_GROUP)

@@ -14,7 +14,7 @@ from vo.bounded_files import lfs_pointer_message
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
-from vo.sources.side_by_side import split_side_by_side
+from vo.sources.side_by_side import not_side_by_side, split_side_by_side
 from vo.sources.source import Recording
 from vo.types import Mode
 
@@ -122,9 +122,7 @@ def open_source(
     chosen = None if calibration is None else Path(calibration)
     open_it = _load(FORMATS[name].opener)
     if side_by_side and (follow or FORMATS[name].has_topics):
-        raise SourceError(
-            f"{path} ({name}) is a log: --side-by-side is for videos and folders of images"
-        )
+        raise not_side_by_side(path, name)
     if follow:
         if not FORMATS[name].can_grow:
             growing = ", ".join(n for n, entry in FORMATS.items() if entry.can_grow)

@@ -6,6 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -50,6 +51,13 @@ def split_side_by_side(contents: RecordingContents) -> RecordingContents:
         for side in range(2)
     )
     return replace(contents, left=left, right=right)
+
+
+def not_side_by_side(path: Path, format: str) -> SourceError:
+    """The error for recordings of other formats than images and videos."""
+    return SourceError(
+        f"{path} ({format}) is a log: --side-by-side is for videos and folders of images"
+    )
 
 
 class _DecodedOnce:

@@ -16,6 +16,7 @@ from vo.sources.logs.choice import choose_topics
 from vo.sources.logs.images import list_images
 from vo.sources.registry import FORMATS, choose_format, gather, open_container
 from vo.sources.sequence import ImageSequence
+from vo.sources.side_by_side import not_side_by_side, split_side_by_side
 from vo.types import Camera, Mode, Rig
 
 
@@ -26,6 +27,7 @@ def open_uncalibrated(
     mode: Mode = "auto",
     topics: Sequence[str] = (),
     right_offset_ns: int | None = None,
+    side_by_side: bool = False,
 ) -> ImageSequence:
     """Open a recording with unknown calibration.
 
@@ -38,6 +40,7 @@ def open_uncalibrated(
         mode: as in `open_source`.
         topics: as in `open_source`.
         right_offset_ns: as in `open_source`.
+        side_by_side: as in `open_source`.
 
     Raises:
         SourceError: the recording is missing, empty, damaged or of unknown format, or the image
@@ -45,12 +48,16 @@ def open_uncalibrated(
     """
     path = Path(path)
     name = choose_format(path, format)
+    if side_by_side and FORMATS[name].has_topics:
+        raise not_side_by_side(path, name)
     if FORMATS[name].has_topics:
         contents = _gather_log(path, name, mode, topics)
     elif topics:
         raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
     else:
         contents = gather(path, name, None, mode)
+    if side_by_side:
+        contents = split_side_by_side(contents)
     right = None if mode == "mono" else contents.right
     return assemble(
         replace(
