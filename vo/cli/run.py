@@ -30,7 +30,8 @@ Recording = Annotated[
         metavar="RECORDING",
         help="MCAP file (- for standard input), ROS bag, video, folder of KITTI, KITTI raw, EuRoC "
         "or TUM RGB-D, folder of images (or of left/ and right/), or a quoted glob pattern. Live: "
-        "camera:0, camera:0,1 (stereo), /dev/video0, rtsp://HOST/PATH or http://HOST/PATH.",
+        "camera:0, camera:0,1 (stereo), /dev/video0, rtsp://HOST/PATH, http://HOST/PATH, "
+        "realsense:, oak: or zed:.",
     ),
 ]
 Output = Annotated[

@@ -10,6 +10,7 @@ from contextlib import closing
 from vo.errors import SourceError
 from vo.failures import Gap
 from vo.sources.live.device import CapturedImages, Connect
+from vo.types import Rig
 
 _MIN_WAIT_S, _MAX_WAIT_S = 0.25, 5.0  # between attempts to connect again
 _POLL_S = 0.05
@@ -23,6 +24,7 @@ class Capture:
     Attributes:
         dropped: images so far that were replaced by newer ones before they were taken.
         gaps: times without images because the connection was lost.
+        rig: calibration from the factory, as soon as images have come; None without one.
         has_stopped: whether `stop` was called.
 
     Args:
@@ -33,6 +35,7 @@ class Capture:
     def __init__(self, name: str, connect: Connect) -> None:
         self.dropped = 0
         self.gaps: list[Gap] = []
+        self.rig: Rig | None = None
         self._name = name
         self._connect = connect
         self._newest: CapturedImages | None = None
@@ -88,6 +91,7 @@ class Capture:
         while not self.has_stopped:
             try:
                 with closing(self._connect()) as device:
+                    self.rig = device.rig
                     while not self.has_stopped:
                         self._put(device.read())
                         wait_s = _MIN_WAIT_S

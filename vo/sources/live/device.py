@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -9,7 +10,9 @@ import cv2
 import numpy as np
 
 from vo.sources.images import Pixels
-from vo.types import Bytes
+from vo.types import Bytes, Rig
+
+_log = logging.getLogger(__name__)
 
 
 class CapturedImages(NamedTuple):
@@ -25,7 +28,13 @@ class CapturedImages(NamedTuple):
 
 
 class Device(Protocol):
-    """A connected device, used by one thread."""
+    """A connected device, used by one thread.
+
+    Attributes:
+        rig: its own calibration from the factory, of one camera for each image; None without one.
+    """
+
+    rig: Rig | None
 
     def read(self) -> CapturedImages:
         """Wait for the next images, of increasing stamps.
@@ -42,6 +51,16 @@ class Device(Protocol):
 
 Connect = Callable[[], Device]
 """Connects to a device; raises SourceError if it does not answer."""
+
+
+def warn_of_untested(name: str, package: str) -> None:
+    """Warn that nobody has tried a source with the camera itself."""
+    _log.warning(
+        "%s: written from the documentation of %s and tested without a camera; check its first "
+        "results, and report what you find",
+        name,
+        package,
+    )
 
 
 def as_grey(image: Pixels) -> Bytes:

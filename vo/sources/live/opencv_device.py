@@ -13,6 +13,7 @@ from vo.sources.images import Pixels, quiet_opencv
 from vo.sources.live.address import without_credentials
 from vo.sources.live.clock import CaptureStamps, HostClock
 from vo.sources.live.device import CapturedImages, as_grey
+from vo.types import Rig
 
 _TIMEOUT_MS = 5000
 _LARGE = 640 * 480  # pixels; more of them do not fit through USB 2 at 30 frames/s unless packed
@@ -59,6 +60,7 @@ class OpenCvDevice:
     def __init__(
         self, name: str, capture: VideoCapture, clock: HostClock, *, has_times: bool
     ) -> None:
+        self.rig: Rig | None = None
         self._name = name
         self._capture = capture
         self._clock = clock

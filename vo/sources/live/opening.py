@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import math
 from dataclasses import dataclass
@@ -19,6 +20,13 @@ from vo.sources.live.stream import LiveFrames
 from vo.types import Mode, Rig
 
 DEFAULT_TIMEOUT_S = 10.0
+
+_FACTORY_CALIBRATED = {
+    LiveKind.REALSENSE: "vo.sources.live.realsense:RealSense",
+    LiveKind.OAK: "vo.sources.live.oak:Oak",
+    LiveKind.ZED: "vo.sources.live.zed:Zed",
+}
+"""Stereo cameras with drivers of their own; their packages are imported on demand."""
 
 
 @dataclass(frozen=True)
@@ -54,17 +62,28 @@ def open_live(
         SourceError: it does not answer, or gives no images.
         CalibrationError: the calibration is missing, or not that of the images.
     """
-    name = address.public_name
-    if calibration is None:
+    name, is_calibrated = address.public_name, address.kind in _FACTORY_CALIBRATED
+    if calibration is None and not is_calibrated:
         raise CalibrationError(
             f"{name}: a live camera needs --calibration FILE; `vo calibrate` makes one from images "
             "of a chessboard (docs/calibration.md)"
         )
     clock = HostClock()
-    capture = Capture(name, _connector(address, _stated_size(calibration), mode, options, clock))
+    connect = (
+        _stereo_camera(address, options, clock)
+        if is_calibrated
+        else _connector(address, _stated_size(calibration), mode, options, clock)
+    )
+    capture = Capture(name, connect)
     try:
         first = _first_images(name, capture, options.timeout_s)
-        rig = _rig(name, calibration, mode, first, options)
+        height, width = first.images[0].shape
+        if calibration is not None:
+            chosen = read_calibration(calibration, (width, height))
+        else:
+            assert capture.rig is not None
+            chosen = Calibration(capture.rig)
+        rig = _rig(name, chosen, mode, first, options)
         return LiveFrames(
             name,
             rig,
@@ -78,8 +97,10 @@ def open_live(
         raise
 
 
-def _stated_size(calibration: Path) -> ImageSize | None:
+def _stated_size(calibration: Path | None) -> ImageSize | None:
     """The image size that a calibration states, None if it states none."""
+    if calibration is None:
+        return None
     try:
         camera = read_calibration(calibration).rig.cam0
     except CalibrationError:  # reported when the size of the images is known
@@ -114,6 +135,20 @@ def _connector(
     return connects[0]
 
 
+def _stereo_camera(address: LiveAddress, options: LiveOptions, clock: HostClock) -> Connect:
+    """A function that connects to a camera with a driver and a calibration of its own."""
+    if options.side_by_side:
+        raise SourceError(f"{address.public_name} gives two images; leave --side-by-side out")
+    module, _, name = _FACTORY_CALIBRATED[address.kind].partition(":")
+    serial = address.targets[0] if address.targets else None
+
+    def connect() -> Device:
+        device: Device = getattr(importlib.import_module(module), name)(serial, clock)
+        return device
+
+    return connect
+
+
 def _stream(url: str, clock: HostClock) -> Device:
     """A network stream, through PyAV if it is installed."""
     if importlib.util.find_spec("av") is None:
@@ -130,10 +165,10 @@ def _first_images(name: str, capture: Capture, timeout_s: float) -> CapturedImag
     return first
 
 
-def _rig(name: str, file: Path, mode: Mode, first: CapturedImages, options: LiveOptions) -> Rig:
+def _rig(
+    name: str, calibration: Calibration, mode: Mode, first: CapturedImages, options: LiveOptions
+) -> Rig:
     """The cameras of the images, after checking their size."""
-    height, width = first.images[0].shape
-    calibration = read_calibration(file, (width, height))
     rig = calibration.rig
     is_pair = len(first.images) > 1
     if mode == "stereo" and not is_pair:
@@ -141,7 +176,9 @@ def _rig(name: str, file: Path, mode: Mode, first: CapturedImages, options: Live
             f"{name} is one camera; a pair is camera:0,1, or one image with --side-by-side"
         )
     if is_pair and rig.cam1 is None and mode != "mono":
-        raise CalibrationError(f"{name}: {file} has no right camera; add cam1 or use --mode mono")
+        raise CalibrationError(
+            f"{name}: {calibration.file} has no right camera; add cam1 or use --mode mono"
+        )
     used = rig if is_pair and mode != "mono" else Rig(rig.cam0)
     for side, camera in enumerate(used.cameras):
         height, width = first.images[side].shape

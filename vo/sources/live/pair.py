@@ -10,6 +10,7 @@ from contextlib import closing
 from vo.errors import SourceError
 from vo.sources.live.device import CapturedImages, Connect, Device
 from vo.sources.side_by_side import halves
+from vo.types import Rig
 
 PAIR_TOLERANCE_NS = 10_000_000
 """Largest difference between the stamps of a pair from two devices."""
@@ -26,6 +27,7 @@ class SideBySideDevice:
     """
 
     def __init__(self, device: Device) -> None:
+        self.rig: Rig | None = None
         self._device = device
 
     def read(self) -> CapturedImages:
@@ -53,6 +55,7 @@ class PairedDevices:
     """
 
     def __init__(self, connect_left: Connect, connect_right: Connect) -> None:
+        self.rig: Rig | None = None
         left = connect_left()
         try:
             right = connect_right()

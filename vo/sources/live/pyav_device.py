@@ -14,6 +14,7 @@ from vo.sources.live.address import without_credentials
 from vo.sources.live.clock import CaptureStamps, HostClock
 from vo.sources.live.device import CapturedImages
 from vo.sources.video import frame_pixels
+from vo.types import Rig
 
 _OPEN_TIMEOUT_S, _READ_TIMEOUT_S = 5.0, 5.0
 # Over TCP, because lost packets of UDP damage images; without buffers, which would delay them.
@@ -40,6 +41,7 @@ class PyAvStream:
     """
 
     def __init__(self, url: str, clock: HostClock) -> None:
+        self.rig: Rig | None = None
         self._name = without_credentials(url)
         self._clock = clock
         self._stamps = CaptureStamps()
