@@ -259,7 +259,7 @@ def test_a_run_ends_after_its_duration(walk: Walk, tmp_path: Path) -> None:
     with served("http", walk.left, RATE_HZ) as server:
         summary = run(server.url, tmp_path, config=FAST, calibration=walk.mono, duration_s=1.0)
     assert summary.status == "finished"
-    assert 5 <= summary.frames <= 26
+    assert 1 <= summary.frames <= 30
 
 
 @pytest.mark.parametrize(

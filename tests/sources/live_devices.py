@@ -11,6 +11,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.sources.live.device import CapturedImages
+from vo.types import Rig
 
 
 def numbered(number: int, shape: tuple[int, int] = (8, 8)) -> np.ndarray:
@@ -23,6 +24,7 @@ class FakeDevice:
     def __init__(self, end: int | None = None, first: int = 0) -> None:
         self.gate = threading.Semaphore(0)
         self.is_closed = False
+        self.rig: Rig | None = None
         self._end, self._number = end, first
 
     def read(self) -> CapturedImages:

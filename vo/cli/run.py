@@ -76,8 +76,8 @@ Duration = Annotated[
 Record = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE.mcap",
-        help="Live: also write the tracked images, for another run on them.",
+        metavar="FILE",
+        help="Live: also write the tracked images to an MCAP file, for another run on them.",
         rich_help_panel=options.OUTPUT,
     ),
 ]

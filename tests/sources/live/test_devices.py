@@ -20,6 +20,7 @@ from vo.sources.live.device import CapturedImages, Device
 from vo.sources.live.opencv_device import open_camera, open_opencv_stream
 from vo.sources.live.pair import PAIR_TOLERANCE_NS, PairedDevices, SideBySideDevice
 from vo.sources.live.pyav_device import PyAvStream
+from vo.types import Rig
 
 CLOCK = HostClock()
 OPENERS: list[Callable[[str, HostClock], Device]] = [PyAvStream, open_opencv_stream]
@@ -96,6 +97,8 @@ def test_a_missing_camera_is_told_in_one_line() -> None:
 
 class Sequence:
     """A device with given stamps in milliseconds; its images contain their numbers."""
+
+    rig: Rig | None = None
 
     def __init__(self, stamps_ms: Iterator[float], offset: int = 0) -> None:
         self._stamps_ms, self._numbers = stamps_ms, count(offset)
