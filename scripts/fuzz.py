@@ -169,9 +169,9 @@ def _command(sample: Sample, path: Path) -> Result:
     except subprocess.TimeoutExpired:
         return Result("hang", f"vo {words[0]}")
     text = done.stdout + done.stderr
-    if "Traceback" in text or done.returncode not in (0, 1, 2):
+    if "Traceback" in text or done.returncode not in (0, 1, 2, 3):
         return Result("traceback", f"vo {words[0]}: {text.strip().splitlines()[-1:]}")
-    return Result("read" if done.returncode == 0 else "error line", "")
+    return Result("read" if done.returncode in (0, 3) else "error line", "")
 
 
 class _Worker:

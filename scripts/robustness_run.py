@@ -57,7 +57,7 @@ def run(
     except subprocess.TimeoutExpired:
         return Outcome(None, 0.0, 0.0, "hangs", False, (), f"no end after {_TIMEOUT_S} s", True)
     file = output / "summary.json"
-    if not file.is_file() or process.returncode not in (0, 130, 143):
+    if not file.is_file() or process.returncode not in (0, 3, 130, 143):
         lines = process.stderr.strip().splitlines() or ["no message"]
         error = next((line for line in lines if line.startswith("error:")), lines[-1])
         text = error.removeprefix("error: ")

@@ -18,3 +18,8 @@ def printable(text: str) -> str:
     Ends of lines and tabs stay.
     """
     return text if text.isprintable() else text.translate(_REPLACED)
+
+
+def counted(number: int, noun: str) -> str:
+    """A number and what it counts, such as `1 frame` or `2 frames`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

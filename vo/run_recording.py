@@ -152,12 +152,9 @@ def _check_outputs(
     """Refuse outputs that would overwrite the input, files of others, or each other."""
     rrd = options.get("rrd")
     path = Path(source) if isinstance(source, str | Path) else None
-    inputs = (path, options.get("calibration"))
-    replaced = None if rrd is None or rrd.suffix == ".rrd" else rrd  # no recording is an .rrd
-    refuse_to_overwrite(inputs, (exports.mcap, exports.ply, replaced), Path(output))
-    refuse_to_collide(
-        Path(output), (rrd, exports.mcap, exports.ply, exports.colmap, options.get("record"))
-    )
+    files = (rrd, exports.mcap, exports.ply, exports.colmap, options.get("record"))
+    refuse_to_overwrite((path, options.get("calibration")), (Path(output), *files))
+    refuse_to_collide(Path(output), files)
 
 
 def _open(source: str | Path | FrameStream, config: Config, options: RunOptions) -> FrameStream:

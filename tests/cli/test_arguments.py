@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from vo.cli.app import app
 
 CHOICES = ("mode", "rrd_images", "align", "board", "model")  # Typer lists the choices
-METAVAR = r"[A-Z][A-Z.=:,…|xN-]*"
+METAVAR = r"(-\|)?[A-Z][A-Z.=:,…|xN-]*"
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from data_synth.writers.registry import FORMATS as WRITERS
 from vo.cli.app import app
+from vo.cli.command import with_new_names
 from vo.cli.completion import CODECS, INPUT_FORMATS, OUTPUT_FORMATS
-from vo.cli.old_names import with_new_names
 from vo.sources.registry import FORMATS as SOURCES
 
 COMMANDS = {name: command for name, command in get_command(app).commands.items()}  # type: ignore[attr-defined]
@@ -28,6 +28,31 @@ def test_h_prints_the_help(name: str) -> None:
     assert short.exit_code == 0
     assert short.stdout == long.stdout
     assert "Usage:" in short.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_can_be_verbose_quiet_or_print_json(name: str) -> None:
+    options = {word for parameter in COMMANDS[name].params for word in parameter.opts}
+    assert {"--json", "--quiet", "-q", "--verbose", "-v"} <= options
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
+    required = [p for p in COMMANDS[name].params if p.required and p.param_type_name == "argument"]
+    words = [name, *("x" for _ in required), "-q", "-v", *(["-o", "y"] if name == "run" else [])]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "use only one of --quiet and --verbose" in " ".join(result.stderr.split())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_formats_and_pictures_are_called_the_same(name: str) -> None:
+    options = {p.name: p for p in COMMANDS[name].params}
+    reads_a_recording = name in ("run", "info", "convert", "calibrate")
+    writes_a_recording = name in ("convert", "synth")
+    assert ("format" in options) == reads_a_recording
+    assert ("to" in options) == writes_a_recording
+    assert ("picture" in options) == (name in ("eval", "info", "report", "calibrate"))
 
 
 def test_the_package_runs_as_a_module(tmp_path: Path) -> None:

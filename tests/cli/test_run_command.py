@@ -72,7 +72,7 @@ def test_rrd_is_written_and_vo_view_suggested(synthetic_stereo: Path, out: Path)
 
 def test_a_run_on_noise_ends_with_a_warning(images: Path, out: Path) -> None:
     result = vo_run(images, out)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     assert "warning: no frame was tracked" in result.stdout
     summary = summary_in(out)
     assert (summary["status"], summary["tracked"], summary["starting"]) == ("finished", 0, 5)

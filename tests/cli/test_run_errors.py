@@ -39,7 +39,7 @@ def test_unreadable_image_in_the_middle_is_skipped(images: Path, out: Path) -> N
     data = (images / "2.png").read_bytes()
     (images / "2.png").write_bytes(data[: len(data) // 2])
     result = vo_run(images, out)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     warnings = [w for w in result.stderr.splitlines() if w.startswith("warning: ")]
     assert len(warnings) == 1
     assert "frame 2 skipped" in warnings[0]
@@ -52,7 +52,7 @@ def test_unreadable_image_in_the_middle_is_skipped(images: Path, out: Path) -> N
 def test_image_of_another_size_in_the_middle_is_skipped(images: Path, out: Path) -> None:
     write_noise(images / "3.png", 3, width=WIDTH // 2)
     result = vo_run(images, out)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     assert "frame 3 skipped" in result.stderr
     assert "48x64" in result.stderr
     assert [s["index"] for s in summary_in(out)["skipped"]] == [3]
@@ -62,7 +62,7 @@ def test_the_next_command_includes_the_calibration(images: Path, out: Path) -> N
     chosen = images.parent / "my camera.yaml"
     (images / "calibration.yaml").rename(chosen)
     result = vo_run(images, out, "--calibration", chosen)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     (again,) = [line for line in result.stdout.splitlines() if line.startswith("next: vo run")]
     assert f"--calibration '{chosen}'" in again
 

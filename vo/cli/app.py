@@ -14,12 +14,12 @@ import typer
 from typer.core import TyperGroup
 
 from vo.cli.calibrate import calibrate_command
+from vo.cli.command import Command
 from vo.cli.convert import convert_command
 from vo.cli.demo import demo_command
 from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.info import info_command
-from vo.cli.old_names import Command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import synth_command

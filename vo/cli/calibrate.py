@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -133,6 +133,10 @@ Picture = Annotated[
         rich_help_panel=options.OUTPUT,
     ),
 ]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Replace an existing file.", rich_help_panel=options.OUTPUT),
+]
 PrintBoard = Annotated[
     Path | None,
     typer.Option(
@@ -164,8 +168,11 @@ def calibrate_command(
     look_at: LookAt = 400,
     views: Views = 60,
     picture: Picture = None,
-    json_output: options.Json = False,
     print_board: PrintBoard = None,
+    force: Force = False,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Calibrate one or two cameras from a recording of a chessboard or ChArUco board.
 
@@ -184,9 +191,12 @@ def calibrate_command(
     from vo.calibrating.board import make_board
 
     made = make_board(board.value, columns, rows, square, marker, dictionary, legacy)
+    _refuse_existing([print_board, None if source is None else output], force)
     if print_board is not None:
         _print_board(print_board, made)
         if source is None:
+            if json_output:
+                echo_json({"board": str(made), "output": str(print_board)})
             return
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
@@ -204,16 +214,29 @@ def calibrate_command(
         look_at,
         model.value,
         views,
+        quiet,
     )
     result = _calibrate_and_write(request, made, output, picture)
     if json_output:
         from vo.calibrating.report import to_dict
 
-        echo_json(to_dict(result))
+        written = None if picture is None else str(picture)
+        echo_json(to_dict(result) | {"output": str(output), "picture": written})
+    elif quiet:
+        from vo.calibrating.advice import warnings_of
+
+        for line in warnings_of(result):
+            echo(f"warning: {line}", err=True)
     else:
         from vo.cli.calibrate_table import print_result
 
         print_result(result, output, picture)
+
+
+def _refuse_existing(paths: Sequence[Path | None], force: bool) -> None:
+    for path in paths:
+        if path is not None and path.is_file() and not force:
+            raise OutputError(f"{path} exists already; choose another file, or replace it: --force")
 
 
 def _print_board(path: Path, board: Board) -> None:
@@ -237,11 +260,15 @@ class _Request(NamedTuple):
     max_frames: int
     model: str
     max_views: int
+    quiet: bool
 
 
 def _calibrate_and_write(
     request: _Request, board: Board, output: Path, picture: Path | None
 ) -> CalibrationResult:
+    from vo.results.output_paths import refuse_to_overwrite
+
+    refuse_to_overwrite([request.path], [output, picture])
     _check_outputs(output, picture)
     try:
         result = _calibrate(request, board)
@@ -264,8 +291,8 @@ def _calibrate(request: _Request, board: Board) -> CalibrationResult:
 
     console = standard_error()
     path, format, mode, topics, offset_ns, side_by_side, start, end = request[:8]
-    max_frames, model, max_views = request[8:]
-    with warnings_on(console):
+    max_frames, model, max_views, quiet = request[8:]
+    with warnings_on(console, quiet=quiet):
         source = open_uncalibrated(
             path,
             format=format,
@@ -280,7 +307,7 @@ def _calibrate(request: _Request, board: Board) -> CalibrationResult:
         step = stride * group_size
         chosen = least_motion_frames(source.frames(start, end, stride), group_size)
         cameras = 2 if source.rig.is_stereo else 1
-        with _progress_bar(console, -(-count // step)) as progress:
+        with _progress_bar(standard_error(quiet=quiet), -(-count // step)) as progress:
             detected = detect_views(board, chosen, cameras, os.cpu_count() or 1, progress)
         if len(detected.views) < min(MIN_VIEWS, detected.frames / 2):
             frames = source.frames(start, end, step)

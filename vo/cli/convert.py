@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vo.cli import completion, options
-from vo.cli.echo import echo
+from vo.cli.echo import echo, echo_json
+from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from data_synth.records import Recording
     from vo.cli.conversion import Conversion
     from vo.inspection.opening import OpenedRecording
 
@@ -69,7 +71,9 @@ def convert_command(
     topic: options.Topics = None,
     right_offset: options.RightOffset = None,
     force: Force = False,
+    json_output: options.Json = False,
     quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Convert a recording to another format, size or length.
 
@@ -87,35 +91,41 @@ def convert_command(
     """
     from vo.cli.console import standard_error
     from vo.cli.conversion import Conversion
-    from vo.cli.progress import warnings_on
+    from vo.cli.progress import details_on, warnings_on
     from vo.inspection.opening import open_leniently
     from vo.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (output,))
-    console = standard_error(quiet=quiet)
+    console = standard_error()
     chosen = _output_format(to, output)
     settings = Conversion(chosen, codec, start, end, stride, _size(resize), gray)
-    opened = open_leniently(
-        source,
-        format=format,
-        calibration=calibration,
-        mode=mode.value,
-        topics=topic or (),
-        right_offset_ns=options.offset_ns(right_offset),
-    )
+    with details_on(console):
+        opened = open_leniently(
+            source,
+            format=format,
+            calibration=calibration,
+            mode=mode.value,
+            topics=topic or (),
+            right_offset_ns=options.offset_ns(right_offset),
+        )
     for warning in opened.warnings:
         console.print(f"warning: {warning.text}", markup=False, soft_wrap=True)
     try:
-        with warnings_on(console):
-            _convert(opened, output, settings, force, console)
+        with warnings_on(console, quiet=quiet):
+            made = _convert(opened, output, settings, force, standard_error(quiet=quiet))
     except KeyboardInterrupt:
         echo(f"interrupted; {output} was not written", err=True)
         raise typer.Exit(130) from None
+    facts = _facts(made, output, settings)
+    if json_output:
+        echo_json(facts)
+    elif not quiet:
+        echo(_sentence(facts))
 
 
 def _convert(
     opened: OpenedRecording, output: Path, settings: Conversion, force: bool, console: Console
-) -> None:
+) -> Recording:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from vo.cli.conversion import convert
@@ -128,24 +138,52 @@ def _convert(
         def show(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        made = convert(opened, output, settings, force=force, on_frame=show)
-    kind = "stereo" if made.rig.is_stereo else "mono"
-    camera = made.rig.cam0
-    truth = f"{len(made.body_truth.stamps_ns)} ground truth poses"
-    imu = "" if made.imu is None else f", {len(made.imu.stamps_ns)} inertial samples"
-    if not console.quiet:
-        echo(
-            f"{output}: {len(made.stamps_ns[0])} {kind} frames, {camera.width}x{camera.height} "
-            f"{'colour' if made.has_colour else 'grey'}, {settings.format} ({settings.codec}), "
-            f"{truth}{imu}"
-        )
+        return convert(opened, output, settings, force=force, on_frame=show)
+
+
+def _facts(made: Recording, output: Path, settings: Conversion) -> dict[str, Any]:
+    return {
+        "output": str(output),
+        "format": settings.format,
+        "codec": settings.codec,
+        "mode": "stereo" if made.rig.is_stereo else "mono",
+        "frames": len(made.stamps_ns[0]),
+        "width": made.rig.cam0.width,
+        "height": made.rig.cam0.height,
+        "colour": made.has_colour,
+        "ground_truth_poses": len(made.body_truth.stamps_ns),
+        "inertial_samples": 0 if made.imu is None else len(made.imu.stamps_ns),
+    }
+
+
+def _sentence(facts: dict[str, Any]) -> str:
+    samples = facts["inertial_samples"]
+    imu = f", {counted(samples, 'inertial sample')}" if samples else ""
+    return (
+        f"{facts['output']}: {counted(facts['frames'], facts['mode'] + ' frame')}, "
+        f"{facts['width']}x{facts['height']} {'colour' if facts['colour'] else 'grey'}, "
+        f"{facts['format']} ({facts['codec']}), "
+        f"{counted(facts['ground_truth_poses'], 'ground truth pose')}{imu}"
+    )
 
 
 def _output_format(format: str | None, output: Path) -> str:
     from data_synth.writers.registry import FORMATS
     from vo.errors import ConfigError
+    from vo.sources.registry import VIDEO_SUFFIXES
 
-    is_file = output.suffix.lower() == ".mcap"
+    suffix = output.suffix.lower()
+    if suffix in VIDEO_SUFFIXES:
+        raise ConfigError(
+            f"{output}: videos cannot be written; write images into a folder (--to folder), of "
+            "which ffmpeg makes a video"
+        )
+    if suffix in (".bag", ".db3"):
+        raise ConfigError(
+            f"{output}: ROS bags cannot be written; give a file ending in .mcap, with --to "
+            "mcap-ros2 for ROS 2"
+        )
+    is_file = suffix == ".mcap"
     chosen = format or ("mcap" if is_file else "euroc")
     if chosen not in FORMATS:
         raise ConfigError(f"cannot write format '{chosen}'; use one of {', '.join(FORMATS)}")

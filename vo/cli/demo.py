@@ -11,13 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.cli import options
+from vo.cli.echo import echo_json
 from vo.errors import MissingExtraError
+from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from vo.evaluation.inputs import Inputs
     from vo.evaluation.report import Evaluation
+    from vo.results.summary import Summary
 
 
 def demo_command(
@@ -30,6 +34,9 @@ def demo_command(
             help="Folder for the recording and the results.",
         ),
     ] = Path("out/demo"),
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Demonstrate visual odometry on a synthetic stereo recording.
 
@@ -39,22 +46,30 @@ def demo_command(
 
       vo demo
     """
-    from vo.cli.console import standard_output
-
-    console = standard_output()
-    sequence = _find_or_make_sequence(output, console)
-    results = output / "run"
-    rrd, plot = results / "run.rrd", results / "eval.png"
-    _run(sequence, results, rrd, console)
-    inputs, evaluation = _evaluate(results, sequence)
-    has_plot = _try_to_plot(plot, inputs, evaluation, console)
+    from vo.cli.console import standard_error, standard_output
     from vo.cli.eval_table import print_evaluation
 
+    console, errors = standard_output(quiet=quiet or json_output), standard_error(quiet=quiet)
+    sequence = _find_or_make_sequence(output, console, errors)
+    results = output / "run"
+    rrd, picture = results / "run.rrd", results / "eval.png"
+    summary = _run(sequence, results, rrd, errors)
+    console.print(
+        f"tracked     {summary.tracked} of {counted(summary.frames, 'frame')}, "
+        f"{summary.frames_per_s:.1f} frames/s\n"
+    )
+    inputs, evaluation = _evaluate(results, sequence)
+    has_picture = _try_to_draw(picture, inputs, evaluation, errors)
+    if json_output:
+        files = {"recording": sequence, "output": results, "rrd": rrd}
+        paths = {name: str(path) for name, path in files.items()}
+        paths |= {"picture": str(picture)} if has_picture else {}
+        echo_json({**paths, "summary": summary.to_dict(), "evaluation": evaluation.to_dict()})
     print_evaluation(evaluation, inputs, console=console)
-    _print_next_steps(console, sequence, results, rrd, plot if has_plot else None)
+    _print_next_steps(console, sequence, results, rrd, picture if has_picture else None)
 
 
-def _find_or_make_sequence(output: Path, console: Console) -> Path:
+def _find_or_make_sequence(output: Path, console: Console, errors: Console) -> Path:
     """The recording, rendered unless it exists; an existing one is always complete."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
@@ -62,7 +77,8 @@ def _find_or_make_sequence(output: Path, console: Console) -> Path:
     from data_synth.recipe import load_recipe
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    is_hidden = errors.quiet or not errors.is_terminal
+    with Progress(*columns, console=errors, transient=True, disable=is_hidden) as bar:
         task = bar.add_task("preparing the renderer", total=None)
 
         def show(done: int, total: int) -> None:
@@ -75,18 +91,15 @@ def _find_or_make_sequence(output: Path, console: Console) -> Path:
     return sequence
 
 
-def _run(sequence: Path, results: Path, rrd: Path, console: Console) -> None:
+def _run(sequence: Path, results: Path, rrd: Path, errors: Console) -> Summary:
+    from vo.cli.console import standard_error
     from vo.cli.progress import make_progress, warnings_on
     from vo.config import load_config
     from vo.run_recording import run
 
-    with warnings_on(console):
-        progress = make_progress(console, quiet=False)
-        summary = run(sequence, results, config=load_config(), rrd=rrd, progress=progress)
-    console.print(
-        f"tracked     {summary.tracked} of {summary.frames} frames, "
-        f"{summary.frames_per_s:.1f} frames/s\n"
-    )
+    with warnings_on(standard_error(), quiet=errors.quiet):
+        progress = make_progress(errors, quiet=errors.quiet)
+        return run(sequence, results, config=load_config(), rrd=rrd, progress=progress)
 
 
 def _evaluate(results: Path, sequence: Path) -> tuple[Inputs, Evaluation]:
@@ -97,30 +110,31 @@ def _evaluate(results: Path, sequence: Path) -> tuple[Inputs, Evaluation]:
     return inputs, evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
 
 
-def _try_to_plot(plot: Path, inputs: Inputs, evaluation: Evaluation, console: Console) -> bool:
-    """Save the plot, or say in one line what it needs."""
+def _try_to_draw(picture: Path, inputs: Inputs, evaluation: Evaluation, errors: Console) -> bool:
+    """Save the picture, or say in one line what it needs."""
     from vo.evaluation.plots import save_plot
 
     try:
-        save_plot(plot, evaluation, inputs.reference, "vo demo: estimate and ground truth")
+        save_plot(picture, evaluation, inputs.reference, "vo demo: estimate and ground truth")
     except MissingExtraError as missing:
-        console.print(f"no plot: {missing}", markup=False, soft_wrap=True)
+        errors.print(f"no picture: {missing}", markup=False, soft_wrap=True)
         return False
     return True
 
 
 def _print_next_steps(
-    console: Console, sequence: Path, results: Path, rrd: Path, plot: Path | None
+    console: Console, sequence: Path, results: Path, rrd: Path, picture: Path | None
 ) -> None:
-    vo, rerun = _program("vo"), _program("rerun")
-    quoted = [shlex.quote(str(path)) for path in (sequence, results, rrd)]
+    vo = _program("vo")
+    quoted = [shlex.quote(str(path)) for path in (sequence, results)]
     lines = (
         "",
-        *([] if plot is None else [f"plot        {plot}"]),
-        f"rerun file  {rrd}",
+        *([] if picture is None else [f"picture     {picture}"]),
+        f"viewer      {rrd}",
         f"results     {results}",
         "\nTry next:",
-        f"  {rerun} {quoted[2]}    # view the run in 3D",
+        f"  {vo} view {quoted[1]}    # the run in 3D; --web without a screen",
+        f"  {vo} report {quoted[1]}    # one HTML page of the run",
         f"  {vo} eval {quoted[1]} {quoted[0]} --json    # the same figures as JSON",
         f"  {vo} synth out/street --preset kitti    # another scene, camera and motion",
         f"  {vo} run MY_RECORDING --output out/mine    # your own recording, see README.md",

@@ -124,6 +124,8 @@ def eval_command(
     calibration: options.Calibration = None,
     topic: Topics = None,
     json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
     picture: Picture = None,
 ) -> None:
     """Evaluate an estimated trajectory against ground truth.
@@ -147,8 +149,11 @@ def eval_command(
     from vo.cli.eval_inputs import read_inputs
     from vo.cli.progress import warnings_on
     from vo.evaluation.report import evaluate
+    from vo.results.output_paths import is_run_folder, refuse_to_overwrite
 
-    with warnings_on(standard_error()):
+    read = [path for path in (estimate, reference, calibration) if path and not is_run_folder(path)]
+    refuse_to_overwrite(read, [picture])
+    with warnings_on(standard_error(), quiet=quiet):
         inputs = read_inputs(
             estimate,
             reference,
@@ -172,7 +177,7 @@ def eval_command(
         save_plot(picture, evaluation, inputs.reference, _title(inputs))
     if json_output:
         _print_json(evaluation, inputs, picture)
-    else:
+    elif not quiet:
         from vo.cli.eval_table import print_evaluation
 
         print_evaluation(evaluation, inputs, picture)

@@ -38,6 +38,8 @@ def info_command(
     topic: options.Topics = None,
     right_offset: options.RightOffset = None,
     mode: options.Mode = options.ModeChoice.AUTO,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Show what a recording contains, its problems, and how to run it.
 
@@ -54,13 +56,16 @@ def info_command(
     from dataclasses import asdict
 
     from vo.cli.console import standard_error
+    from vo.cli.info_table import print_findings, print_report
+    from vo.cli.progress import details_on
     from vo.inspection.opening import open_leniently
     from vo.inspection.report import DEFAULT_IMAGES, inspect
     from vo.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((source, calibration), (picture,))
 
-    with standard_error().status("checking images"):
+    errors = standard_error()
+    with details_on(errors), standard_error(quiet=quiet).status("checking images"):
         opened = open_leniently(
             source,
             format=format,
@@ -77,10 +82,10 @@ def info_command(
 
             write_contact_sheet(picture, opened)
     if json_output:
-        echo_json(asdict(report))
+        echo_json(asdict(report) | {"picture": None if picture is None else str(picture)})
+    elif quiet:
+        print_findings([f for f in report.findings if f.level != "note"], errors)
     else:
-        from vo.cli.info_table import print_report
-
         print_report(report, picture)
     if any(finding.level == "error" for finding in report.findings):
         raise typer.Exit(1)

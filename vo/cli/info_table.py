@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from vo.cli.console import standard_output
 from vo.inspection.image_records import CameraReport, PairReport
-from vo.inspection.records import CalibrationReport, ImuReport, LensReport, Report
+from vo.inspection.records import CalibrationReport, Finding, ImuReport, LensReport, Report
 
 _WORDS = {
     "error": "[bold red]problem:[/]",
@@ -28,13 +28,18 @@ def print_report(report: Report, sheet: Path | None, console: Console | None = N
         console.print(f"[bold]{name:<11}[/]", escape(value), soft_wrap=True)
     if sheet is not None:
         console.print(f"[bold]{'images':<11}[/]", escape(str(sheet)), soft_wrap=True)
-    for finding in report.findings:
-        advice = f"; {finding.advice}" if finding.advice else ""
-        console.print(_WORDS[finding.level], escape(finding.what + advice), soft_wrap=True)
+    print_findings(report.findings, console)
     if not report.findings:
         console.print("[green]no problems found[/]")
     if report.command:
         console.print("[cyan]try:[/]", escape(report.command), soft_wrap=True)
+
+
+def print_findings(findings: Iterable[Finding], console: Console) -> None:
+    """Print what was found, with advice."""
+    for finding in findings:
+        advice = f"; {finding.advice}" if finding.advice else ""
+        console.print(_WORDS[finding.level], escape(finding.what + advice), soft_wrap=True)
 
 
 def _facts(report: Report) -> Iterator[tuple[str, str]]:

@@ -141,10 +141,28 @@ Stride = Annotated[
 ]
 
 Json = Annotated[
-    bool, typer.Option("--json", help="Print JSON instead of text.", rich_help_panel=OUTPUT)
+    bool,
+    typer.Option(
+        "--json", help="Print JSON on standard output instead of text.", rich_help_panel=OUTPUT
+    ),
 ]
 
 Quiet = Annotated[
     bool,
-    typer.Option("--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=OUTPUT),
+    typer.Option(
+        "--quiet",
+        "-q",
+        help="Print only warnings and errors, on standard error.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose",
+        "-v",
+        help="Also print what is read and decided, on standard error.",
+        rich_help_panel=OUTPUT,
+    ),
 ]

@@ -18,6 +18,7 @@ from vo.failures import describe
 from vo.progress import NullProgress, Progress
 from vo.types import Estimate, State
 
+_log = logging.getLogger(__name__)
 _LINE_EVERY_S = 5.0
 _MIN_SHOWN_OFFSET_PX = 0.05
 _STYLES = {State.STARTING: "yellow", State.TRACKING: "green", State.LOST: "bold red"}
@@ -106,12 +107,18 @@ class _Counts:
         self._frames = -1
         self._begun = 0.0
         self._keyframes = self._lost = 0
+        self._state: State | None = None
 
     def add(self, estimate: Estimate) -> None:
         """Count a frame."""
         self._frames += 1
         if self._frames == 0:  # it may include compilation
             self._begun = time.monotonic()
+        if estimate.state != self._state:
+            why = describe(estimate.failure)
+            reason = f" ({why})" if why else ""
+            _log.info("frame %d: %s%s", estimate.frame_index, estimate.state.value, reason)
+            self._state = estimate.state
         self._keyframes += estimate.is_keyframe
         self._lost += estimate.state == State.LOST
 
@@ -140,7 +147,8 @@ class _Counts:
 def warnings_on(console: Console, *, quiet: bool = False) -> Iterator[None]:
     """Print each warning of the library once, as one line, above a progress bar.
 
-    Also print when functions are compiled, and where poses are served, unless quiet.
+    Also print when functions are compiled, and where poses are served, unless quiet; with --verbose
+    print all messages.
     """
     handler = _LineHandler(console)
     logger = logging.getLogger("vo")
@@ -157,9 +165,24 @@ def warnings_on(console: Console, *, quiet: bool = False) -> Iterator[None]:
             each.setLevel(logging.NOTSET)
 
 
+@contextmanager
+def details_on(console: Console) -> Iterator[None]:
+    """Print the messages of the library below warnings, with --verbose, as one line each."""
+    handler = _LineHandler(console)
+    handler.addFilter(lambda record: record.levelno < logging.WARNING)
+    logger = logging.getLogger("vo")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+
+
 class _LineHandler(logging.Handler):
+    """Prints messages that the levels of the loggers let pass."""
+
     def __init__(self, console: Console) -> None:
-        super().__init__(logging.INFO)
+        super().__init__()
         self._console = console
         self._printed: set[str] = set()
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vo.cli.echo import echo
+from vo.cli import options
+from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
     from vo.report.entry import Entry
@@ -20,9 +21,13 @@ Runs = Annotated[
     typer.Argument(metavar="RUN", help="Output folders of `vo run`; several are compared."),
 ]
 Output = Annotated[
-    Path,
+    Path | None,
     typer.Option(
-        "--output", "-o", metavar="FILE", help="HTML file to write; overwritten if it exists."
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="HTML file to write; an earlier report is replaced.",
+        show_default="report.html in the folder of the run; of several runs, in the current folder",
     ),
 ]
 Truth = Annotated[
@@ -42,10 +47,13 @@ Images = Annotated[bool, typer.Option(help="Include small images of notable fram
 
 def report_command(
     runs: Runs,
-    output: Output = Path("report.html"),
+    output: Output = None,
     truth: Truth = None,
     picture: Pictures = None,
     images: Images = True,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Write an HTML report of one or several runs.
 
@@ -66,16 +74,24 @@ def report_command(
     from vo.extras import require
     from vo.report.page import make_page, write_page, write_plots
     from vo.report.plots.catalogue import draw_all
+    from vo.results.output_paths import refuse_to_overwrite
 
     require("matplotlib", extra="report", what="reports")
-    with warnings_on(standard_error()):
+    page = output or (runs[0] if len(runs) == 1 else Path()) / "report.html"
+    with warnings_on(standard_error(), quiet=quiet):
         entries = _entries(runs, truth, images)
+    recordings = [Path(str(entry.run.summary["source"])) for entry in entries]
+    refuse_to_overwrite([*recordings, truth], [page, picture])
     figures = list(draw_all(entries))
-    write_page(output, make_page(entries, figures))
-    echo(f"report      {output}")
-    if picture is not None:
-        written = write_plots(picture, figures)
-        echo(f"pictures    {len(written)} files in {picture}")
+    write_page(page, make_page(entries, figures))
+    written = [] if picture is None else write_plots(picture, figures)
+    if json_output:
+        names = [str(path) for path in runs]
+        echo_json({"report": str(page), "pictures": list(map(str, written)), "runs": names})
+    elif not quiet:
+        echo(f"report      {page}")
+        if picture is not None:
+            echo(f"pictures    {len(written)} files in {picture}")
 
 
 def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:

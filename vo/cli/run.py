@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import completion, options
-from vo.cli.run_request import Input, Outputs, RunRequest, Settings, Visualisation
+from vo.cli.run_request import ForScripts, Input, Outputs, RunRequest, Settings, Visualisation
 
 # Headings of the options in `--help`, besides those in `options`.
 _ODOMETRY, _VISUALISATION = "Odometry", "Visualisation with rerun"
@@ -186,6 +186,17 @@ Profile = Annotated[
 ]
 
 
+FailUnder = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PERCENT",
+        help="Exit with status 4 if fewer frames have a pose, such as 90%, or if the path is not "
+        "to be trusted.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+
+
 def run_command(
     source: Recording,
     output: Output,
@@ -215,7 +226,10 @@ def run_command(
     ply: Ply = None,
     poses: Poses = None,
     profile: Profile = False,
+    fail_under: FailUnder = None,
+    json_output: options.Json = False,
     quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Estimate the trajectory of a camera from a recording.
 
@@ -244,14 +258,23 @@ def run_command(
 
       vo run camera:0 -o out/ --calibration camera.yaml --serve
 
-    Exit status: 0 finished, even if tracking failed (with a warning), 1 error,
-    2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM, 141 if the reader of
-    --poses - ended before the run.
+    Use it in a script, and let it fail unless nearly all frames have a pose:
+
+      vo run my_sequence/ -o out/ --json --fail-under 95% > summary.json
+
+    Exit status: 0 finished, even if frames are lost (with a warning), 1 error,
+    2 wrong usage, 3 no frame has a pose, 4 --fail-under is not reached,
+    130 stopped by Ctrl-C, 143 by SIGTERM, 141 if the reader of --poses -
+    ended before the run.
     """
     begun = _process_start()
     from vo.cli.run_execution import execute
+    from vo.cli.run_status import parse_share
 
     topics = tuple(topic or ())
+    if json_output and "-" in (poses or ()):
+        raise typer.BadParameter("--json and --poses - both need standard output; use one of them")
+    min_share = None if fail_under is None else parse_share(fail_under)
     execute(
         RunRequest(
             Input(
@@ -275,6 +298,7 @@ def run_command(
             Outputs(
                 output, mcap, colmap, ply, begun if profile else None, quiet, tuple(poses or ())
             ),
+            ForScripts(json_output, min_share),
         )
     )
 

@@ -7,12 +7,16 @@ import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from vo.cli.echo import echo_json
 from vo.cli.garbage import collection_paused
 from vo.cli.run_request import Outputs, RunRequest, Settings
+from vo.cli.run_status import exit_if_insufficient
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
 if TYPE_CHECKING:
     from subprocess import Popen
+
+    from rich.console import Console
 
     from vo.config import Config
     from vo.progress import Progress
@@ -25,26 +29,45 @@ def execute(request: RunRequest) -> None:
 
     Raises:
         VoError: as `vo.run_recording.run`, or a setting is invalid.
-        typer.Exit: the run was interrupted.
+        typer.Exit: the run was interrupted, or its path is not what the request asks for.
     """
     outputs = request.outputs
     with stop_signals_as_interrupts(outputs.folder) as signals, ExitStack() as stack:
         with collection_paused():
             config, optimizer_process = _start_optimizer(request.settings, stack)
             import vo.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
-            from vo.cli.console import standard_error, standard_output
+            from vo.cli.console import standard_error
             from vo.cli.progress import make_progress, warnings_on
-            from vo.cli.run_table import print_summary
         console = standard_error()
         stack.enter_context(warnings_on(console, quiet=outputs.quiet))
         is_quiet = outputs.quiet or _is_terminal_for_poses(outputs)
         progress = IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals)
         summary = _run(request, config, optimizer_process, progress, stack)
-        if not outputs.quiet:
-            console = standard_error() if outputs.poses_on_standard_output else standard_output()
-            print_summary(summary, outputs.folder, request.visualisation.rrd, console)
+        _print_result(summary, request, console)
         if request.visualisation.serve:
             signals.obey()  # one of them ends the viewer
+    exit_if_insufficient(summary, request.scripts.min_share)
+
+
+def _print_result(summary: Summary, request: RunRequest, errors: Console) -> None:
+    """Print the summary as text or JSON; warnings that are not part of a text go to `errors`."""
+    from vo.cli.console import standard_output
+    from vo.cli.run_table import WrittenFiles, print_summary
+
+    outputs, rrd = request.outputs, request.visualisation.rrd
+    others = {"mcap": outputs.mcap, "colmap": outputs.colmap, "ply": outputs.ply}
+    files = WrittenFiles.of(
+        outputs.folder, {"recording": rrd, **others, "raw frames": request.input.record}
+    )
+    if request.scripts.json:
+        paths = [str(path) for path in files.paths]
+        echo_json({**summary.to_dict(), "output": str(outputs.folder), "files": paths})
+    elif not outputs.quiet:
+        to_errors = outputs.poses_on_standard_output
+        print_summary(summary, files, errors if to_errors else standard_output())
+        return
+    for warning in summary.warnings:
+        errors.print(f"warning: {warning}", markup=False, soft_wrap=True)
 
 
 def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:

@@ -74,6 +74,13 @@ class Outputs(NamedTuple):
         return "-" in self.poses
 
 
+class ForScripts(NamedTuple):
+    """Whether the summary is printed as JSON, and the fraction of frames that must have a pose."""
+
+    json: bool
+    min_share: float | None
+
+
 class RunRequest(NamedTuple):
     """All arguments of `vo run`."""
 
@@ -81,3 +88,4 @@ class RunRequest(NamedTuple):
     settings: Settings
     visualisation: Visualisation
     outputs: Outputs
+    scripts: ForScripts

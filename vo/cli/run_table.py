@@ -3,27 +3,55 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.markup import escape
 
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
+from vo.results.folder import RESULTS
 from vo.results.profile import Profile
 from vo.results.summary import Summary
 
 _COLOURS = {"good": "[green]", "caution": "[yellow]", "bad": "[red]"}
 
 
-def print_summary(
-    summary: Summary, output: Path, rrd: Path | None = None, console: Console | None = None
-) -> None:
-    """Print the verdict on a run, figures, warnings, advice and next commands."""
+class WrittenFiles(NamedTuple):
+    """The files of a run.
+
+    Attributes:
+        folder: the output folder.
+        names: files in it that every run writes.
+        others: other files and folders that were requested, by what they are called in the table.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    others: Mapping[str, Path]
+
+    @classmethod
+    def of(cls, folder: Path, others: Mapping[str, Path | None]) -> WrittenFiles:
+        """Those of the possible files that exist."""
+        names = tuple(name for name in RESULTS if (folder / name).exists())
+        found = {what: path for what, path in others.items() if path is not None and path.exists()}
+        return cls(folder, names, found)
+
+    @property
+    def paths(self) -> list[Path]:
+        """All of them."""
+        return [*(self.folder / name for name in self.names), *self.others.values()]
+
+
+def print_summary(summary: Summary, files: WrittenFiles, console: Console | None = None) -> None:
+    """Print the verdict on a run, figures, files, warnings, advice and next commands."""
+    output, rrd = files.folder, files.others.get("recording")
     console = console or standard_output()
     colour, sentence = _COLOURS[summary.verdict.grade], verdict_sentence(summary)
     console.print(f"[bold]{'result':<10} {colour}{escape(sentence)}[/][/]", soft_wrap=True)
-    for name, value in _facts(summary, output, rrd):
+    for name, value in (*_facts(summary), *_files(files)):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
     lines = [("[yellow]warning:[/]", warning) for warning in summary.warnings]
     lines += [("[cyan]try:[/]", line) for line in advice(summary, is_recorded=rrd is not None)]
@@ -32,7 +60,7 @@ def print_summary(
         console.print(label, escape(line), soft_wrap=True)
 
 
-def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, str]]:
+def _facts(summary: Summary) -> list[tuple[str, str]]:
     unit = summary.length_unit
     kind = f"{summary.facts.mode}, {summary.facts.format}"
     speed = f"{summary.frames_per_s:.1f} frames/s, {summary.wall_s:.1f} s"
@@ -46,7 +74,6 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
         ("keyframes", f"{summary.keyframes}, with {summary.landmarks} landmarks"),
         ("path", f"{summary.path_m:.3f} {unit}"),
         ("speed", f"{speed}, peak memory {summary.peak_rss_mb:.0f} MB"),
-        ("output", str(output)),
     ]
     if summary.live is not None and summary.live.delay_ms is not None:
         delay = summary.live.delay_ms
@@ -55,7 +82,12 @@ def _facts(summary: Summary, output: Path, rrd: Path | None) -> list[tuple[str, 
         )
     if summary.profile is not None:
         facts.append(("profile", _profile(summary.profile)))
-    return facts if rrd is None else [*facts, ("recording", str(rrd))]
+    return facts
+
+
+def _files(files: WrittenFiles) -> list[tuple[str, str]]:
+    rows = [("output", f"{files.folder}: {', '.join(files.names)}")]
+    return rows + [(what, str(path)) for what, path in files.others.items()]
 
 
 def _profile(profile: Profile) -> str:
@@ -80,7 +112,7 @@ def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str
     if summary.tracked and summary.facts.has_ground_truth:
         commands.append(f"vo eval {_quoted(output)} {_quoted(summary.facts.source)}")
     if summary.tracked:
-        commands.append(f"vo report {_quoted(output)} -o {_quoted(output / 'report.html')}")
+        commands.append(f"vo report {_quoted(output)}")
     if rrd is not None:
         commands.append(f"vo view {_quoted(rrd)}")
     elif Path(summary.facts.source).exists():  # not after a run from a pipe

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vo.cli import completion, options
+from vo.cli.echo import echo, echo_json
+from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from data_synth.recipe import Recipe
+    from data_synth.records import Recording
 
 # Headings of the options in `--help`, besides those in `options`.
 _SCENE, _CAMERA = "Scene and motion", "Camera"
@@ -142,7 +145,9 @@ def synth_command(
     overrides: Overrides = None,
     force: Force = False,
     list_: List = False,
+    json_output: options.Json = False,
     quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Render a synthetic recording with exact ground truth.
 
@@ -164,17 +169,16 @@ def synth_command(
       vo synth out/hard --preset euroc --effects blur=2,noise=3,dark=1 --seed 7
       vo synth log.mcap --preset phone --to mcap-ros2 --codec jpeg
     """
-    from vo.cli.console import standard_output
+    from vo.cli.console import standard_error
 
-    console = standard_output(quiet=quiet)
     if list_:
-        from vo.cli.synth_list import print_choices
-
-        print_choices(console)
+        _list_choices(json_output)
         return
     if output is None:
         raise typer.BadParameter("give the folder or file to create", param_hint="OUTPUT")
     from data_synth.recipe import load_recipe
+    from vo.cli.progress import warnings_on
+    from vo.results.output_paths import refuse_to_overwrite
 
     scene = {"world": world, "motion": motion, "camera": camera, "mono": mono}
     sampling = {"seconds": seconds, "fps": fps, "seed": seed}
@@ -182,7 +186,27 @@ def synth_command(
     named = {**scene, **sampling, **files}
     given = [f"{key}={value}" for key, value in named.items() if value is not None]
     recipe = load_recipe(preset, [*(overrides or ()), *given, *_effect_settings(effects)])
-    _render(recipe, output, force, console)
+    refuse_to_overwrite([Path(each) for each in (preset, camera) if each], [output])
+    with warnings_on(standard_error(), quiet=quiet):
+        made = _render(recipe, output, force, standard_error(quiet=quiet))
+    facts = _facts(made, output, recipe)
+    if json_output:
+        echo_json(facts)
+    elif not quiet:
+        echo(
+            f"{output}: {counted(facts['frames'], facts['mode'] + ' frame')}, "
+            f"{facts['seconds']:g} s, {facts['path_m']:.1f} m of path, {facts['format']}"
+        )
+
+
+def _list_choices(as_json: bool) -> None:
+    from vo.cli.console import standard_output
+    from vo.cli.synth_list import choices, print_choices
+
+    if as_json:
+        echo_json(choices())
+    else:
+        print_choices(standard_output())
 
 
 def _effect_settings(text: str | None) -> list[str]:
@@ -203,7 +227,7 @@ def _effect_settings(text: str | None) -> list[str]:
     return settings
 
 
-def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> None:
+def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> Recording:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
@@ -217,11 +241,15 @@ def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> None
         def show(done: int, total: int) -> None:
             bar.update(task, description="rendering", completed=done, total=total)
 
-        recording = make_sequence(output, recipe, force=force, on_frame=show)
-    kind = "stereo" if recording.rig.is_stereo else "mono"
-    console.print(
-        f"{output}: {len(recording)} {kind} frames, {recipe.seconds:g} s, "
-        f"{recording.path_m:.1f} m of path, {recipe.format}",
-        markup=False,
-        soft_wrap=True,
-    )
+        return make_sequence(output, recipe, force=force, on_frame=show)
+
+
+def _facts(recording: Recording, output: Path, recipe: Recipe) -> dict[str, Any]:
+    return {
+        "output": str(output),
+        "format": recipe.format,
+        "mode": "stereo" if recording.rig.is_stereo else "mono",
+        "frames": len(recording),
+        "seconds": recipe.seconds,
+        "path_m": round(recording.path_m, 6),
+    }

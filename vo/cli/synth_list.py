@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rich.console import Console
 from rich.table import Table
 
 from data_synth.cameras import camera_names, load_rig
 from data_synth.recipe import Effects, ImuRecipe, Recipe, load_recipe, recipe_names
 from vo.settings import Section
+
+
+def choices() -> dict[str, Any]:
+    """Presets, cameras, and all settings with their defaults, for JSON."""
+    return {
+        "presets": {name: load_recipe(name).about for name in recipe_names()},
+        "cameras": camera_names(),
+        "settings": Recipe().model_dump(mode="json"),
+    }
 
 
 def print_choices(console: Console) -> None:

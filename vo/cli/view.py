@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import shlex
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vo.cli.echo import echo
+from vo.cli import options
+from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
     from vo.recording.viewer import ViewerProcess
@@ -47,7 +49,13 @@ Bind = Annotated[
 
 
 def view_command(
-    recording: Recording, web: Web = False, port: Port = 0, bind: Bind = _LOCALHOST
+    recording: Recording,
+    web: Web = False,
+    port: Port = 0,
+    bind: Bind = _LOCALHOST,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Show a run in the rerun viewer.
 
@@ -68,12 +76,28 @@ def view_command(
     file = find_recording(recording)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # to stop the viewer, too
     if web:
-        _serve(file, port, bind)
-    else:
-        _wait(start_native(file))
+        _serve(file, port, bind, _text_of(json_output, quiet))
+        return
+    viewer = start_native(file)
+    if json_output:
+        echo_json({"recording": str(file)})
+    _wait(viewer)
 
 
-def _serve(file: Path, port: int, bind: str) -> None:
+def _text_of(as_json: bool, quiet: bool) -> Callable[[Path, str, int], None]:
+    """What to print about a recording that is served at an address, with its data on a port."""
+
+    def show(file: Path, address: str, port: int) -> None:
+        if as_json:
+            echo_json({"recording": str(file), "address": address, "data_port": port})
+        elif not quiet:
+            echo(f"{file} is at {address}")
+            echo(f"data on port {port}; press Ctrl-C to end")
+
+    return show
+
+
+def _serve(file: Path, port: int, bind: str, show: Callable[[Path, str, int], None]) -> None:
     from urllib.parse import urlsplit
 
     from vo.recording.file_server import FileServer
@@ -86,8 +110,7 @@ def _serve(file: Path, port: int, bind: str) -> None:
         server = stack.enter_context(FileServer(file, bind, urlsplit(page).port or 0))
         data = f"http://{host_of(bind)}:{server.port}{server.path}"
         with contextlib.suppress(KeyboardInterrupt):  # may come as soon as the address is shown
-            echo(f"{file} is at {page}?url={data}")
-            echo(f"data on port {server.port}; press Ctrl-C to end")
+            show(file, f"{page}?url={data}", server.port)
             _wait(viewer)
 
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import time
 
-from vo.cli.echo import echo
+from vo.cli import options
+from vo.cli.echo import echo, echo_json
 
 
-def warmup_command() -> None:
+def warmup_command(
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
     """Compile the inner loops now instead of in the first run.
 
     For container images and robots. The machine code is kept in the folder NUMBA_CACHE_DIR if
@@ -21,11 +26,16 @@ def warmup_command() -> None:
     """
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
+    from vo.compiling import store
     from vo.odometry import Odometry
     from vo.warmup import warm_up
 
     begin = time.monotonic()
-    with warnings_on(standard_error()):
+    with warnings_on(standard_error(), quiet=quiet):
         has_compiled = warm_up(Odometry)
-    elapsed = f"compiled in {time.monotonic() - begin:.0f} s"
-    echo(elapsed if has_compiled else "nothing to compile")
+    seconds, folder = time.monotonic() - begin, str(store.folder())
+    if json_output:
+        echo_json({"compiled": has_compiled, "seconds": round(seconds, 3), "folder": folder})
+    elif not quiet:
+        done = f"compiled in {seconds:.0f} s" if has_compiled else "nothing to compile"
+        echo(f"{done}; the machine code is in {folder}")

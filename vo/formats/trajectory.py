@@ -42,6 +42,7 @@ def read_trajectory(path: Path | str) -> Trajectory:
     """
     path = Path(path)
     kind = detect_format(path)
+    _log.info("%s: trajectory of format %s", path, kind)
     if kind == "tum":
         return read_tum(path)
     if kind == "euroc":

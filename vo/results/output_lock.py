@@ -9,10 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vo.bounded_documents import load_json
-from vo.bounded_files import read_text
 from vo.errors import OutputError
-from vo.results.folder import PARTIAL_FILES, RESULTS, SUMMARY
+from vo.results.folder import PARTIAL_FILES, RESULTS
+from vo.results.output_paths import is_run_folder
 
 _LOCKED = (errno.EAGAIN, errno.EACCES)
 
@@ -55,18 +54,11 @@ def _lock(folder: int, path: Path) -> None:
 def _refuse_foreign_files(path: Path) -> None:
     found = [path / name for name in RESULTS if (path / name).exists()]
     partial = any((path / name).exists() for name in PARTIAL_FILES)
-    if found and not partial and not _is_summary(path / SUMMARY):
+    if found and not partial and not is_run_folder(path):
         raise OutputError(
             f"{found[0]} is not a result of an earlier run and would be replaced; "
             "choose another --output"
         )
-
-
-def _is_summary(path: Path) -> bool:
-    try:
-        return "schema_version" in load_json(read_text(path))
-    except (OSError, ValueError, TypeError):
-        return False
 
 
 def _refusal(path: Path, reason: str) -> OutputError:

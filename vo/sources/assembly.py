@@ -95,6 +95,13 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
         close=contents.close,
         imus=contents.find_imus(calibration),
     )
+    _log.info(
+        "%s: %d images of %dx%d, %s",
+        contents.name,
+        len(contents.left),
+        *size,
+        "stereo" if partners else "one camera",
+    )
     sequence.faults += [*contents.faults, *_rate_faults(contents)]
     if partners:
         sequence.right_offset_ns = offset_ns

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 import glob
 import importlib
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,8 @@ from vo.types import Mode
 
 if TYPE_CHECKING:
     from vo.sources.logs.log import Log
+
+_log = logging.getLogger(__name__)
 
 Opener = Callable[..., Recording]
 """Opens a log, given path, calibration (Path or None), mode, topics and right_offset_ns."""
@@ -119,6 +122,7 @@ def open_source(
     """
     path = Path(path)
     name = choose_format(path, format)
+    _log.info("%s: recording of format %s", path, name)
     chosen = None if calibration is None else Path(calibration)
     open_it = _load(FORMATS[name].opener)
     if side_by_side and (follow or FORMATS[name].has_topics):

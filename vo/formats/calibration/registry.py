@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -67,6 +68,7 @@ FORMATS: dict[str, CalibrationFormat] = {
 }
 
 
+_log = logging.getLogger(__name__)
 _OPENVINS_CHAIN = "relative_config_imucam"
 
 
@@ -84,6 +86,7 @@ def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> C
     document = _load(Path(path))
     for name, kind in FORMATS.items():
         if kind.recognises(document):
+            _log.info("%s: calibration of format %s", path, name)
             try:
                 return replace(kind.read(document, image_size), kind=name, file=Path(path))
             except CalibrationError as error:

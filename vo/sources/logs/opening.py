@@ -54,6 +54,8 @@ def open_log(
     choice = choose_topics(log.topics, topics, mode)
     opened = _ChosenLog(log, choice)
     faults: list[Fault] = []
+    names = [topic.name for topic in (choice.left, choice.right) if topic is not None]
+    _log.info("%s: images of %s", log.path, " and ".join(names))
     left = list_images(log, choice.left, opened.entries[choice.left.name], faults)
     own = opened.calibration_of_log(mode) if calibration is None else None
     right = None

@@ -1,9 +1,11 @@
-"""Names of options in earlier releases, which are understood for one more release."""
+"""What all commands have in common: names of options in the release before are understood."""
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
+import typer
 from typer.core import TyperCommand
 
 from vo.cli.completion import OUTPUT_FORMATS
@@ -19,13 +21,27 @@ _RENAMED = {
 
 
 class Command(TyperCommand):
-    """A command that understands the options of the release before, and says their new names."""
+    """A command that understands options of the release before, and `--verbose`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments after the name of the command."""
         if not ctx.resilient_parsing:  # of a line that the shell completes
             args = with_new_names(self.name or "", args)
-        return super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, args)
+        if ctx.params.get("quiet") and ctx.params.get("verbose"):
+            raise typer.BadParameter("use only one of --quiet and --verbose")
+        return rest
+
+    def invoke(self, ctx: Any) -> Any:
+        """Execute the command; with --verbose, loggers of the library let all messages pass."""
+        logger = logging.getLogger("vo")
+        level = logger.level
+        if ctx.params.get("verbose"):
+            logger.setLevel(logging.DEBUG)
+        try:
+            return super().invoke(ctx)
+        finally:
+            logger.setLevel(level)
 
 
 def with_new_names(command: str, arguments: list[str]) -> list[str]:
