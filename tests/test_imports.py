@@ -24,7 +24,7 @@ OUTER = {f"vo.{name}" for name in ("sources", "evaluation", "recording", "result
 # Floors of the odometry: a room imports from floors below its own, never from one beside it.
 FLOORS = (
     {"vo.frontend"},
-    {"vo.mapping"},
+    {"vo.mapping", "vo.features"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
     {"vo.map_updater", "vo.snapshot"},

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import yaml
 from pydantic import Field
@@ -29,10 +30,53 @@ from vo.settings import (
 _log = logging.getLogger(__name__)
 
 
+DetectorName = Literal[
+    "orb",
+    "harris",
+    "shi_tomasi",
+    "fast",
+    "agast",
+    "opencv_orb",
+    "sift",
+    "mser",
+    "akaze",
+    "kaze",
+    "brisk",
+    "star",
+    "surf",
+]
+DescriptorName = Literal[
+    "auto",
+    "rbrief",
+    "brief",
+    "sift",
+    "rootsift",
+    "opencv_orb",
+    "akaze",
+    "kaze",
+    "brisk",
+    "freak",
+    "latch",
+    "daisy",
+    "surf",
+]
+
+
 class FeaturesConfig(Section):
-    """ORB features, spread over the image by a grid."""
+    """Features: by default ORB, spread over the image by a grid."""
 
     count: int = Field(1500, ge=50, le=20000, description="features per image")
+    detector: DetectorName = Field("orb", description="what finds features (docs/features.md)")
+    descriptor: DescriptorName = Field(
+        "auto", description="what describes them; auto for the one that suits the detector"
+    )
+    selection: Literal["grid", "ssc", "strongest"] = expert(
+        "grid", description="which are kept where a detector other than orb finds more than count"
+    )
+    clahe: bool = expert(False, description="equalise local contrast before detection, not for orb")
+    subpixel: bool = expert(
+        False, description="refine corners to sub-pixel by their gradients, not for orb"
+    )
     levels: int = expert(4, ge=1, le=16, description="pyramid levels")
     scale_factor: float = expert(1.44, gt=1.0, le=2.0, description="size ratio of two levels")
     threshold: int = expert(20, ge=1, le=200, description="minimum corner contrast, grey levels")
@@ -44,6 +88,13 @@ class FeaturesConfig(Section):
 class MatchingConfig(Section):
     """Descriptor matching."""
 
+    method: Literal["auto", "brute_force", "flann", "ann"] = Field(
+        "auto",
+        description="search where nothing is predicted; auto is exact and fits the descriptor",
+    )
+    cross_check: bool = expert(
+        True, description="keep only matches that are the best in both directions"
+    )
     max_hamming: int = expert(64, ge=1, le=256, description="maximum Hamming distance, bits")
     ratio: float = expert(
         0.85, gt=0, le=1, description="maximum ratio of best to second-best distance (Lowe)"

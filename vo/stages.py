@@ -10,6 +10,8 @@ from vo.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.backend.sliding_window import SlidingWindow
 from vo.backend.window_problem import FactorSource
 from vo.config import Config
+from vo.features.extractor import make_extractor
+from vo.features.matching import make_matcher
 from vo.frontend.contracts import FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.pair_check import PairCheck
@@ -94,7 +96,7 @@ def make_stages(
     """
     rectified = rectified_rig(rig)
     threads = config.threads or available_cores()
-    frontend = make_frontend(config, components.extractor, components.matcher)
+    frontend = _frontend(config, components)
     local_map = LocalMap(
         rectified,
         config.smoothing.window + config.smoothing.fixed,
@@ -132,6 +134,12 @@ def make_stages(
         optimizer,
         trajectory,
     )
+
+
+def _frontend(config: Config, components: Components) -> Frontend:
+    extractor = components.extractor or make_extractor(config.features)
+    matcher = components.matcher or make_matcher(config.matching, extractor)
+    return make_frontend(config, extractor, matcher)
 
 
 def _preprocessor(

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vo.compiling.function import compiled
 from vo.config import FeaturesConfig
 from vo.frontend.contracts import DescriptorFormat
 from vo.frontend.fast import FastGrid
-from vo.types import Bytes, Floats32, Keypoints
+from vo.types import Bytes, Floats, Floats32, Keypoints
 
 _RADIUS = 15  # of the described patch, in pixels of its pyramid level
-_BORDER = 19  # room for the rotated patch and its blur
+BORDER_PX = 19  # room for the rotated patch and its blur
 _SIDE = 2 * _RADIUS + 2  # of the square around a corner that is summed up; even, for vector units
 _BLUR_PX = 7  # side of the filter before pixels are compared, and its standard deviation
 _BLUR_SIGMA_PX = 2.0
@@ -34,10 +36,7 @@ class OrbExtractor:
 
     def __init__(self, config: FeaturesConfig) -> None:
         self._config = config
-        self._fast = FastGrid(config.threshold, config.low_threshold, _BORDER)
-        self._blur = cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX)
-        self._moments = _moment_weights()
-        self._pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
+        self._fast = FastGrid(config.threshold, config.low_threshold, BORDER_PX)
 
     @property
     def scale_factor(self) -> float:
@@ -79,7 +78,7 @@ class OrbExtractor:
         height, width = image.shape
         for octave in range(1, self._config.levels):
             size = (round(width / factor**octave), round(height / factor**octave))
-            if min(size) <= 2 * _BORDER + 1:
+            if min(size) <= 2 * BORDER_PX + 1:
                 break
             smaller = cv2.resize(levels[-1][0], size, interpolation=cv2.INTER_LINEAR)
             levels.append((smaller, int(quotas[octave])))
@@ -89,15 +88,28 @@ class OrbExtractor:
         self, image: Bytes, quota: int, octave: int, full_shape: tuple[int, ...]
     ) -> Keypoints:
         xy, scores = self._fast.detect(image, quota)
-        angle = _orientation(image, xy, *self._moments)
-        blurred = cv2.sepFilter2D(image, -1, self._blur, self._blur)
-        descriptor = _describe(blurred, xy, angle, self._pattern)
+        angle, descriptor = describe_corners(image, xy)
         # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
         # are whole, so s differs a little from a power of the factor, and between u and v.
         scale = np.array(full_shape[::-1]) / image.shape[::-1]
         full = ((xy + 0.5) * scale - 0.5).astype(np.float32)
         octaves = np.full(len(xy), octave, dtype=np.int32)
         return Keypoints(full, octaves, angle, scores, descriptor)
+
+
+def describe_corners(image: Bytes, xy: NDArray[np.int32]) -> tuple[Floats32, Bytes]:
+    """Orientations (N,) and rotated BRIEF (N, 32) of pixels at least `BORDER_PX` from the edges."""
+    blur, moments, pattern = _tables()
+    angle = _orientation(image, xy, *moments)
+    blurred = cv2.sepFilter2D(image, -1, blur, blur)
+    return angle, _describe(blurred, xy, angle, pattern)
+
+
+@lru_cache(maxsize=1)
+def _tables() -> tuple[Floats, tuple[Floats32, Floats32], Floats32]:
+    """Weights of the blur and of the moments, and the pattern of compared pixels."""
+    pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
+    return cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX), _moment_weights(), pattern
 
 
 def _outside_mask(keypoints: Keypoints, mask: Bytes) -> Keypoints:

@@ -1,0 +1,1 @@
+"""The feature laboratory: detectors, descriptors and matchers by name, for `vo run` and alone."""
