@@ -9,6 +9,7 @@ import signal
 import sys
 from types import FrameType
 
+from vo.cli.frame_stack import with_room
 from vo.cli.garbage import collection_paused
 from vo.compiling.processor import use_common_instructions
 
@@ -17,6 +18,10 @@ _INTERRUPTED = 128 + signal.SIGINT
 
 def main() -> None:
     """Load the command line and execute the command."""
+    with_room(_main)()
+
+
+def _main() -> None:
     handles_interrupts = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handles_interrupts:
         # While modules are loaded, an exception could be swallowed or turned into another one.

@@ -48,10 +48,11 @@ def load(path: Path) -> MachineCode | None:
     """Content of a file; None if it is missing or damaged, or may be somebody else's."""
     try:
         with open(os.open(path, os.O_RDONLY | _NO_LINK), "rb") as file:
-            if not _is_own_file(os.fstat(file.fileno()), path):
+            info = os.fstat(file.fileno())
+            if not _is_own_file(info, path):
                 _log.info("%s is not used: others can write to it", path)
                 return None
-            data = file.read(_MAX_BYTES + 1)
+            data = file.read(min(info.st_size, _MAX_BYTES))
     except OSError:
         return None
     digest, content = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
