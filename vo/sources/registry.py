@@ -6,6 +6,7 @@ import fnmatch
 import glob
 import importlib
 import logging
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from vo.bounded_files import lfs_pointer_message
 from vo.errors import SourceError
 from vo.sources.assembly import RecordingContents, assemble
 from vo.sources.listing import IMAGE_SUFFIXES
+from vo.sources.live.address import parse_address
 from vo.sources.side_by_side import not_side_by_side, split_side_by_side
 from vo.sources.source import Recording
 from vo.types import Mode
@@ -166,6 +168,7 @@ def choose_format(path: Path, format: str | None) -> str:
     Raises:
         SourceError: the path does not exist, or there is no such format.
     """
+    _refuse_live(path)
     if not path.exists() and not _is_pattern(path):
         raise SourceError(f"{path} does not exist; give the folder or file of a recording")
     if path.exists() and not path.is_file() and not path.is_dir():  # opening it may never end
@@ -203,6 +206,16 @@ def detect_format(path: Path) -> str:
         f"folder {path} has no images and is not a recording of a known format; looked for "
         f"{looked_for} and images ({' '.join(IMAGE_SUFFIXES)})"
     )
+
+
+def _refuse_live(path: Path) -> None:
+    # A path has one slash of the two in a URL.
+    address = parse_address(re.sub(r"^(\w+):/(?!/)", r"\1://", str(path)))
+    if address is not None:
+        raise SourceError(
+            f"{address.public_name} is live: `vo run` reads it, and with --record FILE.mcap it "
+            "keeps the images for other commands"
+        )
 
 
 def _refuse_lfs_pointer(path: Path) -> None:

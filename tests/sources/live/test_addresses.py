@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from vo.errors import SourceError
 from vo.sources.live.address import LiveKind, parse_address, without_credentials
+from vo.sources.registry import open_source
+from vo.sources.uncalibrated import open_uncalibrated
 
 
 @pytest.mark.parametrize(
@@ -16,6 +20,11 @@ from vo.sources.live.address import LiveKind, parse_address, without_credentials
         ("camera:/dev/video1", LiveKind.CAMERA, ("/dev/video1",)),
         ("/dev/video0", LiveKind.CAMERA, ("/dev/video0",)),
         ("/dev/video0,/dev/video2", LiveKind.CAMERA, ("/dev/video0", "/dev/video2")),
+        (
+            "/dev/v4l/by-id/usb-A_B-video-index0,/dev/video2",
+            LiveKind.CAMERA,
+            ("/dev/v4l/by-id/usb-A_B-video-index0", "/dev/video2"),
+        ),
         ("rtsp://host:554/a,b", LiveKind.NETWORK, ("rtsp://host:554/a,b",)),
         ("rtsp://host/l,rtsp://host/r", LiveKind.NETWORK, ("rtsp://host/l", "rtsp://host/r")),
         ("HTTP://host/video.mjpg", LiveKind.NETWORK, ("HTTP://host/video.mjpg",)),
@@ -70,3 +79,14 @@ def test_passwords_are_not_shown(url: str, shown: str) -> None:
     address = parse_address(url)
     assert address is not None
     assert address.public_name == shown
+
+
+@pytest.mark.parametrize(
+    ("path", "shown"),
+    [("camera:0", "camera:0"), ("rtsp://me:secret@host/x", "rtsp://me:***@host/x")],
+)
+def test_what_reads_recordings_says_that_a_source_is_live(path: str, shown: str) -> None:
+    for open_it in (open_source, open_uncalibrated):
+        with pytest.raises(SourceError) as told:
+            open_it(Path(path))
+        assert str(told.value).startswith(f"{shown} is live: `vo run` reads it")

@@ -19,7 +19,7 @@ class LiveKind(StrEnum):
     ZED = "zed"
 
 
-_CAMERA_FILE = re.compile(r"/dev/video\d+")
+_CAMERA_FILE = re.compile(r"/dev/(video\d+|v4l/by-(id|path)/[^,/]+)")
 _URL = re.compile(r"(rtsps?|rtmps?|https?|udp|rtp|srt|tcp)://.", re.IGNORECASE)
 _NEXT = re.compile(r",(?=[a-z]+://|/dev/|\d+$)", re.IGNORECASE)
 _USER = re.compile(r"://[^\s,]*@")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -103,11 +105,10 @@ def open_camera(
     Raises:
         SourceError: there is no such camera, or another program uses it.
     """
-    number_or_file = int(target) if target.isdigit() else target
     name = f"camera:{target}" if target.isdigit() else target
     capture = _opened(
         open_capture,
-        [number_or_file],
+        [_number(target)],
         f"{name} cannot be opened: there is no such camera, another program uses it, or this user "
         "may not",
     )
@@ -136,6 +137,15 @@ def open_opencv_stream(
     )
     # Times of an HTTP stream are often invented by the decoder, from a nominal rate.
     return OpenCvDevice(name, capture, clock, has_times=url.lower().startswith("rtsp"))
+
+
+def _number(target: str) -> int | str:
+    """The number of a camera; its file if that is no usual one."""
+    if target.isdigit():
+        return int(target)
+    real = os.path.realpath(target)  # of a link such as /dev/v4l/by-id/...
+    match = re.fullmatch(r"/dev/video(\d+)", real)
+    return real if match is None else int(match[1])
 
 
 def _opened(

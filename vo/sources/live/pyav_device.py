@@ -23,6 +23,8 @@ _OPTIONS = {
     "fflags": "nobuffer",
     "flags": "low_delay",
     "analyzeduration": "1000000",  # microseconds
+    # Without `file`: a playlist from the network must not name files of this machine.
+    "protocol_whitelist": "rtsp,rtsps,rtp,srtp,udp,tcp,tls,http,https,httpproxy,rtmp,rtmps,srt",
 }
 _INVENTED_TIMES = {"mpjpeg", "mjpeg"}  # formats without times, to which a rate of 25/s is given
 
