@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, distribution, packages_distributions
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from dependencies import DISTRIBUTION, required
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 NEEDS_EXTRA = {
@@ -32,41 +35,15 @@ sys.path.insert(0, {root!r})
 """
 
 
-def requirements(name: str, extras: frozenset[str]) -> set[str]:
-    """Names of the distributions that a distribution requires, with some of its extras."""
-    found = set()
-    for line in distribution(name).requires or []:
-        requirement, _, condition = line.partition(";")
-        extra = re.search(r"extra == ['\"]([^'\"]+)", condition)
-        if extra is None or extra[1] in extras:
-            found.add(re.split(r"[^A-Za-z0-9._-]", requirement.strip())[0])
-    return found
-
-
-def closure(name: str) -> set[str]:
-    """A distribution and all that it requires, directly or not, in normalised names."""
-    reached: set[str] = set()
-    waiting = {name}
-    while waiting:
-        each = re.sub(r"[-_.]+", "-", waiting.pop()).lower()
-        if each not in reached:
-            try:
-                waiting |= requirements(each, frozenset())
-            except PackageNotFoundError:
-                continue  # for other systems or versions of Python
-            reached.add(each)
-    return reached
-
-
 @pytest.fixture(scope="module")
 def hide() -> str:
     """Code that hides the packages that the core does not require."""
-    core = closure("visual-odometry")
-    normalised = {
-        package: {re.sub(r"[-_.]+", "-", owner).lower() for owner in owners}
+    core = {*required(()), DISTRIBUTION}
+    hidden = {
+        package
         for package, owners in packages_distributions().items()
+        if not core & {canonicalize_name(owner) for owner in owners}
     }
-    hidden = {package for package, owners in normalised.items() if not owners & core}
     assert {"av", "matplotlib", "rosbags"} <= hidden
     assert not {"numpy", "cv2", "gtsam", "rerun", "mcap"} & hidden
     return HIDE.format(hidden=hidden, root=str(ROOT))
@@ -107,7 +84,7 @@ for name in {modules}:
             "printed boards need the extra 'report': pip install 'visual-odometry[report]'",
         ),
         (
-            "synth x.mcap --format mcap-ros2",
+            "synth x.mcap --to mcap-ros2",
             "ROS messages need the extra 'ros': pip install 'visual-odometry[ros]'",
         ),
         ("info log.mcap", "ROS messages need the extra 'ros': pip install 'visual-odometry[ros]'"),
@@ -125,8 +102,30 @@ def test_a_missing_extra_is_told_in_one_line(
         channel = writer.register_channel("/camera", "cdr", schema)
         writer.add_message(channel, log_time=0, data=b"", publish_time=0)
         writer.finish()
-    code = f"sys.argv = ['vo', *{command.split()!r}]\nfrom vo.cli.entry import main\nmain()"
-    result = _run(hide + code, tmp_path)
+    result = _run(hide + _call(command), tmp_path)
     assert result.returncode == 1
     assert result.stderr.strip() == f"error: {message}"
     assert result.stdout == ""
+
+
+def test_a_run_needs_no_viewer(tmp_path: Path) -> None:
+    """`rerun-sdk` and `pyarrow` are more than half of the core; a robot can leave them out."""
+    images = tmp_path / "walk"
+    images.mkdir()
+    for index in range(4):
+        cv2.imwrite(str(images / f"{index}.png"), np.full((48, 64), 100 + index, np.uint8))
+    (images / "calibration.yaml").write_text(
+        "cam0:\n  resolution: [64, 48]\n  intrinsics: [50.0, 50.0, 31.5, 23.5]\n"
+        "  distortion_model: none\n  distortion: []\n"
+    )
+    hide = HIDE.format(hidden={"rerun", "rerun_cli", "pyarrow", "PIL"}, root=str(ROOT))
+    result = _run(hide + _call("run walk -o out"), tmp_path)
+    assert (tmp_path / "out" / "summary.json").is_file(), result.stderr
+    result = _run(hide + _call("run walk -o other --rrd run.rrd"), tmp_path)
+    assert result.stderr.splitlines()[-1] == (
+        "error: recordings for the viewer need the package rerun: pip install visual-odometry"
+    )
+
+
+def _call(command: str) -> str:
+    return f"sys.argv = ['vo', *{command.split()!r}]\nfrom vo.cli.entry import main\nmain()"

@@ -18,6 +18,7 @@ def checkout(tmp_path: Path) -> Path:
     """A copy of the files that the set-up needs, and a `bin` without any Python."""
     shutil.copytree(ROOT / "scripts", tmp_path / "scripts")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    shutil.copy(ROOT / "constraints.txt", tmp_path)
     (tmp_path / "bin").mkdir()
     for name in NEEDED:
         program = shutil.which(name)

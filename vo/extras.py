@@ -15,12 +15,13 @@ from vo.errors import MissingExtraError
 DISTRIBUTION = "visual-odometry"
 
 
-def require(package: str, extra: str, what: str) -> ModuleType:
+def require(package: str, extra: str | None, what: str) -> ModuleType:
     """Import a package that an extra installs.
 
     Args:
         package: name of the package in `import`, such as `av`.
-        extra: the extra of this distribution that installs it, such as `video`.
+        extra: the extra of this distribution that installs it, such as `video`; None for a
+            package of the core that can be left out, such as `rerun`.
         what: what needs it, in the plural, such as `videos`.
 
     Raises:
@@ -29,10 +30,8 @@ def require(package: str, extra: str, what: str) -> ModuleType:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        command = f"pip install '{DISTRIBUTION}[{extra}]'"
-        is_missing = isinstance(error, ModuleNotFoundError) and error.name == package
-        if is_missing:
-            message = f"{what} need the extra '{extra}': {command}"
-        else:
-            message = f"{what} need {package}, which cannot be imported ({error}): {command}"
-        raise MissingExtraError(message) from error
+        target = DISTRIBUTION if extra is None else f"'{DISTRIBUTION}[{extra}]'"
+        needed = f"the package {package}" if extra is None else f"the extra '{extra}'"
+        if not isinstance(error, ModuleNotFoundError) or error.name != package:
+            needed = f"{package}, which cannot be imported ({error})"
+        raise MissingExtraError(f"{what} need {needed}: pip install {target}") from error

@@ -11,6 +11,7 @@ from typing import TypedDict, Unpack
 
 from vo.config import Config, dump_config
 from vo.errors import ConfigError, SourceError, VoError
+from vo.extras import require
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
@@ -249,6 +250,7 @@ def _recorder(options: RunOptions, *, is_live: bool) -> Recorder:
         return given
     if rrd is None and viewer is None:
         return NullRecorder()
+    require("rerun", extra=None, what="recordings for the viewer")
     from vo.recording.background import BackgroundRecorder
     from vo.recording.rerun_recorder import RerunRecorder  # importing rerun takes long
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from urllib.parse import quote, urlsplit
 
 from vo.errors import OutputError
+from vo.extras import require
 
 DEFAULT_PORT = 9876
 _LOCALHOST = "127.0.0.1"
@@ -215,6 +216,7 @@ def _last_line(output: bytes) -> str:
 
 def _program() -> str:
     """The executable of the viewer; the command `rerun` does not forward signals to it."""
+    require("rerun_cli", extra=None, what="viewers")
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent

@@ -1,0 +1,47 @@
+"""Writes docs/licences.md: the licences of all dependencies, as they declare them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from dependencies import home_page, licence, required
+
+PATH = Path(__file__).resolve().parent.parent / "docs" / "licences.md"
+EXTRAS = ("video", "report", "ros", "foxglove")
+_BEGIN, _END = "<!-- begin of the table -->\n", "<!-- end of the table -->\n"
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    package: str
+    installed_by: str
+    licence: str
+
+    def __str__(self) -> str:
+        return f"| {self.package} | {self.installed_by} | {self.licence} |"
+
+
+def rows() -> dict[str, Row]:
+    """The lines of the table by distribution: of the core, then of each extra."""
+    found: dict[str, Row] = {}
+    for extra in ("", *EXTRAS):
+        for name in required((extra,) if extra else ()):
+            if name not in found:
+                origin = f"`{extra}`" if extra else "core"
+                found[name] = Row(f"[{name}]({home_page(name)})", origin, licence(name))
+    return found
+
+
+def main() -> None:
+    """Replace the table in the page."""
+    before, _, rest = PATH.read_text("utf-8").partition(_BEGIN)
+    _, _, after = rest.partition(_END)
+    head = "\n| package | installed by | licence |\n| --- | --- | --- |\n"
+    table = head + "".join(f"{row}\n" for row in rows().values()) + "\n"
+    PATH.write_text(before + _BEGIN + table + _END + after, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
