@@ -203,7 +203,7 @@ def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> Liv
         from vo.recording.frame_log import FrameLog  # protobuf takes long to import
 
         try:
-            stream.tap = FrameLog(record, stream.rig)
+            stream.tap = FrameLog(Path(record), stream.rig)
         except VoError:
             stream.close()
             raise

@@ -63,6 +63,7 @@ def test_two_cameras_or_two_halves_are_a_pair(stereo: Path, out: Path, tmp_path:
         result = vo_run(source, out, "--calibration", stereo, "--end", 4, *more)
         assert result.exit_code in (0, 3), result.output
         assert summary_in(out)["mode"] == "stereo"
+        assert ("nothing synchronises two devices" in result.output) == (not more)
     log = tmp_path / "log.mcap"
     vo_run("camera:0,1", out, "--calibration", stereo, "--end", 4, "--record", log)
     assert summary_in(out)["live"]["unrecorded"] == 0

@@ -73,3 +73,13 @@ def test_the_clock_is_that_of_the_host() -> None:
     clock = HostClock()
     assert abs(clock.now_ns() - time.time_ns()) < 1_000_000_000
     assert clock.of_monotonic(time.monotonic_ns()) <= clock.now_ns()
+
+
+def test_images_that_come_later_and_later_are_noticed() -> None:
+    slow, drifting = CaptureStamps(), CaptureStamps()
+    for i in range(3600 * 30):
+        drifting.stamp(START_NS + round(i * FRAME_NS * (1 + 1e-4)), i * FRAME_NS)
+    assert drifting.lag_ns == 0
+    for i in range(300):  # decoded at 25 frames/s
+        slow.stamp(START_NS + i * 40_000_000, i * FRAME_NS)
+    assert slow.lag_ns == pytest.approx(300 * (40_000_000 - FRAME_NS), rel=0.02)

@@ -117,12 +117,12 @@ class Sequence:
 
 
 def test_images_of_two_devices_are_paired_by_their_stamps(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("vo.sources.live.pair._TIMEOUT_S", 0.2)
     left = Sequence(iter([100.0, 133, 167, 200]))
     right = Sequence(iter([95.0, 138, 183, 207]), offset=50)
-    device = PairedDevices(lambda: left, lambda: right)
+    device = PairedDevices("camera:0,1", lambda: left, lambda: right)
     pairs = []
     with pytest.raises(SourceError, match="no images from one of the two cameras"):
         while True:
@@ -130,6 +130,8 @@ def test_images_of_two_devices_are_paired_by_their_stamps(
     numbers = [tuple(int(image[0, 0]) for image in pair.images) for pair in pairs]
     assert numbers == [(0, 50), (1, 51), (3, 53)]  # 167 and 183 ms are too far apart
     assert [pair.stamp_ns for pair in pairs] == [100_000_000, 133_000_000, 200_000_000]
+    device.close()
+    assert "camera:0,1: 2 images left out, without a partner within 10 ms" in caplog.text
 
 
 def test_two_devices_that_never_agree_are_told_how_far_they_are_apart(
@@ -138,7 +140,7 @@ def test_two_devices_that_never_agree_are_told_how_far_they_are_apart(
     monkeypatch.setattr("vo.sources.live.pair._TIMEOUT_S", 0.2)
     left = Sequence(iter([100.0, 140, 180]))
     right = Sequence(iter([115.0, 155, 195]))
-    device = PairedDevices(lambda: left, lambda: right)
+    device = PairedDevices("camera:0,1", lambda: left, lambda: right)
     with pytest.raises(SourceError, match="15 ms apart, more than the 10 ms of a pair"):
         device.read()
     assert PAIR_TOLERANCE_NS == 10_000_000
@@ -151,7 +153,7 @@ def test_the_left_device_is_closed_if_there_is_no_right_one() -> None:
         raise SourceError("no such camera")
 
     with pytest.raises(SourceError, match="no such camera"):
-        PairedDevices(lambda: left, missing)
+        PairedDevices("camera:0,1", lambda: left, missing)
     assert left.is_closed
 
 

@@ -7,6 +7,7 @@ import time
 _NS_PER_S = 1_000_000_000
 _WINDOW_NS = 10 * _NS_PER_S
 _MAX_DELAY_NS = _NS_PER_S
+_MAX_DRIFT = 2e-4  # of quartz clocks
 
 
 class HostClock:
@@ -42,7 +43,19 @@ class CaptureStamps:
 
     def __init__(self) -> None:
         self._last_ns = 0
+        self._first_ns: int | None = None  # arrival of the first image with a time of its own
+        self._least_ns = 2**63  # smallest arrival minus own time of all images
+        self._lag_ns = 0
         self._forget()
+
+    @property
+    def lag_ns(self) -> int:
+        """How much later the newest image came than the one that was delayed least.
+
+        It grows if images are decoded more slowly than they come, and wait somewhere. What the
+        clocks of camera and host may differ by, 200 parts in a million, is subtracted.
+        """
+        return self._lag_ns
 
     def stamp(self, arrival_ns: int, own_ns: int | None = None) -> int:
         """Stamp of the next image, later than those before.
@@ -53,6 +66,7 @@ class CaptureStamps:
         """
         stamp_ns = arrival_ns
         if own_ns is not None:
+            self._measure_lag(arrival_ns, own_ns)
             self._add(arrival_ns, own_ns)
             stamp_ns = own_ns + min(self._offset_ns, self._offset_before_ns)
             if not max(self._last_ns, arrival_ns - _MAX_DELAY_NS) < stamp_ns <= arrival_ns:
@@ -64,6 +78,13 @@ class CaptureStamps:
     def _forget(self) -> None:
         self._window_begun_ns: int | None = None
         self._offset_ns = self._offset_before_ns = 2**63  # arrival minus own time, minima
+
+    def _measure_lag(self, arrival_ns: int, own_ns: int) -> None:
+        if self._first_ns is None:
+            self._first_ns = arrival_ns
+        self._least_ns = min(self._least_ns, arrival_ns - own_ns)
+        drift_ns = round(_MAX_DRIFT * (arrival_ns - self._first_ns))
+        self._lag_ns = max(arrival_ns - own_ns - self._least_ns - drift_ns, 0)
 
     def _add(self, arrival_ns: int, own_ns: int) -> None:
         if self._window_begun_ns is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +16,13 @@ from vo.sources.live.capture import Capture
 from vo.sources.live.clock import HostClock
 from vo.sources.live.device import CapturedImages, Connect, Device
 from vo.sources.live.opencv_device import open_camera, open_opencv_stream
-from vo.sources.live.pair import PairedDevices, SideBySideDevice
+from vo.sources.live.pair import PAIR_TOLERANCE_NS, PairedDevices, SideBySideDevice
 from vo.sources.live.stream import LiveFrames
 from vo.types import Mode, Rig
 
 DEFAULT_TIMEOUT_S = 10.0
+
+_log = logging.getLogger(__name__)
 
 _FACTORY_CALIBRATED = {
     LiveKind.REALSENSE: "vo.sources.live.realsense:RealSense",
@@ -131,7 +134,13 @@ def _connector(
             )
         return lambda: SideBySideDevice(connects[0]())
     if len(connects) > 1 and mode != "mono":
-        return lambda: PairedDevices(*connects)
+        _log.warning(
+            "%s: nothing synchronises two devices: images up to %.0f ms apart form a pair, which "
+            "costs accuracy in fast motion",
+            address.public_name,
+            1e-6 * PAIR_TOLERANCE_NS,
+        )
+        return lambda: PairedDevices(address.public_name, *connects)
     return connects[0]
 
 

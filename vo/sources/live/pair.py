@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import deque
@@ -14,6 +15,8 @@ from vo.types import Rig
 
 PAIR_TOLERANCE_NS = 10_000_000
 """Largest difference between the stamps of a pair from two devices."""
+
+_log = logging.getLogger(__name__)
 
 _WAITING = 4  # images of each device that wait for their partner
 _TIMEOUT_S = 5.0
@@ -47,6 +50,7 @@ class PairedDevices:
     stamp of a pair is that of its left image.
 
     Args:
+        name: of both devices, for messages.
         connect_left: connects to the left device.
         connect_right: connects to the right device.
 
@@ -54,8 +58,9 @@ class PairedDevices:
         SourceError: one of them does not answer.
     """
 
-    def __init__(self, connect_left: Connect, connect_right: Connect) -> None:
+    def __init__(self, name: str, connect_left: Connect, connect_right: Connect) -> None:
         self.rig: Rig | None = None
+        self._name, self._unpaired = name, 0
         left = connect_left()
         try:
             right = connect_right()
@@ -89,6 +94,13 @@ class PairedDevices:
     def close(self) -> None:
         """See `Device.close`."""
         self._is_closed = True
+        if self._unpaired:
+            _log.warning(
+                "%s: %d images left out, without a partner within %.0f ms",
+                self._name,
+                self._unpaired,
+                1e-6 * PAIR_TOLERANCE_NS,
+            )
 
     def _take_pair(self) -> CapturedImages | None:
         """The oldest pair that has come, None if there is none yet."""
@@ -102,7 +114,7 @@ class PairedDevices:
             if apart_ns <= PAIR_TOLERANCE_NS:
                 for images, taken in ((left, first), (right, second)):
                     while images and images[0].stamp_ns <= taken.stamp_ns:
-                        images.popleft()
+                        self._unpaired += images.popleft().stamp_ns != taken.stamp_ns
                 return CapturedImages(first.stamp_ns, first.images + second.images)
         return None
 

@@ -26,8 +26,11 @@ _OPTIONS = {
     # Without `file`: a playlist from the network must not name files of this machine.
     "protocol_whitelist": "rtsp,rtsps,rtp,srtp,udp,tcp,tls,http,https,httpproxy,rtmp,rtmps,srt",
 }
+_MIN_LAG_NS, _MAX_LAG_NS = 1_500_000_000, 60_000_000_000  # more is a clock that was set
+_MIN_LATE = 60  # images in a row: a network that stalls once catches up
 _INVENTED_TIMES = {"mpjpeg", "mjpeg"}  # formats without times, to which a rate of 25/s is given
 
+_log = logging.getLogger(__name__)
 logging.getLogger("libav").addHandler(logging.NullHandler())
 
 
@@ -47,6 +50,7 @@ class PyAvStream:
         self._name = without_credentials(url)
         self._clock = clock
         self._stamps = CaptureStamps()
+        self._late = 0  # images in a row that came late
         self._container = self._open(url)
         try:
             self._frames = self._begin(url)
@@ -67,7 +71,20 @@ class PyAvStream:
         if self._has_times and frame.pts is not None and frame.time_base is not None:
             own_ns = int(frame.pts * frame.time_base * 1_000_000_000)
         stamp_ns = self._stamps.stamp(arrival_ns, own_ns)
+        self._warn_of_lag()
         return CapturedImages(stamp_ns, (frame_pixels(frame, colour=False),))
+
+    def _warn_of_lag(self) -> None:
+        lag_ns = self._stamps.lag_ns
+        self._late = self._late + 1 if _MIN_LAG_NS < lag_ns < _MAX_LAG_NS else 0
+        if self._late != _MIN_LATE:
+            return
+        _log.warning(
+            "%s: images come %.1f s later than at first, and so do poses: this machine or the "
+            "network is too slow for the stream; choose a smaller one",
+            self._name,
+            1e-9 * lag_ns,
+        )
 
     def close(self) -> None:
         """See `Device.close`."""
