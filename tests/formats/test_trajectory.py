@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vo.errors import OutputError, SourceError
+from vo.formats.stamp_units import stamp_ns_from_seconds
 from vo.formats.trajectory import (
     detect_format,
     read_euroc,
@@ -16,7 +17,6 @@ from vo.formats.trajectory import (
     read_kitti_times,
     read_trajectory,
     read_tum,
-    stamp_ns_from_seconds,
     tum_line,
     write_tum,
 )
@@ -209,3 +209,14 @@ def test_euroc_needs_eight_columns(tmp_path: Path) -> None:
 def test_error_if_the_path_is_not_writable(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_tum(tmp_path, Trajectory(np.array([0]), np.eye(4)[None]))
+
+
+def test_times_in_whole_milliseconds_are_read_as_such(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pose = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+    (tmp_path / "poses.txt").write_text(pose * 4, encoding="utf-8")
+    (tmp_path / "times.txt").write_text("0\n104\n207\n311\n", encoding="utf-8")
+    trajectory = read_trajectory(tmp_path / "poses.txt")
+    assert trajectory.stamps_ns.tolist() == [0, 104_000_000, 207_000_000, 311_000_000]
+    assert "the stamps are read as milliseconds" in caplog.text

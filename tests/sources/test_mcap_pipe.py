@@ -25,7 +25,7 @@ def test_log_through_a_pipe_is_read_up_to_the_last_frame(tmp_path: Path) -> None
         assert process.stdin is not None and process.stderr is not None
         process.stdin.write(log.read_bytes())
         process.stdin.flush()
-        assert process.wait(120) == 0, process.stderr.read().decode()
+        assert process.wait(120) == 3, process.stderr.read().decode()
         errors = process.stderr.read().decode()
     assert "Fatal" not in errors and "Traceback" not in errors
     summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
@@ -55,7 +55,7 @@ def test_warnings_name_standard_input(tmp_path: Path) -> None:
     log = write_log(tmp_path / "log.mcap", layouts.log_messages(), chunk_size=8_000)
     whole = log.read_bytes()
     status, errors, summary = vo_run(tmp_path, whole[: 6 * len(whole) // 10])
-    assert status == 0, errors
+    assert status == 3, errors
     assert "warning: standard input is cut off or damaged" in errors
     assert "/tmp" not in errors and ".mcap" not in errors
     assert json.loads(summary)["source"] == "standard input"

@@ -17,9 +17,9 @@ from mcap_logs import write_log
 from vo.errors import SourceError
 from vo.faults import Fault, FaultKind
 from vo.formats.messages import ImageMessage, Message, PoseMessage
+from vo.formats.stamp_units import StampText, StampUnit, parse_stamps
 from vo.sources.logs.stamps import in_order_of_log, with_log_time
 from vo.sources.registry import open_source
-from vo.sources.stamp_units import StampText, StampUnit, parse_stamps
 
 COUNT = 30
 INTERVAL_NS = 50_000_001

@@ -34,11 +34,17 @@ def verdict_sentence(summary: Summary) -> str:
     frames, tracked = summary.frames, summary.tracked
     word = summary.verdict.word
     if not tracked:
-        return f"{word}: none of the {frames} frames has a pose"
+        what = (
+            "the only frame has no pose"
+            if frames == 1
+            else f"none of the {frames} frames has a pose"
+        )
+        return f"{word}: {what}"
     segments = len(summary.segments)
     apart = f", in {segments} segments that are not connected" if segments > 1 else ""
     if tracked + summary.interpolated >= frames:
-        return f"{word}: all {frames} frames have a pose{apart}"
+        what = "the only frame has a pose" if frames == 1 else f"all {frames} frames have a pose"
+        return f"{word}: {what}{apart}"
     return f"{word}: {tracked} of {frames} frames have a pose ({tracked / frames:.1%}){apart}"
 
 

@@ -14,6 +14,7 @@ import typer
 from vo.cli import options
 from vo.cli.echo import echo, echo_json
 from vo.errors import ConfigError, OutputError
+from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -332,7 +333,7 @@ def _progress_bar(console: Console, total: int) -> Iterator[Callable[[int, int],
         expand=True,
     ) as bar:
         task = bar.add_task("searching for the board", total=total, found="")
-        yield lambda done, found: bar.update(task, completed=done, found=f"{found} views")
+        yield lambda done, found: bar.update(task, completed=done, found=counted(found, "view"))
 
 
 def _check_outputs(output: Path, picture: Path | None) -> None:

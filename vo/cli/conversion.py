@@ -111,7 +111,7 @@ def convert(
     """
     source = opened.source
     if source is None:
-        raise SourceError(opened.refusal.splitlines()[0])
+        raise SourceError(opened.refusal)
     _refuse_existing(output, force)
     plan = _plan(opened, source, settings)
     truth = poses_around(plan.left_ns, source.ground_truth)

@@ -13,6 +13,7 @@ from vo.cli.console import print_table, standard_output
 from vo.evaluation.inputs import Inputs
 from vo.evaluation.report import Evaluation
 from vo.evaluation.statistics import PoseErrors, Statistics
+from vo.printable import counted
 
 _COLUMNS = ("rmse", "mean", "median", "max")
 
@@ -41,11 +42,11 @@ def print_evaluation(
 def _facts(evaluation: Evaluation, inputs: Inputs) -> list[tuple[str, str]]:
     matched, alignment = evaluation.matched, evaluation.alignment
     facts = [
-        ("estimate", f"{inputs.estimate_path} ({evaluation.estimate_poses} poses)"),
-        ("reference", f"{inputs.reference_path} ({evaluation.reference_poses} poses)"),
+        ("estimate", f"{inputs.estimate_path} ({counted(evaluation.estimate_poses, 'pose')})"),
+        ("reference", f"{inputs.reference_path} ({counted(evaluation.reference_poses, 'pose')})"),
         (
             "matched",
-            f"{len(matched)} poses, {matched.method} within {matched.tolerance_s:g} s; "
+            f"{counted(len(matched), 'pose')}, {matched.method} within {matched.tolerance_s:g} s; "
             f"{evaluation.path_m:.3f} m in {matched.seconds[-1]:.3f} s; "
             f"{evaluation.coverage:.1%} of the reference's duration, longest gap "
             f"{matched.longest_gap_s:.3f} s",

@@ -11,6 +11,7 @@ from rich.markup import escape
 from vo.cli.console import standard_output
 from vo.inspection.image_records import CameraReport, PairReport
 from vo.inspection.records import CalibrationReport, Finding, ImuReport, LensReport, Report
+from vo.printable import counted
 
 _WORDS = {
     "error": "[bold red]problem:[/]",
@@ -82,7 +83,7 @@ def _truth(report: Report) -> str:
         return "none found"
     images = "" if truth.covered is None else f", covers {100 * truth.covered:.0f} % of the images"
     return (
-        f"{truth.poses} poses, {truth.span_s:.2f} s at {truth.rate_hz:.3g} Hz, "
+        f"{counted(truth.poses, 'pose')}, {truth.span_s:.2f} s at {truth.rate_hz:.3g} Hz, "
         f"{truth.path_m:.1f} m of path{images}"
     )
 
@@ -91,8 +92,8 @@ def _imu(imu: ImuReport) -> str:
     gaps = {0: "no gaps", 1: "1 gap"}.get(imu.gaps, f"{imu.gaps} gaps")
     covered = "" if imu.covered is None else f", covers {100 * imu.covered:.0f} % of the images"
     return (
-        f"{imu.name}: {imu.count} samples, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, {gaps}"
-        f"{covered} (not used by vo run)"
+        f"{imu.name}: {counted(imu.count, 'sample')}, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, "
+        f"{gaps}{covered} (not used by vo run)"
     )
 
 
@@ -112,7 +113,7 @@ def _camera(camera: CameraReport) -> str:
     rate = f"{timing.rate_hz:.4g} Hz (± {timing.jitter_ms:.2g} ms)" if timing.rate_hz else "no rate"
     gaps = {0: ", no gaps", 1: ", 1 gap"}.get(len(timing.gaps), f", {len(timing.gaps)} gaps")
     size = f"{camera.width}x{camera.height}" if camera.width else "size unknown"
-    return f"{timing.count} images, {size}{bits}, {timing.span_s:.2f} s at {rate}{gaps}"
+    return f"{counted(timing.count, 'image')}, {size}{bits}, {timing.span_s:.2f} s at {rate}{gaps}"
 
 
 def _image_quality(camera: CameraReport) -> str:
@@ -173,6 +174,6 @@ def _measured(report: Report) -> Iterator[tuple[str, str]]:
         yield (
             "measured",
             f"{kind}: rows differ by {stereo.row_offset_px:+.2f} ± {stereo.row_spread_px:.2f} px, "
-            f"disparity {stereo.disparity_px:.1f} px{depth} (medians of {stereo.matches} points "
-            f"in {stereo.pairs} pairs)",
+            f"disparity {stereo.disparity_px:.1f} px{depth} "
+            f"(medians of {counted(stereo.matches, 'point')} in {counted(stereo.pairs, 'pair')})",
         )

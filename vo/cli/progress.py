@@ -15,6 +15,7 @@ from rich.text import Text
 
 from vo.cli.console import standard_error
 from vo.failures import describe
+from vo.printable import counted
 from vo.progress import NullProgress, Progress
 from vo.types import Estimate, State
 
@@ -82,7 +83,8 @@ class LineProgress:
         """Print name and length of the recording."""
         self._total, self._next = total, 0.0
         self._counts = _Counts()
-        self._print(f"{name}: {total or 'an unknown number of'} frames; {_WAITING}")
+        frames = counted(total, "frame") if total else "an unknown number of frames"
+        self._print(f"{name}: {frames}; {_WAITING}")
 
     def step(self, done: int, estimate: Estimate) -> None:
         """Print a line if the last one is several seconds old."""

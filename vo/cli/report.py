@@ -10,6 +10,7 @@ import typer
 
 from vo.cli import options
 from vo.cli.echo import echo, echo_json
+from vo.printable import counted
 
 if TYPE_CHECKING:
     from vo.report.entry import Entry
@@ -91,7 +92,7 @@ def report_command(
     elif not quiet:
         echo(f"report      {page}")
         if picture is not None:
-            echo(f"pictures    {len(written)} files in {picture}")
+            echo(f"pictures    {counted(len(written), 'file')} in {picture}")
 
 
 def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:

@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
+from vo.printable import counted
 from vo.results.folder import RESULTS
 from vo.results.profile import Profile
 from vo.results.summary import Summary
@@ -71,7 +72,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
         *([("between", f"{summary.interpolated} interpolated")] if summary.interpolated else []),
         ("lost", str(summary.lost)),
         ("segments", str(len(summary.segments))),
-        ("keyframes", f"{summary.keyframes}, with {summary.landmarks} landmarks"),
+        ("keyframes", f"{summary.keyframes}, with {counted(summary.landmarks, 'landmark')}"),
         ("path", f"{summary.path_m:.3f} {unit}"),
         ("speed", f"{speed}, peak memory {summary.peak_rss_mb:.0f} MB"),
     ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from vo.errors import OutputError, SourceError
 from vo.formats.nerf_poses import read_nerf_poses
+from vo.formats.stamp_units import StampText, parse_stamps, stamp_ns_from_seconds
 from vo.formats.table import Line, check_columns, parse_columns, read_table
 from vo.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
 from vo.types import Floats, Ints, Trajectory
@@ -182,14 +182,17 @@ def _or_whole_seconds(path: Path | str, stamps_ns: Ints | None, count: int) -> I
 
 
 def read_kitti_times(path: Path | str) -> Ints:
-    """Read a KITTI `times.txt`, one stamp in seconds per line, as (N,) nanoseconds.
+    """Read a KITTI `times.txt`, one stamp per line, as (N,) nanoseconds.
+
+    Stamps are seconds, unless images would then be implausibly far apart, as with milliseconds.
 
     Raises:
         SourceError: the file is missing, empty or damaged.
     """
     lines = read_table(Path(path))
     check_columns(lines, 1, exactly=True)
-    return _seconds_column(lines)
+    stamps = parse_stamps([StampText(line.location, line.fields[0]) for line in lines], "s")
+    return np.array(stamps, dtype=np.int64)
 
 
 def stamps_beside(path: Path | str) -> Ints | None:
@@ -204,21 +207,6 @@ def stamps_beside(path: Path | str) -> Ints | None:
         _log.warning("%s has %d stamps for %d poses: not used", times, len(stamps_ns), count)
         return None
     return stamps_ns
-
-
-def stamp_ns_from_seconds(text: str) -> int:
-    """Convert seconds in decimal notation to nanoseconds, exact to the ninth decimal.
-
-    Raises:
-        ValueError: the text is not a number, or too large for 64 bits of nanoseconds.
-    """
-    try:
-        seconds = Decimal(text)
-    except InvalidOperation as error:
-        raise ValueError(f"'{text}' is not a number of seconds") from error
-    if not seconds.is_finite() or not -_MAX_S <= seconds <= _MAX_S:
-        raise ValueError(f"{text} is out of range for seconds")
-    return int((seconds * _NS_PER_S).to_integral_value())
 
 
 def tum_line(stamp_ns: int, world_from_cam: Floats) -> str:

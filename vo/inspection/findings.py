@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import get_args
 
 from vo.formats.warning_kinds import WarningKind
@@ -14,6 +15,7 @@ from vo.inspection.images import frame_ranges
 from vo.inspection.inertial import imu_findings
 from vo.inspection.opening import OpenedRecording
 from vo.inspection.records import Finding, Level, Report
+from vo.printable import counted
 from vo.types import Rig
 
 _MIN_GREY = 25.0
@@ -76,7 +78,7 @@ def _timing_findings(camera: CameraReport) -> Iterator[Finding]:
     if timing.repeated_stamps:
         yield Finding(
             "warning",
-            f"{camera.name}: {timing.repeated_stamps} images not used, as they repeat a stamp",
+            f"{camera.name}: {counted(timing.repeated_stamps, 'image')} not used: repeated stamps",
             "check for a node that publishes twice, or for merged bags",
         )
     interval_ms = 1000.0 / timing.rate_hz if timing.rate_hz else 0.0
@@ -193,7 +195,9 @@ def _run_command(report: Report, opened: OpenedRecording) -> str:
     """A `vo run` command with the options that this recording needs; empty if none can work."""
     if not any(camera.looks for camera in report.cameras):
         return ""
-    path, options = opened.path, list(opened.options)
+    path, options = opened.path, _without_missing_topics(opened)
+    if options != list(opened.options):  # nothing else is known of it
+        return shlex.join(["vo", "run", str(path), "-o", _output_of(path), *options])
     if not opened.roles_known and len(report.cameras) > 1:
         options += ["--topic", f"left={report.cameras[0].name}"]
         options += ["--topic", f"right={report.cameras[1].name}"]
@@ -206,9 +210,22 @@ def _run_command(report: Report, opened: OpenedRecording) -> str:
         options += ["--mode", "mono"] if _is_pair_unusable(report, opened.rig) else []
     if opened.refusal and options == list(opened.options):
         return ""  # the same error again
-    return shlex.join(
-        ["vo", "run", str(path), "-o", f"out/{path.resolve().stem or 'run'}", *options]
-    )
+    return shlex.join(["vo", "run", str(path), "-o", _output_of(path), *options])
+
+
+def _output_of(path: Path) -> str:
+    return f"out/{path.resolve().stem or 'run'}"
+
+
+def _without_missing_topics(opened: OpenedRecording) -> list[str]:
+    """The options without topics that the log does not have."""
+    known = {topic.name.strip("/") for topic in opened.topics}
+    options = list(opened.options)
+    for number in reversed(range(len(options) - 1)):
+        name = options[number + 1].rpartition("=")[2].strip("/")
+        if options[number] == "--topic" and name not in known:
+            del options[number : number + 2]
+    return options
 
 
 def _is_pair_unusable(report: Report, rig: Rig) -> bool:

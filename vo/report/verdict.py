@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from vo.evaluation.report import Evaluation
+from vo.printable import counted
 from vo.report.entry import Entry
 from vo.report.quantities import duration, length, number, percentage
 from vo.results.verdict import Grade, VerdictFacts, assess
@@ -111,9 +112,11 @@ def key_figures(entry: Entry) -> list[KeyFigure]:
         KeyFigure(
             "frames per second",
             number(summary["frames_per_s"]),
-            f"{duration(summary['wall_s'])} for {frames} frames",
+            f"{duration(summary['wall_s'])} for {counted(frames, 'frame')}",
         ),
-        KeyFigure("keyframes", str(summary["keyframes"]), f"{summary['landmarks']} landmarks"),
+        KeyFigure(
+            "keyframes", str(summary["keyframes"]), counted(summary["landmarks"], "landmark")
+        ),
         KeyFigure("inliers", _or_dash(summary["median_inliers"]), "median over frames with a pose"),
         KeyFigure(
             "memory",

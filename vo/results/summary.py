@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.failures import Failure, describe
+from vo.printable import counted
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
 from vo.results.fault_warnings import fault_warnings
@@ -310,9 +311,11 @@ def _tracking_warnings(summary: Summary) -> list[str]:
     if lost:
         warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
     if summary.skipped:
-        warnings.append(f"{len(summary.skipped)} frames skipped: their images cannot be used")
+        warnings.append(
+            f"{counted(len(summary.skipped), 'frame')} skipped: the images cannot be used"
+        )
     if summary.unpaired:
-        warnings.append(f"{summary.unpaired} frames used without their right or depth image")
+        warnings.append(f"{counted(summary.unpaired, 'frame')} used without right or depth image")
     if summary.tracked and inliers < MIN_INLIERS:
         warnings.append(f"poor tracking: median of {inliers:.0f} inliers")
     return warnings

@@ -16,6 +16,7 @@ import numpy as np
 from vo.errors import CalibrationError, SourceError, VoError
 from vo.faults import Fault, FaultKind
 from vo.formats.calibration import Calibration, ImageSize, calibration_format, read_calibration
+from vo.formats.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
 from vo.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.sources.images import Pixels, StoredImage
@@ -25,7 +26,6 @@ from vo.sources.orientation import warn_of_turned
 from vo.sources.pairing import pair_by_stamp
 from vo.sources.right_offset import constant_offset_ns, shifted
 from vo.sources.sequence import ImageSequence, ListedImages
-from vo.sources.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
 from vo.types import Camera, Mode, Rig, Trajectory
 
 _CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".conf", ".ini", ".txt")

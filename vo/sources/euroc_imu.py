@@ -10,10 +10,10 @@ from vo.errors import VoError
 from vo.formats.calibration import Calibration
 from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
+from vo.formats.stamp_units import MAX_STAMP_NS, parse_ns
 from vo.geometry.transforms import inverse
 from vo.sources.imu import FileImu, ImuSamples, cam0_from_imu_of, make_samples
 from vo.sources.listing import read_lines
-from vo.sources.stamp_units import MAX_STAMP_NS, parse_ns
 from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from vo.bounded_files import read_table_text
 from vo.errors import SourceError
 from vo.faults import Fault
+from vo.formats.stamp_units import StampText, StampUnit, parse_stamps
 from vo.sources.images import ImageFile, StoredImage
-from vo.sources.stamp_units import StampText, StampUnit, parse_stamps
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 

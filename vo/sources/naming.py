@@ -6,10 +6,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from vo.formats.trajectory import stamp_ns_from_seconds
+from vo.formats.stamp_units import MAX_STAMP_NS, stamp_ns_from_seconds
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot, check_increasing, median_interval_ns
-from vo.sources.stamp_units import MAX_STAMP_NS
 
 _NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _MIN_INTERVAL_NS = 2_000_000

@@ -18,6 +18,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.faults import Fault
+from vo.printable import counted
 from vo.scheduling import give_way
 from vo.sources.depth import DepthImages, read_depth
 from vo.sources.grey_levels import GreyLevels
@@ -297,7 +298,9 @@ def select_frames(length: int, start: int, end: int | None, stride: int) -> rang
     if start < 0 or (end is not None and end < 0):
         raise SourceError(f"start is {start} and end {end}; frame numbers begin at 0")
     if start >= length:
-        raise SourceError(f"start is {start}, but the recording has only {length} frames")
+        raise SourceError(
+            f"start is {start}, but the recording has only {counted(length, 'frame')}"
+        )
     if end is not None and end <= start:
         raise SourceError(f"end is {end}, not after start {start}: no frame is selected")
     return range(start, length if end is None else min(end, length), stride)

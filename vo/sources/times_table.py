@@ -7,9 +7,9 @@ from pathlib import Path
 
 from vo.errors import SourceError
 from vo.faults import Fault
+from vo.formats.stamp_units import StampText, parse_stamps
 from vo.sources.images import ImageFile
 from vo.sources.listing import Line, Shot, check_increasing, is_image_name, read_lines
-from vo.sources.stamp_units import StampText, parse_stamps
 
 Columns = tuple[int, int | None]
 """Columns of the stamp and of the image's name; None without one."""

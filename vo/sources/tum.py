@@ -6,11 +6,11 @@ from pathlib import Path
 
 from vo.errors import SourceError
 from vo.faults import Fault
+from vo.formats.stamp_units import StampText, parse_stamps
 from vo.formats.trajectory import read_tum
 from vo.sources.assembly import RecordingContents, calibration_reader
 from vo.sources.images import ImageFile
 from vo.sources.listing import Shot, check_increasing, inside, read_lines, shots_from_table
-from vo.sources.stamp_units import StampText, parse_stamps
 from vo.types import Mode, Trajectory
 
 _ASSOCIATIONS = ("assoc*.txt", "rgbd_assoc*.txt")

@@ -9,13 +9,14 @@ from typing import Any
 
 from vo.bounded_files import read_bytes, read_text
 from vo.errors import CalibrationError
+from vo.formats.calibration.archive import is_npz, read_archive
 from vo.formats.calibration.markup import MAX_YAML_BYTES, sections_of
 from vo.types import Floats, Rig
 
 ImageSize = tuple[int, int]
 
-_MAX_JSON_BYTES = 16 * 2**20
-"""JSON is parsed fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
+_MAX_LARGE_BYTES = 16 * 2**20
+"""Of archives, and of JSON, which is fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +91,14 @@ def load_document(path: Path) -> Document:
     """
     try:
         is_json = path.suffix.lower() == ".json"
-        max_bytes = _MAX_JSON_BYTES if is_json else MAX_YAML_BYTES
+        max_bytes = _MAX_LARGE_BYTES if is_json or is_npz(path) else MAX_YAML_BYTES
         if path.is_file() and path.stat().st_size > max_bytes:
             raise CalibrationError(
                 f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "
                 f"only the cameras, below {max_bytes} bytes"
             )
+        if is_npz(path):
+            return Document(path, "", *read_archive(read_bytes(path, max_bytes)))
         if is_json:  # perhaps one long line
             text = read_bytes(path, max_bytes).decode("utf-8-sig")
         else:

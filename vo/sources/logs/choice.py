@@ -14,9 +14,11 @@ from vo.formats.messages import (
     CompressedVideoMessage,
     ImageMessage,
 )
+from vo.printable import counted
 from vo.sources.logs.log import Topic
 from vo.types import Mode
 
+_MAX_NAMED = 5
 _log = logging.getLogger(__name__)
 
 IMAGE_KINDS = (ImageMessage, CompressedImageMessage, CompressedVideoMessage)
@@ -91,7 +93,7 @@ def _by_name(topics: Sequence[Topic], name: str) -> Topic:
         if topic.name.strip("/") == name.strip("/"):
             return topic
     near = difflib.get_close_matches(name, [topic.name for topic in topics], n=1)
-    hint = f"; did you mean {near[0]}?" if near else "; the log has these"
+    hint = f"; did you mean {near[0]}?" if near else f"; the log has {_names(topics)}"
     raise SourceError(f"there is no topic {name}{hint}\n{_table(topics)}")
 
 
@@ -172,13 +174,20 @@ def _ambiguity_message(cameras: Sequence[Topic]) -> str:
 def _no_images_message(topics: Sequence[Topic]) -> str:
     if not topics:
         return "no topic has readable messages; images are required"
-    return f"no topic has images of a known type; the log has these topics\n{_table(topics)}"
+    return f"no topic has images of a known type; topics: {_names(topics)}\n{_table(topics)}"
+
+
+def _names(topics: Sequence[Topic]) -> str:
+    """The first topics in a sentence."""
+    names = [topic.name for topic in topics]
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return ", ".join(names[:_MAX_NAMED]) + more
 
 
 def _table(topics: Sequence[Topic]) -> str:
     width = max((len(topic.name) for topic in topics), default=0)
     return "\n".join(
-        f"  {topic.name:<{width}}  {topic.schema}  {topic.count} messages"
+        f"  {topic.name:<{width}}  {topic.schema}  {counted(topic.count, 'message')}"
         + (f"  {topic.rate_hz:.1f} Hz" if topic.rate_hz else "")
         for topic in topics
     )

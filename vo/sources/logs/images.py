@@ -11,12 +11,12 @@ from vo.extras import require
 from vo.faults import Fault
 from vo.formats.messages import CompressedImageMessage, CompressedVideoMessage, ImageMessage
 from vo.formats.pixels import colour_pixels, grey_pixels
+from vo.formats.stamp_units import MAX_STAMP_NS
 from vo.formats.warning_kinds import warning_kind
 from vo.sources.images import Pixels, StoredImage, decode_image
 from vo.sources.listing import Shot
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.sources.logs.stamps import message_stamps
-from vo.sources.stamp_units import MAX_STAMP_NS
 
 _log = logging.getLogger(__name__)
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from vo.errors import SourceError, VoError
 from vo.formats.messages import ImuMessage
+from vo.formats.stamp_units import MAX_STAMP_NS
 from vo.sources.imu import ImuSamples, make_samples, time_slice
 from vo.sources.logs.images import sorted_by_stamp
 from vo.sources.logs.log import Entry, Log, Topic
-from vo.sources.stamp_units import MAX_STAMP_NS
 from vo.types import Floats, ImuNoise, Ints
 
 _log = logging.getLogger(__name__)

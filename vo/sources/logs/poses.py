@@ -13,11 +13,12 @@ import numpy as np
 
 from vo.errors import SourceError, VoError
 from vo.formats.messages import PathMessage, PoseMessage, TransformsMessage
+from vo.formats.stamp_units import MAX_STAMP_NS
 from vo.geometry.transforms import interpolate, inverse
+from vo.printable import counted
 from vo.sources.logs.frame_tree import read_frame_tree
 from vo.sources.logs.log import Entry, Log, Topic
 from vo.sources.logs.stamps import message_stamps
-from vo.sources.stamp_units import MAX_STAMP_NS
 from vo.types import Floats, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -159,7 +160,7 @@ def _named_source(log: Log, sources: Sequence[PoseSource], role: str, named: str
 def _ambiguity(log: Log, sources: Sequence[PoseSource], role: str) -> str:
     width = max(len(each.name) for each in sources)
     listed = "\n".join(
-        f"  {each.name:<{width}}  {each.topic.schema}  {each.topic.count} messages"
+        f"  {each.name:<{width}}  {each.topic.schema}  {counted(each.topic.count, 'message')}"
         for each in sources
     )
     return (

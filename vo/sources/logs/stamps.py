@@ -9,9 +9,9 @@ import numpy as np
 
 from vo.errors import VoError
 from vo.faults import Fault, FaultKind
+from vo.formats.stamp_units import MAX_STAMP_NS
 from vo.sources.listing import median_interval_ns
 from vo.sources.logs.log import Entry, Log, Topic
-from vo.sources.stamp_units import MAX_STAMP_NS
 from vo.types import Ints
 
 _log = logging.getLogger(__name__)

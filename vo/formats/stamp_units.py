@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 
 from vo.errors import SourceError
 from vo.faults import Fault, FaultKind
-from vo.formats.trajectory import stamp_ns_from_seconds
 
 _log = logging.getLogger(__name__)
 
@@ -21,6 +20,8 @@ MIN_INTERVAL_NS, MAX_INTERVAL_NS = 500_000, 10_000_000_000
 """Other intervals between images are implausible for odometry (2,000 Hz, and 0.1 Hz)."""
 
 _USUAL_INTERVAL_NS = (2_000_000, 1_000_000_000)
+_NS_PER_S = 1_000_000_000
+_MAX_S = 9_000_000_000
 _WORDS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds", "s": "seconds"}
 _MIN_DIGITS_NS = 12
 _MIN_UNLIKE_SECONDS = Decimal(10) ** 11
@@ -115,6 +116,21 @@ def parse_ns(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise ValueError(f"'{text}' is not a whole number of nanoseconds")
     return int(text)
+
+
+def stamp_ns_from_seconds(text: str) -> int:
+    """Convert seconds in decimal notation to nanoseconds, exact to the ninth decimal.
+
+    Raises:
+        ValueError: the text is not a number, or too large for 64 bits of nanoseconds.
+    """
+    try:
+        seconds = Decimal(text)
+    except InvalidOperation as error:
+        raise ValueError(f"'{text}' is not a number of seconds") from error
+    if not seconds.is_finite() or not -_MAX_S <= seconds <= _MAX_S:
+        raise ValueError(f"{text} is out of range for seconds")
+    return int((seconds * _NS_PER_S).to_integral_value())
 
 
 def _report_unit(
