@@ -154,6 +154,11 @@ class TrackingConfig(Section):
     """Tracking of each frame against the local map."""
 
     every: int = Field(1, ge=1, description="track every N-th frame, interpolate those between")
+    method: Literal["patches", "klt"] = Field(
+        "patches",
+        description="how landmarks are found in a frame: by their patches, where they are "
+        "predicted, or by optical flow from the frame before (klt)",
+    )
     max_landmarks: int = Field(1000, ge=50, description="maximum landmarks aligned in a frame")
     recover_frames: int = Field(
         10, ge=0, description="frames of relocalisation attempts before a new segment begins"

@@ -108,7 +108,7 @@ def make_stages(
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
     keyframes = config.keyframes if rig.is_metric else config.keyframes.in_mono()
     policy = KeyframePolicy(keyframes, config.tracking.max_landmarks)
-    start, search_ratio = config.start, config.tracking.search_ratio
+    start = config.start
     tracker = Tracker(local_map, frontend, motion, config.tracking, start, stopwatch)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     window = SlidingWindow(
@@ -125,7 +125,7 @@ def make_stages(
         tracker,
         FrozenCamera(tracker),
         StereoInitializer(local_map, mapper, start.min_points),
-        MonocularInitializer(local_map, mapper, frontend, start, search_ratio),
+        _monocular_initializer(local_map, mapper, frontend, config),
         policy,
         KeyframeForecast(policy),
         local_map,
@@ -134,6 +134,13 @@ def make_stages(
         optimizer,
         trajectory,
     )
+
+
+def _monocular_initializer(
+    local_map: LocalMap, mapper: LocalMapper, frontend: Frontend, config: Config
+) -> MonocularInitializer:
+    ratio, by_flow = config.tracking.search_ratio, config.tracking.method == "klt"
+    return MonocularInitializer(local_map, mapper, frontend, config.start, ratio, by_flow=by_flow)
 
 
 def _frontend(config: Config, components: Components) -> Frontend:

@@ -12,8 +12,9 @@ from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import LocalMap
 from vo.mapping.tracked_frame import Observations
+from vo.tracking.last_frame import LastFrame
 from vo.tracking.visibility import Visible
-from vo.types import Bytes, Floats
+from vo.types import Floats
 
 # Standard deviation of a patch's position as alignment estimates it: the median in streets, halls
 # and corridors; the part of the variance that does not depend on it; and its maximum, in units of
@@ -39,8 +40,14 @@ class LandmarkAligner:
         self._stereo = frontend.stereo
         self._min_inliers = min_inliers
 
-    def align(self, visible: Visible, image: Bytes) -> Observations:
-        """Find landmarks in an image (H, W) that should show them; without disparities."""
+    def candidates(self, visible: Visible, last: LastFrame | None) -> Visible:
+        """The landmarks that can be found: all, by their patches."""
+        return visible
+
+    def align(
+        self, visible: Visible, frame: PreprocessedFrame, last: LastFrame | None
+    ) -> Observations:
+        """Find landmarks in a frame that should show them; without disparities."""
         rows = visible.rows
         references = Patches(
             self._map.images,
@@ -48,7 +55,7 @@ class LandmarkAligner:
             self._map.reference_xy[rows],
             visible.reference_from_image,
         )
-        found = self._patches.align(references, image, visible.image_xy)
+        found = self._patches.align(references, frame.image0, visible.image_xy)
         x, y = (found.xy - visible.image_xy).T
         ideal = self._map.rig.undistort(found.xy)
         kept = found.nearly & self._patches.is_similar(found)

@@ -11,6 +11,7 @@ from vo.failures import Failure, FailureReason
 from vo.frontend.contracts import Circles, Matches, feature_set
 from vo.frontend.frontend import Frontend
 from vo.frontend.matching import with_common_rotation
+from vo.frontend.optical_flow import follow
 from vo.frontend.patch_alignment import patches_of
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
@@ -61,6 +62,7 @@ class MonocularInitializer:
         frontend: matches features and aligns patches.
         config: settings.
         search_ratio: radius of the search windows in tracking, ratio of the image width.
+        by_flow: whether features are followed by optical flow instead of being matched.
     """
 
     def __init__(
@@ -70,6 +72,8 @@ class MonocularInitializer:
         frontend: Frontend,
         config: StartConfig,
         search_ratio: float,
+        *,
+        by_flow: bool = False,
     ) -> None:
         self.waiting: list[PreprocessedFrame] = []
         self._map = local_map
@@ -77,6 +81,7 @@ class MonocularInitializer:
         self._frontend = frontend
         self._config = config
         self._radius_ratio = _SEARCH_FACTOR * search_ratio
+        self._by_flow = by_flow
         self._reference: PreprocessedFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
         # Features of the reference frame that each waiting frame shows, and their ideal pixels.
@@ -159,6 +164,10 @@ class MonocularInitializer:
 
     def _match(self, reference: PreprocessedFrame, frame: PreprocessedFrame) -> tuple[Ints, Floats]:
         """Features of the reference frame found in a frame, and their pixels there (n, 2)."""
+        if self._by_flow:
+            xy = reference.keypoints.xy
+            flow = follow(reference.image0, frame.image0, xy, self._expected_xy)
+            return np.flatnonzero(flow.found), flow.xy[flow.found]
         matches = self._match_descriptors(reference, frame)
         a, b, query = reference.keypoints, frame.keypoints, matches.query
         start = b.xy[matches.train].astype(np.float64)

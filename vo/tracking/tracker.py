@@ -25,6 +25,7 @@ from vo.mapping.octaves import predicted_octave
 from vo.mapping.tracked_frame import TrackedFrame
 from vo.stopwatch import Stopwatch, timed
 from vo.tracking.essential_matrix import EssentialMatrixFallback
+from vo.tracking.klt_alignment import KltAligner
 from vo.tracking.landmark_alignment import LandmarkAligner
 from vo.tracking.last_frame import LastFrame, last_frame
 from vo.tracking.map_agreement import MapAgreement
@@ -83,7 +84,8 @@ class Tracker:
         self._scale_factor = frontend.scale_factor
         self._motion = motion
         self._config = config
-        self._aligner = LandmarkAligner(local_map, frontend, config.min_inliers)
+        aligner = KltAligner if config.method == "klt" else LandmarkAligner
+        self._aligner = aligner(local_map, frontend, config.min_inliers)
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
         self._steps = StepCheck(is_metric=local_map.rig.is_stereo)
         self._agreement = MapAgreement()
@@ -272,8 +274,8 @@ class Tracker:
         different times don't.
         """
         visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
-        visible = outside(frame.mask, visible)
-        observed = self._aligner.align(visible, frame.image0)
+        visible = self._aligner.candidates(outside(frame.mask, visible), self.last)
+        observed = self._aligner.align(visible, frame, self.last)
         if not is_alone:
             observed = self._aligner.with_disparity(observed, world_from_cam, frame)
         fit = self._estimator.refine(observed, world_from_cam)

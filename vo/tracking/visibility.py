@@ -34,6 +34,10 @@ class Visible:
     reference_from_image: Floats
     slope: Floats
 
+    def select(self, rows: Ints) -> Visible:
+        """Some of them."""
+        return Visible(*(getattr(self, field.name)[rows] for field in fields(Visible)))
+
 
 def visible_landmarks(
     local_map: LocalMap, world_from_cam: Floats, max_count: int | None = None
@@ -74,4 +78,4 @@ def outside(mask: Bytes | None, visible: Visible) -> Visible:
         return visible
     u, v = np.rint(visible.image_xy).astype(np.int64).T
     kept = np.flatnonzero(mask[v.clip(0, mask.shape[0] - 1), u.clip(0, mask.shape[1] - 1)])
-    return Visible(*(getattr(visible, field.name)[kept] for field in fields(Visible)))
+    return visible.select(kept)
