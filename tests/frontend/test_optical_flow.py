@@ -22,7 +22,8 @@ def grid() -> Floats:
 
 def moved(image: Bytes, affine: Floats) -> Bytes:
     size = image.shape[1], image.shape[0]
-    return np.asarray(cv2.warpAffine(image, affine, size, flags=cv2.INTER_CUBIC), np.uint8)
+    border = cv2.BORDER_REFLECT_101
+    return cv2.warpAffine(image, affine, size, flags=cv2.INTER_CUBIC, borderMode=border)
 
 
 def test_points_are_found_to_a_fraction_of_a_pixel() -> None:
