@@ -20,6 +20,8 @@ REPOSITORY = "https://github.com/visual-odometry/visual-odometry"
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel; sdist and wheel have passed `twine check`, and contain the same files."""
+    for name in ("hatchling", "hatch_fancy_pypi_readme", "twine"):
+        pytest.importorskip(name, reason=f"{name} is not installed; call scripts/setup dev")
     return package.build(tmp_path_factory.mktemp("dist"))
 
 

@@ -149,10 +149,13 @@ def eval_command(
     from vo.cli.eval_inputs import read_inputs
     from vo.cli.progress import warnings_on
     from vo.evaluation.report import evaluate
+    from vo.extras import require
     from vo.results.output_paths import is_run_folder, refuse_to_overwrite
 
     read = [path for path in (estimate, reference, calibration) if path and not is_run_folder(path)]
     refuse_to_overwrite(read, [picture])
+    if picture is not None:
+        require("matplotlib", extra="report", what="plots")
     with warnings_on(standard_error(), quiet=quiet):
         inputs = read_inputs(
             estimate,
