@@ -25,6 +25,7 @@ from live_servers import LiveServer
 
 from vo.config import load_config
 from vo.formats.calibration import write_calibration
+from vo.results.environment import peak_rss_mb
 from vo.results.summary import Summary
 from vo.run_recording import run
 from vo.sources.registry import open_source
@@ -204,8 +205,11 @@ def _serve(walk: Path) -> None:
 
 
 def _memory_mb() -> float:
-    """Resident memory of this process in MiB."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
+    """Resident memory of this process in MiB; its peak where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
+    except OSError:
+        return peak_rss_mb()
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
