@@ -22,8 +22,6 @@ from vo.results.output_paths import refuse_to_collide, refuse_to_overwrite
 from vo.results.summary import Summary
 from vo.run_session import Request, RunSession
 from vo.sources.live.address import LiveAddress, parse_address
-from vo.sources.live.opening import DEFAULT_TIMEOUT_S, LiveOptions, open_live
-from vo.sources.live.stream import LiveFrames
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, LiveStream, Recording
 from vo.stages import BUILT_IN, Components
@@ -183,12 +181,14 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     )
 
 
-def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> LiveFrames:
+def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> FrameStream:
+    from vo.sources.live.opening import DEFAULT_TIMEOUT_S, LiveOptions, open_live  # seldom needed
+
     name = address.public_name
     if config.tracking.every > 1:
         raise ConfigError(f"tracking.every is {config.tracking.every}; a live source needs 1")
     for option in ("format", "topics", "right_offset_ns", "follow"):
-        if options.get(option) not in (None, (), False):
+        if options.get(option) not in (None, False, (), []):
             word = {"topics": "topic", "right_offset_ns": "right-offset"}.get(option, option)
             raise SourceError(f"--{word} is for recordings, and {name} is a live source")
     timeout_s, duration_s = options.get("timeout_s"), options.get("duration_s")
