@@ -70,6 +70,15 @@ def _check_output(path: Path, force: bool) -> None:
         raise OutputError(f"{path} exists already; choose another path, or --force to replace it")
     if force and path.is_dir() and not _is_replaceable(path):
         raise OutputError(f"{path} is not a synthetic recording and is not replaced")
+    results = next(path.rglob("summary.json"), None) if force and path.is_dir() else None
+    if results is not None:
+        raise OutputError(
+            f"{path} is not replaced: {results.parent} in it has the results of a run; move them "
+            "out of it first"
+        )
+    recording = next((p for p in path.absolute().parents if (p / "recipe.yaml").is_file()), None)
+    if recording is not None:
+        raise OutputError(f"{path} is inside the recording {recording}; choose another path")
 
 
 def _is_replaceable(folder: Path) -> bool:
