@@ -34,7 +34,7 @@ def test_points_are_found_to_a_fraction_of_a_pixel() -> None:
     inside = ((expected > 45) & (expected < [275, 195])).all(axis=1)
     assert flow.found[inside].mean() > 0.97
     errors = np.linalg.norm(flow.xy - expected, axis=1)[inside & flow.found]
-    assert np.median(errors) < 0.05
+    assert np.median(errors) < 0.08
     assert errors.max() < 0.3
 
 
