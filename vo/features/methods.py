@@ -1,0 +1,192 @@
+"""A way to find the same places in two images: features that are matched, or optical flow.
+
+Methods are written `DETECTOR[+DESCRIPTOR][/MATCHER]`: `orb`, `sift`, `fast+brisk`, `sift/flann`;
+`klt` is `shi_tomasi/klt`, corners that are followed by optical flow instead of being described.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, get_args
+
+import numpy as np
+
+from vo.config import DescriptorName, FeaturesConfig, MatchingConfig
+from vo.errors import ConfigError
+from vo.features.detections import Detector
+from vo.features.detectors import DETECTORS, DetectorOptions, available_detectors
+from vo.features.extractor import BUILT_IN, make_extractor
+from vo.features.matching import make_matcher
+from vo.features.pyramid import PyramidDetector
+from vo.features.selection import select
+from vo.frontend.contracts import feature_set
+from vo.frontend.optical_flow import follow
+from vo.types import Bytes, Floats, Keypoints
+
+KLT = "klt"
+MATCHERS = ("auto", "brute_force", "flann", "ann", KLT)
+
+
+class PairMatches(NamedTuple):
+    """Matches of two images.
+
+    Attributes:
+        first: (n, 2) pixels in the first image.
+        second: (n, 2) pixels in the second image.
+        counts: number of features in the first and in the second image.
+        extract_ms: CPU time of detection and description in both images.
+        match_ms: CPU time of matching.
+    """
+
+    first: Floats
+    second: Floats
+    counts: tuple[int, int]
+    extract_ms: float
+    match_ms: float
+
+
+class Method(Protocol):
+    """Finds the same places in two images."""
+
+    @property
+    def name(self) -> str:
+        """How it is written."""
+        ...
+
+    def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:
+        """Matches of two (H, W) uint8 images; no feature of the first lies where `mask` is 0."""
+        ...
+
+    def detect(self, image: Bytes, mask: Bytes | None = None) -> Floats:
+        """(N, 2) pixels of the features in an (H, W) uint8 image."""
+        ...
+
+
+class DescribedFeatures:
+    """Features that are matched by their descriptors."""
+
+    def __init__(self, name: str, features: FeaturesConfig, matching: MatchingConfig) -> None:
+        self.name = name
+        self._extractor = make_extractor(features)
+        self._matcher = make_matcher(matching, self._extractor)
+
+    def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:
+        """See `Method.match`."""
+        begin = time.process_time()
+        a, b = self._extractor.extract(first, mask), self._extractor.extract(second)
+        extracted = time.process_time()
+        matches = self._matcher.match(feature_set(a), feature_set(b))
+        end = time.process_time()
+        return PairMatches(
+            a.xy[matches.query].astype(np.float64),
+            b.xy[matches.train].astype(np.float64),
+            (len(a), len(b)),
+            1e3 * (extracted - begin),
+            1e3 * (end - extracted),
+        )
+
+    def extract(self, image: Bytes, mask: Bytes | None = None) -> Keypoints:
+        """Features with descriptors of an (H, W) uint8 image."""
+        return self._extractor.extract(image, mask)
+
+    def detect(self, image: Bytes, mask: Bytes | None = None) -> Floats:
+        """See `Method.detect`."""
+        return self.extract(image, mask).xy.astype(np.float64)
+
+
+class FollowedCorners:
+    """Corners of the first image, followed into the second by optical flow."""
+
+    def __init__(self, name: str, detector: Detector, features: FeaturesConfig) -> None:
+        self.name = name
+        self._detector = detector
+        self._config = features
+
+    def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:
+        """See `Method.match`; images of two sizes have no matches."""
+        begin = time.process_time()
+        xy = self.detect(first, mask)
+        extracted = time.process_time()
+        if first.shape != second.shape:
+            raise ConfigError(
+                f"optical flow needs images of one size, not {_size(first)} and {_size(second)}"
+            )
+        flow = follow(first, second, xy, xy)
+        end = time.process_time()
+        return PairMatches(
+            xy[flow.found],
+            flow.xy[flow.found],
+            (len(xy), len(xy)),
+            1e3 * (extracted - begin),
+            1e3 * (end - extracted),
+        )
+
+    def detect(self, image: Bytes, mask: Bytes | None = None) -> Floats:
+        """See `Method.detect`."""
+        found = self._detector.detect(image, mask)
+        chosen = select(found, self._config.count, image.shape, self._config.selection)
+        return chosen.xy.astype(np.float64)
+
+
+def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -> Method:
+    """The method that a text names.
+
+    Args:
+        text: `DETECTOR[+DESCRIPTOR][/MATCHER]`, or `klt`.
+        features: count and other settings of all methods.
+        matching: ratio and other settings of all methods.
+
+    Raises:
+        ConfigError: there is no such method, or this build of OpenCV lacks it.
+    """
+    written = f"shi_tomasi/{KLT}" if text == KLT else text
+    rest, _, matcher = written.partition("/")
+    detector, _, descriptor = rest.partition("+")
+    _check(text, detector, (BUILT_IN, *DETECTORS), "detector")
+    _check(text, matcher or "auto", MATCHERS, "matcher")
+    if matcher == KLT:
+        if descriptor:
+            raise ConfigError(f"method '{text}': optical flow needs no descriptor; leave it out")
+        return FollowedCorners(text, _corner_detector(text, detector, features), features)
+    _check(text, descriptor or "auto", get_args(DescriptorName), "descriptor")
+    chosen = {"detector": detector, "descriptor": descriptor or "auto"}
+    return DescribedFeatures(
+        text,
+        features.model_copy(update=chosen),
+        matching.model_copy(update={"method": matcher}) if matcher else matching,
+    )
+
+
+def expand(texts: Sequence[str]) -> list[str]:
+    """Names of methods; `all` stands for every detector of this installation, and more."""
+    expanded: list[str] = []
+    for text in texts:
+        expanded += all_methods() if text == "all" else [text]
+    return list(dict.fromkeys(expanded))
+
+
+def all_methods() -> list[str]:
+    """Every detector with its own descriptor, optical flow, and SIFT with each matcher."""
+    detectors = [BUILT_IN, *available_detectors()]
+    return [*detectors, KLT, f"fast/{KLT}", "sift/flann", "sift/ann", "orb/flann", "orb/ann"]
+
+
+def _corner_detector(text: str, name: str, features: FeaturesConfig) -> Detector:
+    if name == BUILT_IN:
+        raise ConfigError(f"method '{text}': choose corners such as fast/{KLT} or shi_tomasi/{KLT}")
+    detector = DETECTORS[name].make(DetectorOptions(features.count, features.threshold))
+    if detector.has_scale or features.levels == 1:
+        return detector
+    return PyramidDetector(detector, 1, features.scale_factor)
+
+
+def _check(text: str, name: str, known: Sequence[str], what: str) -> None:
+    if name not in known:
+        raise ConfigError(
+            f"method '{text}': there is no {what} '{name}'; known are {', '.join(known)}"
+        )
+
+
+def _size(image: Bytes) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"
