@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,8 @@ def test_demo_renders_runs_evaluates_and_keeps_the_recording(tmp_path: Path) -> 
     assert result.exit_code == 0, result.output
     assert "12 of 12 frames" in result.output
     assert "ATE, translation" in result.output
+    assert f" view {output / 'run'} " in result.output
+    assert f" report {output / 'run'} " in result.output
     for name in ("run/trajectory.tum", "run/run.rrd", "run/eval.png", "run/summary.json"):
         assert (output / name).stat().st_size > 0
         if name.endswith(("rrd", "png")):
@@ -36,6 +39,17 @@ def test_demo_renders_runs_evaluates_and_keeps_the_recording(tmp_path: Path) -> 
     assert again.exit_code == 0, again.output
     assert "made earlier" in again.output
     assert image.stat().st_mtime_ns == before
+
+
+@pytest.mark.usefixtures("_small")
+def test_demo_prints_json_alone(tmp_path: Path) -> None:
+    words = ["demo", "--output", str(tmp_path / "demo"), "--json", "-q"]
+    result = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert printed["summary"]["tracked"] == 12
+    assert Path(printed["rrd"]).is_file() and Path(printed["picture"]).is_file()
+    assert printed["evaluation"]["ate"]
 
 
 @pytest.mark.usefixtures("_small")
