@@ -61,8 +61,8 @@ def find_preset(name: str | Path, folder: Path, what: str = "preset") -> Path:
     if not found.is_file():
         known = names_in(folder)
         raise ConfigError(
-            f"no {what} named '{name}'{nearest(str(name), known)}; "
-            f"use one of {', '.join(known)}, or the path of a YAML file"
+            f"no {what} named '{name}'; use one of {', '.join(known)}, or the path of a YAML file"
+            f"{nearest(str(name), known)}"
         )
     return found
 

@@ -73,11 +73,11 @@ def advice(summary: Summary, *, is_recorded: bool = False) -> list[str]:
         how = "use vo view" if is_recorded else "record with --rrd, then use vo view"
         lines.append(f"to inspect {_lost_ranges(summary)}, {how}")
         lines.append(
-            "try --config accurate, or --set features.count=3000; blurred or dark images, or those "
+            "use --config accurate, or --set features.count=3000; blurred or dark images, or those "
             "filled by moving objects, cannot be tracked"
         )
     elif _is_poor(summary):
-        lines.append("few inlier landmarks: check the calibration, or try --config accurate")
+        lines.append("few inlier landmarks: check the calibration, or use --config accurate")
     return lines
 
 

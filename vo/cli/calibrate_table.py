@@ -15,6 +15,7 @@ from vo.calibrating.calibrate import CalibrationResult
 from vo.calibrating.report import baseline, camera_parameters, camera_rms_px, epipolar_rms_px
 from vo.cli.console import print_table, standard_output
 from vo.geometry.transforms import rotation_angle
+from vo.printable import counted
 
 
 def print_result(
@@ -42,7 +43,7 @@ def _facts(result: CalibrationResult) -> list[tuple[str, str]]:
     seen = f"board found in {len(detected.views)} of {detected.frames} frames"
     facts = [("board", str(result.board)), ("views", f"{len(fit.frames)} used; {seen}")]
     if left_out or fit.dropped_corners:
-        corners = f"{fit.dropped_corners} single corners"
+        corners = counted(fit.dropped_corners, "single corner")
         facts.append(("outliers", f"{left_out}; {corners}" if left_out else corners))
     for camera in range(detected.cameras):
         lens = fit.lenses[camera]

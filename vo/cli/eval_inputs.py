@@ -123,6 +123,8 @@ def _parse(options: Sequence[str], logs: Sequence[str]) -> dict[str, str]:
     """Topics by side, `estimate` or `truth`."""
     named: dict[str, str] = {}
     for option in options:
+        if not logs:
+            raise SourceError(f"--topic {option}: neither input is a log, so there are no topics")
         side, equals, name = option.partition("=")
         if not equals:
             side, name = (logs[0] if len(logs) == 1 else ""), option

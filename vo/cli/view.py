@@ -140,7 +140,7 @@ def find_recording(path: Path) -> Path:
             )
         file = found[-1]
     if not file.exists():
-        command = shlex.join(["vo", "run", "RECORDING", "--rrd", str(file)])
+        command = shlex.join(["vo", "run", "RECORDING", "-o", "OUT", "--rrd", str(file)])
         raise SourceError(f"{file} does not exist; record it: {command}")
     if not file.is_file():  # opening a pipe would wait
         raise SourceError(f"{file} is not a file; give a file written by vo run --rrd")
