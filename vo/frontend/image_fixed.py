@@ -23,7 +23,7 @@ from vo.frontend.image_gradients import (
     correlation,
     gradients_of,
     lies_still,
-    window_mean,
+    mean_product,
 )
 from vo.frontend.image_overlay import OverlayDetector
 from vo.geometry.quantiles import percentiles
@@ -177,7 +177,7 @@ class ImageFixedDetector:
     def _count_runs(self, now: Gradients, textured: Bools, moved: Bools) -> None:
         """Count comparisons without a change, each with the mean of those before."""
         mean_u, mean_v = self._mean
-        energy = window_mean(mean_u * mean_u + mean_v * mean_v)
+        energy = mean_product(mean_u, mean_v, mean_u, mean_v)
         similar = correlation(now, mean_u, mean_v, energy)
         same = textured & (similar > _SAME_AS_MEAN) & (energy > 0.5 * _MIN_TEXTURE)
         self._run = np.minimum(self._run + same, _MEAN_OF, dtype=np.uint8) * same
