@@ -11,10 +11,12 @@ import hashlib
 import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType, NoneType
 from typing import Any
 
 import numpy as np
+
+_PLAIN = frozenset({NoneType, bool, int, float, str, bytes})
 
 
 def fingerprint(value: Any) -> str:
@@ -33,7 +35,9 @@ def names_in(code: CodeType) -> set[str]:
 
 
 def _parts(value: Any, seen: set[int]) -> Iterator[str]:
-    if hasattr(value, "fingerprint_of"):
+    if type(value) in _PLAIN:  # most values
+        yield f"{type(value).__name__} {value!r}"
+    elif hasattr(value, "fingerprint_of"):
         yield from _parts(value.fingerprint_of(), seen)
     elif isinstance(value, FunctionType):
         yield from _parts_of_function(value, seen)
@@ -49,7 +53,7 @@ def _parts(value: Any, seen: set[int]) -> Iterator[str]:
         yield f"{value.dtype.str} {value.shape} {value.tobytes().hex()}"
     elif isinstance(value, ModuleType | type | BuiltinFunctionType | np.ufunc):
         yield f"{value.__name__} {getattr(value, '_fields', '')}"  # of a named tuple
-    elif value is None or isinstance(value, bool | int | float | str | bytes | np.generic):
+    elif isinstance(value, int | float | str | bytes | np.generic):
         yield f"{type(value).__name__} {value!r}"
     else:
         raise TypeError(f"compiled code refers to a {type(value).__name__}")
