@@ -11,8 +11,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,6 +19,7 @@ import numpy as np
 
 from vo.errors import SourceError
 from vo.formats.image_header import MAX_PIXELS
+from vo.sources.images import quiet_opencv
 from vo.types import Bytes
 
 _log = logging.getLogger(__name__)
@@ -102,9 +101,8 @@ def _open(path: Path) -> cv2.VideoCapture:
     Raises:
         SourceError: it cannot be opened, or its pictures are too large.
     """
-    # FFmpeg and OpenCV would print each damaged picture on standard error.
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
-    with _silent():
+    silence_ffmpeg()
+    with quiet_opencv:
         capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise SourceError(
@@ -118,15 +116,12 @@ def _open(path: Path) -> cv2.VideoCapture:
     return capture
 
 
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Keep OpenCV from printing on standard error."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+def silence_ffmpeg() -> None:
+    """Keep OpenCV's FFmpeg from printing damaged pictures, and addresses, on standard error.
+
+    To be called before every video or stream is opened: the first one of a process counts.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
 
 
 def _list_stamps(path: Path) -> list[int]:

@@ -15,6 +15,7 @@ from vo.sources.images import Pixels, quiet_opencv
 from vo.sources.live.address import without_credentials
 from vo.sources.live.clock import CaptureStamps, HostClock
 from vo.sources.live.device import CapturedImages, as_grey
+from vo.sources.opencv_video import silence_ffmpeg
 from vo.types import Rig
 
 _TIMEOUT_MS = 5000
@@ -151,6 +152,7 @@ def _number(target: str) -> int | str:
 def _opened(
     open_capture: OpenCapture | None, arguments: Sequence[Any], problem: str
 ) -> VideoCapture:
+    silence_ffmpeg()
     try:
         with quiet_opencv:
             capture: VideoCapture = (open_capture or cv2.VideoCapture)(*arguments)
