@@ -127,7 +127,7 @@ def test_repeated_stamps_keep_the_first(tmp_path: Path, caplog: pytest.LogCaptur
     with caplog.at_level(logging.WARNING):
         trajectory = read_trajectory(path)
     np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3], [4, 5, 6]])
-    assert "1 poses repeat a stamp" in caplog.text
+    assert "1 pose with a repeated stamp left out" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_missing_file_folder_and_binary(tmp_path: Path) -> None:
 
 
 def test_kitti_with_another_number_of_stamps(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match="1 poses but 2 stamps"):
+    with pytest.raises(SourceError, match="1 pose but 2 stamps"):
         read_kitti(written(tmp_path, KITTI), np.array([0, 1]))
 
 

@@ -90,8 +90,14 @@ def test_results_in_the_folder_of_a_recording_are_replaced(
 ) -> None:
     recording = shutil.copytree(synthetic_stereo, tmp_path / "recording")
     out = recording / "out"
+    exports = Exports(ply=out / "m.ply")
+    with pytest.raises(OutputError, match="out is inside the recording"):
+        run(recording, out, config=FAST, end=2, exports=exports)
+    assert not out.exists()
+    assert run(recording, tmp_path / "out", config=FAST, end=2).tracked
+    (tmp_path / "out").rename(out)  # as those of the release before
     for _ in range(2):
-        assert run(recording, out, config=FAST, end=2, exports=Exports(ply=out / "m.ply")).tracked
+        assert run(recording, out, config=FAST, end=2, exports=exports).tracked
 
 
 def test_an_rrd_file_does_not_replace_an_input_log(tmp_path: Path) -> None:

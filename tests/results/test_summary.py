@@ -138,7 +138,7 @@ def test_incomplete_runs_have_warnings() -> None:
         [estimate(0), estimate(1, State.LOST, dark())], path_of([0]), [Skipped(2, 0, "cut off")]
     )
     assert "lost in 1 of 3 frames (33%)" in lost.warnings
-    assert any("1 frames skipped" in w for w in lost.warnings)
+    assert any("1 frame skipped" in w for w in lost.warnings)
     mono = summary_of([estimate(0)], path_of([0]), mode="mono")
     assert mono.length_unit == "map units"
     assert any("the scale is unknown" in w for w in mono.warnings)

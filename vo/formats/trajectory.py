@@ -14,6 +14,7 @@ from vo.formats.nerf_poses import read_nerf_poses
 from vo.formats.stamp_units import StampText, parse_stamps, stamp_ns_from_seconds
 from vo.formats.table import Line, check_columns, parse_columns, read_table
 from vo.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
+from vo.printable import counted
 from vo.types import Floats, Ints, Trajectory
 
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "tartanair", "nerf"]
@@ -177,7 +178,9 @@ def _or_whole_seconds(path: Path | str, stamps_ns: Ints | None, count: int) -> I
     if stamps_ns is None:
         return np.arange(count, dtype=np.int64) * _NS_PER_S
     if len(stamps_ns) != count:
-        raise SourceError(f"{path}: {count} poses but {len(stamps_ns)} stamps; give as many")
+        raise SourceError(
+            f"{path}: {counted(count, 'pose')} but {counted(len(stamps_ns), 'stamp')}; give as many"
+        )
     return stamps_ns
 
 
@@ -326,6 +329,8 @@ def _with_increasing_stamps(lines: list[Line], stamps_ns: Ints, poses: Floats) -
     keep = np.concatenate([[True], steps > 0])
     if not keep.all():
         _log.warning(
-            "%s: %d poses repeat a stamp and are left out", lines[0].location, np.sum(~keep)
+            "%s: %s with a repeated stamp left out",
+            lines[0].location,
+            counted(int(np.sum(~keep)), "pose"),
         )
     return Trajectory(stamps_ns[keep], poses[keep])
