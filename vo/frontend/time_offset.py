@@ -25,7 +25,7 @@ _MIN_POINTS = 50
 _MIN_PAIRS = 2
 _MAX_PAIRS = 8  # the newest are kept
 _WINDOW_PX, _LEVELS = (11, 11), 4  # of optical flow
-_ITERATIONS = 15
+_ITERATIONS, _CONVERGED_PX = 15, 1e-3  # change of a row that ends them
 _MIN_SIGMA_PX = 0.1  # of rows, however well they fit
 _CORRELATION = 25.0  # factor for variances, see `vertical_disparity_model`
 _SIGNIFICANT = 4.0  # standard deviations
@@ -131,9 +131,10 @@ class TimeOffsetEstimator:
         if len(self._pairs) < _MIN_PAIRS:
             return
         interval_ms = median([pair.interval_ms for pair in self._pairs])
-        # Wrong matches make several minima.
-        fits = [self._fit(start, interval_ms) for start in (0.0, -interval_ms, interval_ms)]
-        best = min(fits, key=lambda fit: fit.residual_px)  # the first of equal ones
+        best = self._fit(0.0, interval_ms)
+        if best.residual_px > _MIN_SIGMA_PX:  # wrong matches make several minima
+            others = [self._fit(start, interval_ms) for start in (-interval_ms, interval_ms)]
+            best = min(best, *others, key=lambda fit: fit.residual_px)  # the first of equal ones
         least = max(_MIN_OFFSET_MS, _MIN_OFFSET_RATIO * interval_ms)
         is_certain = abs(best.offset_ms) > max(least, _SIGNIFICANT * best.sigma_ms)
         self.offset_ms = best.offset_ms if is_certain else None
@@ -166,7 +167,9 @@ class TimeOffsetEstimator:
             sigma = max(_MIN_SIGMA_PX, 1.4826 * median(np.abs(residual)))
             weight = 1.0 / (_CORRELATION * sigma**2 * (1.0 + (residual / (2.0 * sigma)) ** 2))
             information = (terms * weight[:, None]).T @ terms + prior
-            found = np.linalg.solve(information, terms.T @ (weight * rows))
+            last, found = found, np.linalg.solve(information, terms.T @ (weight * rows))
+            if np.abs(terms @ (found - last)).max() < _CONVERGED_PX:
+                break
         variance = float(np.linalg.inv(information)[-1, -1])
         return _Fit(float(found[-1]), float(np.sqrt(variance)), sigma)
 

@@ -9,7 +9,6 @@ Stereolabs' calibration program writes it.
 
 from __future__ import annotations
 
-import configparser
 import re
 from collections.abc import Mapping
 
@@ -77,6 +76,8 @@ def _resolution(document: Document, image_size: ImageSize | None) -> str:
 
 
 def _sections(document: Document) -> dict[str, Mapping[str, str]]:
+    import configparser  # takes 1 ms
+
     parser = configparser.ConfigParser(
         interpolation=None, strict=False, inline_comment_prefixes=(";", "#")
     )
