@@ -18,14 +18,17 @@ import cv2
 import numpy as np
 
 from vo.faults import Fault, FaultKind
+from vo.frontend.fixed_depth import is_scene
 from vo.frontend.image_gradients import (
     Gradients,
     correlation,
+    displacement,
     gradients_of,
-    lies_still,
     mean_product,
 )
 from vo.frontend.image_overlay import OverlayDetector
+from vo.frontend.pair_matching import PairPoints
+from vo.frontend.still_majority import StillMajority
 from vo.geometry.quantiles import percentiles
 from vo.types import Bools, Bytes, Floats32
 
@@ -46,9 +49,9 @@ _MAX_DRIFT_PX = 0.3
 # Ratio of texture: on recordings without such content, at most 0.031 has a run of 6, and at most
 # 0.009 lies still as well.
 _MIN_SHARE, _MAX_SHARE = 0.035, 0.5
-# What covers more of the image than this, or this much of its upper and its lower third, may as
-# well be the background of something large that passes a camera at rest.
-_MAX_AREA, _MAX_OPPOSITE = 0.33, 0.1
+# What covers more of the image than this, or of its upper third, or this much of its upper and its
+# lower third, may as well be the background of something large that passes a camera at rest.
+_MAX_AREA, _MAX_TOP, _MAX_OPPOSITE = 0.33, 0.35, 0.1
 # Ratio of texture that must move, in how many comparisons, while most of the image never has.
 _MIN_LONG_PASSING, _LONG = 0.3, 15
 # Images that the mean gradient remembers, and the weight of the newest after so many.
@@ -97,10 +100,15 @@ class ImageFixedDetector:
 
     Attributes:
         found: what is known after the newest image.
+
+    Args:
+        baseline_px: disparity at one metre, 0 without a pair of cameras.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, baseline_px: float = 0.0) -> None:
         self.found = ImageFixed()
+        self._baseline_px = baseline_px
+        self._points: PairPoints | None = None
         self._shape: tuple[int, ...] = (0, 0)
         self._frames = self._next = self._comparisons = self._finds = 0
         self._last: Gradients | None = None
@@ -111,15 +119,23 @@ class ImageFixedDetector:
         self._background: Bools | None = None  # has stood still while something passed
         self._has_moved: Bools
         self._overlay = OverlayDetector()
+        self._still_majority = StillMajority()
         self._standing = 0  # comparisons in which most of the image stood, since it has moved
 
-    def update(self, pyramid: tuple[Bytes, ...], shape: tuple[int, ...]) -> ImageFixed:
+    def update(
+        self,
+        pyramid: tuple[Bytes, ...],
+        shape: tuple[int, ...],
+        points: PairPoints | None = None,
+    ) -> ImageFixed:
         """Add an image.
 
         Args:
             pyramid: the rectified image at 1/2 of its size, first, and smaller.
             shape: (H, W).
+            points: of the newest pair before it that was matched.
         """
+        self._points = points
         self._frames += 1
         if self._frames > self._next and pyramid:
             self._shape = shape
@@ -151,7 +167,7 @@ class ImageFixedDetector:
         moved_ratio, same_ratio = np.count_nonzero(moved) / count, np.count_nonzero(same) / count
         between = 1.0 - moved_ratio - same_ratio
         if moved_ratio > _MIN_MOVED and self._overlay.update(
-            now, textured & (self._run < _MIN_RUN // 2), self._last, similar
+            now, textured & self._outside(), self._last, similar
         ):
             self.found = ImageFixed(share=1.0, is_ambiguous=True, finds=self._finds)
             return
@@ -161,18 +177,39 @@ class ImageFixedDetector:
             self._last = now
             self._has_moved |= moved
             self._standing = 0
+            self._still_majority.restart()
             self._count_runs(now, textured, moved)
             self._judge(now, count)
+            return
+        if self._still_majority.update(now, self._last, similar, textured):
+            self._doubt(same)
+
+    def _outside(self) -> Bools:
+        """Places outside of what is fixed, or may be."""
+        outside = self._run < _MIN_RUN // 2
+        mask = self.found.mask
+        if mask is None:
+            return outside
+        height, width = outside.shape
+        return np.asarray(outside & (mask[: 2 * height : 2, : 2 * width : 2] > 0))
 
     def _stand(self, same: Bools, moved_ratio: float) -> None:
         """Most of the image is the same while something moves: the camera stands, probably."""
         self._background = same if self._background is None else self._background & same
         self._standing += moved_ratio > _MIN_LONG_PASSING
-        if self._standing < _LONG or self.found.mask is not None:
+        if self._standing >= _LONG:
+            self._doubt(same)
+
+    def _doubt(self, same: Bools) -> None:
+        """Report what is the same, unless it has moved, or is the scene of a camera at rest."""
+        if self.found.mask is not None:
             return
-        never = np.count_nonzero(same & ~self._has_moved) / np.count_nonzero(same)
-        if never > 0.5:
-            self.found = ImageFixed(None, never, is_ambiguous=True, finds=self._finds)
+        never = same & ~self._has_moved
+        if 2 * np.count_nonzero(never) <= np.count_nonzero(same):
+            return
+        if self._standing < _LONG and is_scene(never, self._points, self._baseline_px):
+            return
+        self.found = ImageFixed(None, float(np.mean(never)), is_ambiguous=True, finds=self._finds)
 
     def _count_runs(self, now: Gradients, textured: Bools, moved: Bools) -> None:
         """Count comparisons without a change, each with the mean of those before."""
@@ -206,6 +243,8 @@ class ImageFixedDetector:
         if is_new and (share >= _MIN_SHARE or unclear) and not self._lies_still(now, count):
             share, unclear = 0.0, False
         is_ambiguous = unclear or share > _MAX_SHARE or _is_everywhere(self._fixed)
+        if is_new and share >= _MIN_SHARE and not is_ambiguous:
+            is_ambiguous = is_scene(self._fixed, self._points, self._baseline_px)
         if share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE) and not unclear:
             is_settled = self._finds == 0 and self._comparisons >= _SETTLED
             self.found = ImageFixed(finds=self._finds, is_settled=is_settled)
@@ -217,7 +256,8 @@ class ImageFixedDetector:
 
     def _lies_still(self, now: Gradients, count: int) -> bool:
         """Whether enough of what has not changed is where it was when its run began."""
-        still = (self._run >= _MIN_RUN) & lies_still(now, *self._first, _MAX_DRIFT_PX)
+        drift = displacement(now, *self._first).squared_px
+        still = (self._run >= _MIN_RUN) & (drift < _MAX_DRIFT_PX**2)
         return bool(np.count_nonzero(still) >= _MIN_SHARE * count)
 
     def _area(self) -> float:
@@ -231,10 +271,11 @@ class ImageFixedDetector:
 
 
 def _is_everywhere(fixed: Bools) -> bool:
-    """Whether it covers a large part of the image (H, W), or parts above and below."""
+    """Whether it covers a large part of the image (H, W) or its top, or parts above and below."""
     third = len(fixed) // 3
-    opposite = min(fixed[:third].mean(), fixed[-third:].mean())
-    return bool(fixed.mean() > _MAX_AREA or opposite > _MAX_OPPOSITE)
+    top, bottom = fixed[:third].mean(), fixed[-third:].mean()
+    is_large = fixed.mean() > _MAX_AREA or top > _MAX_TOP
+    return bool(is_large or min(top, bottom) > _MAX_OPPOSITE)
 
 
 def _textured(gradients: Gradients) -> Bools:

@@ -22,6 +22,20 @@ class Gradients(NamedTuple):
     energy: Floats32
 
 
+class Displacement(NamedTuple):
+    """Where gradients match others best.
+
+    Attributes:
+        correlation: (H, W) at the same place.
+        squared_px: (H, W) square of the distance to the maximum of the correlation.
+        is_corner: (H, W) whether the distance is known along both axes.
+    """
+
+    correlation: Floats32
+    squared_px: Floats32
+    is_corner: Bools
+
+
 def gradients_of(image: Bytes) -> Gradients:
     """Gradients of an image (H, W) uint8, grey levels per pixel."""
     u, v = (g.astype(np.float32) * np.float32(0.125) for g in cv2.spatialGradient(image))
@@ -74,34 +88,24 @@ def _mean_product(u, v, other_u, other_v):  # type: ignore[no-untyped-def]
     return mean
 
 
-def window_mean(values: Floats32) -> Floats32:
-    """(H, W) mean of values (H, W) in the window round each pixel."""
-    return np.asarray(cv2.boxFilter(values, -1, (_SIDE_PX, _SIDE_PX)))
-
-
-def lies_still(now: Gradients, u: Floats32, v: Floats32, max_px: float) -> Bools:
-    """(H, W) whether gradients match others at the same place better than beside it.
+def displacement(now: Gradients, u: Floats32, v: Floats32) -> Displacement:
+    """How far gradients lie from where they match others (H, W) along u and v best.
 
     The correlation's maximum along each axis is that of a parabola through shifts of -1, 0, and
     1 pixel; a shift along an edge cannot be measured and counts as none.
-
-    Args:
-        now: gradients (H, W).
-        u: the others along u (H, W).
-        v: the others along v (H, W).
-        max_px: how far from the place the maximum may be.
     """
 
     def correlation_at(shift: int, axis: int) -> Floats32:
         shifted_u, shifted_v = np.roll(u, shift, axis), np.roll(v, shift, axis)
-        energy = window_mean(shifted_u * shifted_u + shifted_v * shifted_v)
+        energy = mean_product(shifted_u, shifted_v, shifted_u, shifted_v)
         return correlation(now, shifted_u, shifted_v, energy)
 
     centre = correlation_at(0, 0)
-    squared = np.zeros_like(centre)
+    squared, is_corner = np.zeros_like(centre), np.ones(centre.shape, dtype=bool)
     for axis in (0, 1):
         before, after = correlation_at(-1, axis), correlation_at(1, axis)
         curvature = 2.0 * centre - before - after
         peak = 0.5 * (after - before) / np.maximum(curvature, _MIN_CURVATURE)
         squared += np.where(curvature > _MIN_CURVATURE, peak * peak, 0.0)
-    return np.asarray(squared < max_px * max_px)
+        is_corner &= curvature > _MIN_CURVATURE
+    return Displacement(centre, squared, is_corner)

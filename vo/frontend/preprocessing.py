@@ -140,7 +140,7 @@ class FramePreprocessor:
         self._repetition = RepetitionDetector()
         self._interlacing = InterlacingDetector()
         self._blur = BlurDetector()
-        self._image_fixed = ImageFixedDetector()
+        self._image_fixed = ImageFixedDetector(rig.fx * rig.baseline_m)
         self._recent = RecentFrames()
         self._time_offset = TimeOffsetEstimator(rig)
         names = ("left", "right") if threads > 1 else ()
@@ -189,7 +189,7 @@ class FramePreprocessor:
         recorded = RecordedFrame(frame, left_change.repetition, faults)
         image0 = self._rig.rectify(frame.image0, 0)
         pyramid = half_size_pyramid(image0)
-        fixed = self._image_fixed.update(pyramid, image0.shape)
+        fixed = self._image_fixed.update(pyramid, image0.shape, self._vertical_disparity.matches)
         misled = self._recent.add(recorded, fixed)
         if misled:
             self._vertical_disparity.restart()
