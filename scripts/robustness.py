@@ -83,7 +83,7 @@ class _Bench:
         with tempfile.TemporaryDirectory(dir=self._work) as folder:
             kept = self._keep / _file_name(case.name) if self._keep else Path(folder) / "case"
             recording = case.write(faulty, kept / "recording")
-            outcome = run(self._vo, recording, faulty.truth, kept / "out")
+            outcome = run(self._vo, recording, faulty.truth_of_frames, kept / "out")
         limit = max_ate_m(clean, faulty.truth)
         names = (case.situation, case.variant, case.clip)
         return Row(*names, outcome, clean, limit, case.is_visible)

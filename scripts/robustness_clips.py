@@ -57,6 +57,11 @@ class Clip:
         assert self.rig.cam1_from_cam0 is not None
         return float(self.rig.cam0.fx * np.linalg.norm(self.rig.cam1_from_cam0[:3, 3]))
 
+    @property
+    def truth_of_frames(self) -> Floats:
+        """The true poses of the frames that a run reads, (M, 4, 4): those with a left image."""
+        return np.asarray(self.truth[[image is not None for image in self.images[0]]])
+
     def left(self) -> Clip:
         """The left camera alone."""
         rig = Rig(self.rig.cam0)

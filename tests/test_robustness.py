@@ -109,3 +109,14 @@ def test_a_row_is_graded(
     assert row.grade == grade
     assert row.is_wrong_and_trusted == (grade == "WRONG AND TRUSTED")
     assert grade in scripts["robustness_table"].document([row], [])
+
+
+def test_frames_without_a_left_image_have_no_truth(
+    scripts: dict[str, ModuleType], truth: Floats
+) -> None:
+    image = np.zeros((4, 4), np.uint8)
+    left = [None if 10 <= i < 20 else image for i in range(50)]
+    stamps = np.arange(50)
+    clip = scripts["robustness_clips"].Clip("x", (left, [image] * 50), (stamps,), None, truth)
+    expected = np.delete(truth, np.arange(10, 20), axis=0)
+    np.testing.assert_array_equal(clip.truth_of_frames, expected)
