@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from vo.failures import Failure, FailureReason, ImageDefect
+from vo.frontend.image_size import SMALL_PIXELS
 from vo.frontend.interlacing import share_of_combs
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.frontend.sharpness import MAX_BLUR, blur
@@ -18,7 +19,6 @@ _MIN_RANGE = 6  # grey levels; the noise of a sensor alone has about as many
 
 # Limits of defects that are named only where tracking has failed. Well exposed, sharp recordings
 # have: 95th percentile above 175, range above 130, blur below 0.4, noise below 3 grey levels.
-_SMALL_PIXELS = 50_000
 _DARK = 60
 _LOW_RANGE = 30
 _NOISY = 15.0
@@ -60,7 +60,7 @@ def missing_content(image: Bytes) -> ImageDefect | None:
 def image_defect(image: Bytes) -> ImageDefect | None:
     """The first defect of an (H, W) uint8 image that makes features rare or unstable, or None."""
     low, high = percentiles(image[::_STEP, ::_STEP], (5, 95))
-    if image.size < _SMALL_PIXELS:
+    if image.size < SMALL_PIXELS:
         return ImageDefect.SMALL
     if high < _DARK:
         return ImageDefect.DARK

@@ -14,6 +14,7 @@ from vo.frontend.camera_alignment import half_size_pyramid
 from vo.frontend.contracts import FeatureExtractor
 from vo.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.frontend.image_repetition import Repetition, RepetitionDetector
+from vo.frontend.image_size import size_faults
 from vo.frontend.interlacing import InterlacingDetector
 from vo.frontend.lazy_future import LazyFuture, finished
 from vo.frontend.pair_check import PairCheck
@@ -140,6 +141,7 @@ class FramePreprocessor:
         self._repetition = RepetitionDetector()
         self._interlacing = InterlacingDetector()
         self._blur = BlurDetector()
+        self._size_faults = size_faults(rig.width * rig.height)
         self._image_fixed = ImageFixedDetector(rig.fx * rig.baseline_m)
         self._recent = RecentFrames()
         self._time_offset = TimeOffsetEstimator(rig)
@@ -179,7 +181,7 @@ class FramePreprocessor:
         left_change = self._repetition.update(frame.images)[0]
         self._interlacing.update(frame.image0)
         self._blur.update(frame.image0)
-        faults = self._interlacing.faults + self._blur.faults
+        faults = self._size_faults + self._interlacing.faults + self._blur.faults
         if self._rig.is_stereo and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
             faults = (

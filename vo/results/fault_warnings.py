@@ -43,6 +43,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "images are blurred (blur {value:.2f} of 1; sharp ones are below 0.4), so that the path is "
         "inaccurate: {frames}; check the focus, use shorter exposure, or move slower",
     ),
+    FaultKind.SMALL_IMAGES: (
+        "images have only {value:.0f} thousand pixels: {frames}",
+        "images have only {value:.0f} thousand pixels ({frames}), so that a pixel is a large angle "
+        "and the path is several times as inaccurate as usual; record larger images, from 320 x "
+        "240 on",
+    ),
     FaultKind.INTERLACED_IMAGES: (
         "odd and even rows of images were taken at different times (interlaced video): {frames}",
         "odd and even rows of images were taken at different times (interlaced video; they "
