@@ -52,6 +52,8 @@ _MIN_SHARE, _MAX_SHARE = 0.035, 0.5
 # What covers more of the image than this, or of its upper third, or this much of its upper and its
 # lower third, may as well be the background of something large that passes a camera at rest.
 _MAX_AREA, _MAX_TOP, _MAX_OPPOSITE = 0.33, 0.35, 0.1
+# The same for nearly all of what is the same while the rest changes: a slow scene drifts by more.
+_MAX_KEPT_DRIFT_PX, _MIN_KEPT = 0.15, 0.75
 # Ratio of texture that must move, in how many comparisons, while most of the image never has.
 _MIN_LONG_PASSING, _LONG = 0.3, 15
 # Images that the mean gradient remembers, and the weight of the newest after so many.
@@ -172,7 +174,7 @@ class ImageFixedDetector:
             self.found = ImageFixed(share=1.0, is_ambiguous=True, finds=self._finds)
             return
         if same_ratio > _MIN_STANDING and moved_ratio > _MIN_PASSING > between:
-            self._stand(same, moved_ratio)
+            self._stand(same, moved_ratio, now)
         elif moved_ratio > _MIN_MOVED and between < _MAX_BETWEEN * moved_ratio:
             self._last = now
             self._has_moved |= moved
@@ -182,7 +184,7 @@ class ImageFixedDetector:
             self._judge(now, count)
             return
         if self._still_majority.update(now, self._last, similar, textured):
-            self._doubt(same)
+            self._doubt(same, now)
 
     def _outside(self) -> Bools:
         """Places outside of what is fixed, or may be."""
@@ -193,23 +195,34 @@ class ImageFixedDetector:
         height, width = outside.shape
         return np.asarray(outside & (mask[: 2 * height : 2, : 2 * width : 2] > 0))
 
-    def _stand(self, same: Bools, moved_ratio: float) -> None:
+    def _stand(self, same: Bools, moved_ratio: float, now: Gradients) -> None:
         """Most of the image is the same while something moves: the camera stands, probably."""
         self._background = same if self._background is None else self._background & same
         self._standing += moved_ratio > _MIN_LONG_PASSING
         if self._standing >= _LONG:
-            self._doubt(same)
+            self._doubt(same, now)
 
-    def _doubt(self, same: Bools) -> None:
+    def _doubt(self, same: Bools, now: Gradients) -> None:
         """Report what is the same, unless it has moved, or is the scene of a camera at rest."""
         if self.found.mask is not None:
             return
         never = same & ~self._has_moved
         if 2 * np.count_nonzero(never) <= np.count_nonzero(same):
             return
+        if not self._has_kept_still(never, now):
+            return
         if self._standing < _LONG and is_scene(never, self._points, self._baseline_px):
             return
         self.found = ImageFixed(None, float(np.mean(never)), is_ambiguous=True, finds=self._finds)
+
+    def _has_kept_still(self, places: Bools, now: Gradients) -> bool:
+        """Whether places are exactly where they were, which those of a slow scene are not."""
+        assert self._last is not None
+        drift = displacement(now, self._last.u, self._last.v)
+        at = places & drift.is_corner
+        count = int(np.count_nonzero(at))
+        still = int(np.count_nonzero(at & (drift.squared_px < _MAX_KEPT_DRIFT_PX**2)))
+        return count > _MIN_TEXTURED * at.size and still > _MIN_KEPT * count
 
     def _count_runs(self, now: Gradients, textured: Bools, moved: Bools) -> None:
         """Count comparisons without a change, each with the mean of those before."""
