@@ -182,7 +182,7 @@ def test_presets_are_as_the_script_writes_them(preset: str) -> None:
 
 def test_preset_default_is_the_defaults() -> None:
     text = (ROOT / "configs" / "default.yaml").read_text(encoding="utf-8")
-    assert yaml.safe_load(text) == Config().model_dump(mode="json")
+    assert yaml.safe_load(text) == Config().model_dump()
 
 
 def test_presets_go_the_way_their_names_say() -> None:
@@ -196,7 +196,7 @@ def test_the_wheel_brings_the_presets(tmp_path: Path) -> None:
         pytest.skip("hatchling, the build backend, is not installed")
     options: list[Any] = ["--no-deps", "--no-build-isolation", "--quiet", "--wheel-dir", tmp_path]
     subprocess.run([sys.executable, "-m", "pip", "wheel", ROOT, *options], check=True, timeout=120)
-    (wheel,) = tmp_path.glob("vo-*.whl")
+    (wheel,) = tmp_path.glob("visual_odometry-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     assert {f"vo/configs/{preset}.yaml" for preset in PRESETS} <= names

@@ -16,7 +16,7 @@ BASE = {
     for name in (
         *("errors", "types", "failures", "faults", "calibration_errors"),
         *("bounded_documents", "bounded_files", "extras", "printable"),
-        *("config", "settings", "image_areas", "scheduling", "stopwatch"),
+        *("config", "settings", "scheduling", "stopwatch"),
     )
 }
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
@@ -24,6 +24,7 @@ OUTER = {f"vo.{name}" for name in ("sources", "evaluation", "recording", "result
 # Floors of the odometry: a room imports from floors below its own, never from one beside it.
 FLOORS = (
     {"vo.frontend"},
+    {"vo.learned"},
     {"vo.mapping", "vo.features"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
@@ -72,7 +73,7 @@ ALLOWED = {
     "vo.cli": GROUND
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
-    | {"vo.odometry", "vo.run_recording", "vo.warmup"}
+    | {"vo.odometry", "vo.run_recording", "vo.warmup", "vo.learned"}
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}

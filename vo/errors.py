@@ -4,6 +4,7 @@
     ├── ConfigError        a setting is unknown, of the wrong type or out of range
     ├── SourceError        a recording is missing, empty, damaged or of an unknown format
     ├── CalibrationError   a calibration is missing or invalid
+    ├── ModelError         a file of learned weights is missing, damaged or of another kind
     ├── InputError         a value given to the library is of the wrong type, shape or order
     ├── EvaluationError    two trajectories cannot be compared
     ├── OutputError        a result cannot be written
@@ -28,6 +29,10 @@ class SourceError(VoError):
 
 class CalibrationError(VoError):
     """A calibration is missing or invalid."""
+
+
+class ModelError(VoError):
+    """A file of learned weights is missing, damaged or of another kind."""
 
 
 class InputError(VoError):

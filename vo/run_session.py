@@ -301,7 +301,6 @@ class RunSession:
             error=None if error is None else named(error),
             profile=self._profile(),
             live=self._live_state(),
-            hidden=self._odometry.hidden,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())

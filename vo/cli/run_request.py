@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -33,19 +31,17 @@ class Input(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Settings of the odometry; `masks` are texts of that section by key, empty if not given."""
+    """Settings of the odometry."""
 
     config: str
     overrides: tuple[str, ...]
     threads: int | None
-    masks: Mapping[str, Sequence[str]]
 
     @property
     def all_overrides(self) -> list[str]:
-        """Overrides of settings, including the number of threads and masks."""
+        """Overrides of settings, including the number of threads."""
         threads = [] if self.threads is None else [f"threads={self.threads}"]
-        masks = [f"masks.{k}={json.dumps(texts)}" for k, texts in self.masks.items() if texts]
-        return [*self.overrides, *threads, *masks]
+        return [*self.overrides, *threads]
 
 
 class Visualisation(NamedTuple):

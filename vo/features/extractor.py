@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -20,6 +21,8 @@ from vo.frontend.orb import OrbExtractor
 from vo.types import Bytes, Floats32, Keypoints
 
 BUILT_IN = "orb"
+LEARNED = ("xfeat",)
+_log = logging.getLogger(__name__)
 _CLAHE_CLIP, _CLAHE_TILES = 3.0, (8, 8)
 _MAX_OCTAVE = 24
 _REFINE_HALF_PX = 3
@@ -92,6 +95,8 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
                 "for FAST corners with another one choose features.detector=fast"
             )
         return OrbExtractor(config)
+    if config.detector in LEARNED:
+        return _learned(config)
     kind = DETECTORS[config.detector]
     name = kind.descriptor if config.descriptor == "auto" else config.descriptor
     allowed = DESCRIPTORS[name].detectors
@@ -104,6 +109,22 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
     if not detector.has_scale and config.levels > 1:
         detector = PyramidDetector(detector, config.levels, config.scale_factor)
     return ComposedExtractor(detector, make_descriptor(name, detector.base_size), config)
+
+
+def _learned(config: FeaturesConfig) -> FeatureExtractor:
+    from vo.learned.catalog import find_model
+    from vo.learned.files import require_model
+    from vo.learned.inference import load
+    from vo.learned.xfeat import XFeatExtractor
+
+    if config.descriptor != "auto":
+        raise ConfigError(
+            f"features.detector '{config.detector}' has its own descriptor, not "
+            f"'{config.descriptor}'"
+        )
+    inference = load(require_model(find_model(config.detector)), config.backend)
+    _log.info("%s runs in %s", config.detector, inference.description)
+    return XFeatExtractor(inference, config.count)
 
 
 def _equalised(image: Bytes) -> Bytes:

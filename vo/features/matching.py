@@ -68,6 +68,8 @@ class DescriptorMatcher:
         if len(query) == 0 or len(train) == 0:
             return Matches(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
         limit = self._config.ratio if ratio is None else ratio
+        if self._config.method == "mnn":
+            limit = 1.0
         if region is None:
             nearest = self._search(query.descriptor, train.descriptor)
             back = (
@@ -80,7 +82,7 @@ class DescriptorMatcher:
             distance = distances(query.descriptor, train.descriptor, *candidates)
             nearest = Nearest(*_two_nearest(*candidates, distance, len(query)))
             back = None
-        good = (nearest.row >= 0) & (nearest.distance < limit * nearest.second)
+        good = (nearest.row >= 0) & (nearest.distance <= limit * nearest.second)
         good &= nearest.distance <= _max_distance(query.descriptor)
         if back is not None:
             good &= back.row[np.maximum(nearest.row, 0)] == np.arange(len(query))
@@ -91,6 +93,8 @@ class DescriptorMatcher:
 
 def make_matcher(config: MatchingConfig, extractor: FeatureExtractor) -> Matcher:
     """The matcher for an extractor's descriptors that the settings name."""
+    if config.method == "auto" and getattr(extractor, "suits_mutual_matching", False):
+        return DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
     is_default = extractor.descriptor_format == HammingMatcher.descriptor_format
     if config.method == "auto" and config.cross_check and is_default:
         return HammingMatcher(config)

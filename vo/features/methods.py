@@ -16,7 +16,7 @@ from vo.config import DescriptorName, FeaturesConfig, MatchingConfig
 from vo.errors import ConfigError
 from vo.features.detections import Detector
 from vo.features.detectors import DETECTORS, DetectorOptions, available_detectors
-from vo.features.extractor import BUILT_IN, make_extractor
+from vo.features.extractor import BUILT_IN, LEARNED, make_extractor
 from vo.features.matching import make_matcher
 from vo.features.pyramid import PyramidDetector
 from vo.features.selection import select
@@ -25,7 +25,7 @@ from vo.frontend.optical_flow import follow
 from vo.types import Bytes, Floats, Keypoints
 
 KLT = "klt"
-MATCHERS = ("auto", "brute_force", "flann", "ann", KLT)
+MATCHERS = ("auto", "brute_force", "mnn", "flann", "ann", KLT)
 
 
 class PairMatches(NamedTuple):
@@ -143,7 +143,7 @@ def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -
     written = f"shi_tomasi/{KLT}" if text == KLT else text
     rest, _, matcher = written.partition("/")
     detector, _, descriptor = rest.partition("+")
-    _check(text, detector, (BUILT_IN, *DETECTORS), "detector")
+    _check(text, detector, (BUILT_IN, *LEARNED, *DETECTORS), "detector")
     _check(text, matcher or "auto", MATCHERS, "matcher")
     if matcher == KLT:
         if descriptor:
@@ -173,7 +173,7 @@ def all_methods() -> list[str]:
 
 
 def _corner_detector(text: str, name: str, features: FeaturesConfig) -> Detector:
-    if name == BUILT_IN:
+    if name not in DETECTORS:
         raise ConfigError(f"method '{text}': choose corners such as fast/{KLT} or shi_tomasi/{KLT}")
     detector = DETECTORS[name].make(DetectorOptions(features.count, features.threshold))
     if detector.has_scale or features.levels == 1:

@@ -21,7 +21,6 @@ from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
 from vo.frontend.recent_frames import RecentFrames, RecordedFrame
 from vo.frontend.sharpness import BlurDetector
-from vo.frontend.static_masks import StaticMasks
 from vo.frontend.time_offset import TimeOffsetEstimator
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig
@@ -48,7 +47,7 @@ class PreprocessedFrame:
         faults: faults that the images show.
         repetition: whether the image of camera 0 repeats the one before.
         image_fixed: what stands still in images[0] while the scene moves.
-        masks: (H, W) uint8 by camera, 0 where that image is not to be used, or None.
+        mask: (H, W) uint8, 0 where images[0] is not to be used, or None.
         misled: frames before this one, to be tracked anew without such content, found just now.
     """
 
@@ -64,7 +63,7 @@ class PreprocessedFrame:
     faults: tuple[Fault, ...] = ()
     repetition: Repetition = Repetition.NONE
     image_fixed: ImageFixed = ImageFixed()
-    masks: tuple[Bytes | None, Bytes | None] = (None, None)
+    mask: Bytes | None = None
     misled: tuple[PreprocessedFrame, ...] = ()
 
     @property
@@ -122,7 +121,6 @@ class FramePreprocessor:
         extractor: extracts features.
         vertical_disparity: estimates and corrects vertical disparities of pairs.
         pair_check: refuses pairs whose images are exchanged; None for no check.
-        masks: parts of all images that are not used; None for none.
         threads: cores to use.
     """
 
@@ -132,7 +130,6 @@ class FramePreprocessor:
         extractor: FeatureExtractor,
         vertical_disparity: VerticalDisparityCorrection,
         pair_check: PairCheck | None = None,
-        masks: StaticMasks | None = None,
         *,
         threads: int,
     ) -> None:
@@ -141,7 +138,6 @@ class FramePreprocessor:
         self._extractor = extractor
         self._vertical_disparity = vertical_disparity
         self._pair_check = pair_check
-        self._masks = masks or StaticMasks(rig)
         self._repetition = RepetitionDetector()
         self._interlacing = InterlacingDetector()
         self._blur = BlurDetector()
@@ -153,11 +149,6 @@ class FramePreprocessor:
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
         ]
-
-    @property
-    def hidden(self) -> tuple[float, ...]:
-        """Ratio of the recorded images that masks of the whole run hide, by camera."""
-        return self._masks.hidden
 
     def submit(self, frame: Frame) -> LazyFuture[PreprocessedFrame]:
         """A frame to be preprocessed."""
@@ -200,8 +191,7 @@ class FramePreprocessor:
         recorded = RecordedFrame(frame, left_change.repetition, faults)
         image0 = self._rig.rectify(frame.image0, 0)
         pyramid = half_size_pyramid(image0)
-        used, matches = self._masks.left_with(frame.mask), self._vertical_disparity.matches
-        fixed = self._image_fixed.update(pyramid, image0.shape, matches, used)
+        fixed = self._image_fixed.update(pyramid, image0.shape, self._vertical_disparity.matches)
         misled = self._recent.add(recorded, fixed)
         if misled:
             self._vertical_disparity.restart()
@@ -209,16 +199,14 @@ class FramePreprocessor:
         again = tuple(self._without_fixed(each, fixed) for each in misled)
         if self._rig.is_stereo:
             self._time_offset.next_image(frame.stamp_ns, image0)
-        mask = _joined(used, fixed.mask)
-        preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, mask, self._pair_check)
+        preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, self._pair_check)
         if self.is_eager:
             preprocessed.start_features()
         return replace(preprocessed, misled=again) if again else preprocessed
 
     def _without_fixed(self, recorded: RecordedFrame, fixed: ImageFixed) -> PreprocessedFrame:
         image0 = self._rig.rectify(recorded.frame.image0, 0)
-        mask = _joined(self._masks.left_with(recorded.frame.mask), fixed.mask)
-        return self._preprocessed(recorded, image0, half_size_pyramid(image0), fixed, mask, None)
+        return self._preprocessed(recorded, image0, half_size_pyramid(image0), fixed, None)
 
     def _preprocessed(
         self,
@@ -226,10 +214,10 @@ class FramePreprocessor:
         image0: Bytes,
         pyramid: tuple[Bytes, ...],
         fixed: ImageFixed,
-        mask: Bytes | None,
         pair_check: PairCheck | None,
     ) -> PreprocessedFrame:
         frame = recorded.frame
+        mask = fixed.mask if frame.mask is None else self._combined(frame.mask, fixed.mask)
         images, features = self._images_and_features(frame, image0, mask, pair_check)
         return PreprocessedFrame(
             frame.index,
@@ -247,12 +235,14 @@ class FramePreprocessor:
             + recorded.faults,
             recorded.repetition,
             fixed,
-            (mask, self._right_mask()),
+            mask,
         )
 
-    def _right_mask(self) -> Bytes | None:
-        """The mask of camera 1 as its images are rectified now."""
-        return self._masks.right(self._vertical_disparity.aligned_rig())
+    def _combined(self, recorded: Bytes, fixed: Bytes | None) -> Bytes:
+        """A mask at the pixels of the rectified image, with that of fixed content."""
+        rectified = self._rig.rectify(recorded, 0)
+        mask = np.where(rectified == 255, np.uint8(255), np.uint8(0))  # no pixel between
+        return mask if fixed is None else np.minimum(mask, fixed)
 
     def _images_and_features(
         self, frame: Frame, image0: Bytes, mask: Bytes | None, pair_check: PairCheck | None
@@ -294,15 +284,8 @@ class FramePreprocessor:
         return keypoints if inside.all() else keypoints.select(inside)
 
     def _extract_right(self, image: Bytes) -> LazyFuture[Keypoints]:
-        pool, mask = self._pools[1] if self._pools else None, self._right_mask()
-        return LazyFuture(lambda: self._extractor.extract(image, mask), pool)
-
-
-def _joined(mask: Bytes | None, other: Bytes | None) -> Bytes | None:
-    """A mask (H, W) that hides what either of two hides."""
-    if mask is None or other is None:
-        return other if mask is None else mask
-    return np.minimum(mask, other)
+        pool = self._pools[1] if self._pools else None
+        return LazyFuture(lambda: self._extractor.extract(image), pool)
 
 
 def _compare(pair_check: PairCheck | None, frame: Frame) -> bool:

@@ -78,11 +78,7 @@ class LocalMapper:
     ) -> Keyframe:
         """Add a keyframe without observations; `free` (N,) marks features without a landmark."""
         number = FrameId(frame.index, frame.stamp_ns, segment)
-        keyframe = self._map.add_keyframe(
-            number, frame.image0, world_from_cam, frame.keypoints, free
-        )
-        keyframe.mask = frame.masks[0]
-        return keyframe
+        return self._map.add_keyframe(number, frame.image0, world_from_cam, frame.keypoints, free)
 
     @timed("map")
     def add_keyframe(

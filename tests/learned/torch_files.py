@@ -1,0 +1,93 @@
+"""Files as torch saves them, written without torch."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import sys
+import types
+import zipfile
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from numpy.typing import NDArray
+
+
+class _Storage:
+    def __init__(self, key: str, numbers: NDArray[Any]) -> None:
+        self.key, self.numbers = key, numbers
+
+
+class _Tensor:
+    """A tensor as a part of a storage, to be pickled as torch does it."""
+
+    def __init__(
+        self, storage: _Storage, offset: int, size: tuple[int, ...], stride: tuple[int, ...]
+    ) -> None:
+        self.parts = (storage, offset, size, stride, False, OrderedDict())
+
+    def __reduce__(self) -> Any:
+        return sys.modules["torch._utils"]._rebuild_tensor_v2, self.parts
+
+
+@contextmanager
+def _torch_names() -> Iterator[types.ModuleType]:
+    """Modules with the few names that a pickle refers to."""
+    torch, inner = types.ModuleType("torch"), types.ModuleType("torch._utils")
+
+    def _rebuild_tensor_v2(*_: Any) -> None: ...
+
+    _rebuild_tensor_v2.__module__ = "torch._utils"
+    _rebuild_tensor_v2.__qualname__ = "_rebuild_tensor_v2"
+    inner._rebuild_tensor_v2 = _rebuild_tensor_v2  # type: ignore[attr-defined]
+    for name in ("FloatStorage", "LongStorage", "HalfStorage"):
+        setattr(torch, name, type(name, (), {"__module__": "torch"}))
+    before = {n: sys.modules.get(n) for n in ("torch", "torch._utils")}
+    sys.modules.update({"torch": torch, "torch._utils": inner})
+    try:
+        yield torch
+    finally:
+        for name, module in before.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+
+
+_KINDS = {"f4": "FloatStorage", "i8": "LongStorage", "f2": "HalfStorage"}
+
+
+def torch_file(tensors: Mapping[str, NDArray[Any]], extra: Any = None) -> bytes:
+    """A file with named tensors, and perhaps something else that can be pickled."""
+    storages = {n: _Storage(str(i), t) for i, (n, t) in enumerate(tensors.items())}
+    content: dict[str, Any] = OrderedDict(
+        (n, _Tensor(storages[n], 0, t.shape, tuple(s // t.itemsize for s in t.strides)))
+        for n, t in tensors.items()
+    )
+    if extra is not None:
+        content["extra"] = extra
+    return torch_archive(content, storages.values())
+
+
+def torch_archive(content: Any, storages: Any) -> bytes:
+    with _torch_names() as torch:
+
+        class Pickler(pickle.Pickler):
+            def persistent_id(self, value: Any) -> Any:
+                if not isinstance(value, _Storage):
+                    return None
+                kind = getattr(torch, _KINDS[value.numbers.dtype.str[1:]])
+                return ("storage", kind, value.key, "cpu", value.numbers.size)
+
+        pickled = io.BytesIO()
+        Pickler(pickled, protocol=2).dump(content)
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        archive.writestr("model/data.pkl", pickled.getvalue())
+        for storage in storages:
+            numbers = storage.numbers
+            archive.writestr(f"model/data/{storage.key}", numbers.tobytes(order="A"))
+        archive.writestr("model/version", "3\n")
+    return data.getvalue()

