@@ -10,8 +10,6 @@ from vo.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.backend.sliding_window import SlidingWindow
 from vo.backend.window_problem import FactorSource
 from vo.config import Config
-from vo.features.extractor import make_extractor
-from vo.features.matching import make_matcher
 from vo.frontend.contracts import FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.pair_check import PairCheck
@@ -144,9 +142,18 @@ def _monocular_initializer(
 
 
 def _frontend(config: Config, components: Components) -> Frontend:
-    extractor = components.extractor or make_extractor(config.features)
-    matcher = components.matcher or make_matcher(config.matching, extractor)
-    return make_frontend(config, extractor, matcher)
+    features, matching = config.features, config.matching
+    is_default = features.detector == "orb" and features.descriptor in ("auto", "rbrief")
+    is_default &= matching.method == "auto" and matching.cross_check
+    extractor, matcher = components.extractor, components.matcher
+    if extractor is None and is_default:
+        return make_frontend(config, None, matcher)
+    # Imported where they are used: loading all kinds of features takes a while.
+    from vo.features.extractor import make_extractor
+    from vo.features.matching import make_matcher
+
+    extractor = extractor or make_extractor(features)
+    return make_frontend(config, extractor, matcher or make_matcher(matching, extractor))
 
 
 def _preprocessor(
