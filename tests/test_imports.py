@@ -16,7 +16,7 @@ BASE = {
     for name in (
         *("errors", "types", "failures", "faults", "calibration_errors"),
         *("bounded_documents", "bounded_files", "extras", "printable"),
-        *("config", "settings", "scheduling", "stopwatch"),
+        *("config", "settings", "image_areas", "scheduling", "stopwatch"),
     )
 }
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}

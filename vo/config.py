@@ -10,11 +10,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
+from vo.image_areas import anchored, parse_area
 from vo.settings import (
     Section,
     expert,
@@ -265,6 +266,40 @@ class RefinementConfig(Section):
     )
 
 
+def _as_texts(value: Any) -> Any:
+    """A single text as a list of one, and areas given as numbers as texts."""
+    if isinstance(value, str):
+        return (value,)
+    if isinstance(value, list) and value and all(isinstance(v, int | float) for v in value):
+        value = [value]
+    if isinstance(value, list):
+        return tuple(",".join(map(str, item)) if isinstance(item, list) else item for item in value)
+    return value
+
+
+def _are_areas(texts: tuple[str, ...]) -> tuple[str, ...]:
+    for text in texts:
+        parse_area(text)
+    return texts
+
+
+_Texts = Annotated[tuple[str, ...], BeforeValidator(_as_texts)]
+_Areas = Annotated[_Texts, AfterValidator(_are_areas)]
+
+
+class MasksConfig(Section):
+    """Parts of the images, in pixels as recorded, that are not used (docs/recordings.md)."""
+
+    files: _Texts = Field(
+        (), description="images of the size of the left and the right ones; 0 (black) is not used"
+    )
+    ignore: _Areas = Field(
+        (),
+        description="not used: x,y,width,height or a polygon x1,y1,x2,y2,x3,y3,…; right: before it",
+    )
+    roi: _Areas = Field((), description="region of interest: only these areas are used")
+
+
 class Config(Section):
     """All settings of a run."""
 
@@ -282,6 +317,7 @@ class Config(Section):
     mapping: MappingConfig = MappingConfig()
     smoothing: SmoothingConfig = SmoothingConfig()
     refinement: RefinementConfig = RefinementConfig()
+    masks: MasksConfig = MasksConfig()
 
 
 # New names of settings of version 0.1.
@@ -314,6 +350,8 @@ def preset_names() -> list[str]:
 def load_config(config: str | Path = "default", overrides: Sequence[str] = ()) -> Config:
     """Merge defaults, a preset or YAML file, and overrides.
 
+    Paths of mask images become absolute: those in a YAML file are relative to its folder.
+
     Args:
         config: name of a preset, or path of a YAML file.
         overrides: texts of the form `section.key=value`; the value is read as YAML.
@@ -321,15 +359,27 @@ def load_config(config: str | Path = "default", overrides: Sequence[str] = ()) -
     Raises:
         ConfigError: unknown preset, file or key, or a value of the wrong type or range.
     """
-    merged = read_settings(find_preset(config, preset_folder()))
+    path = find_preset(config, preset_folder())
+    merged = read_settings(path)
+    _anchor_files(merged, path.parent)
     renamed = replace_old_names(merged, _RENAMED)
     for text in overrides:  # each replaces what comes before it, by whichever name
         set_value(merged, text)
         renamed |= replace_old_names(merged, _RENAMED)
+    _anchor_files(merged, Path())
     if renamed:
         names = ", ".join(f"{old} is now {new}" for old, new in renamed.items())
         _log.warning("settings in %s have been renamed: %s", config, names)
     return validate(Config, merged, str(config))
+
+
+def _anchor_files(merged: dict[str, Any], folder: Path) -> None:
+    """Make the paths of mask images absolute, in place."""
+    masks = merged.get("masks")
+    files = _as_texts(masks.get("files")) if isinstance(masks, dict) else None
+    if isinstance(masks, dict) and isinstance(files, tuple):
+        absolute = folder.absolute()
+        masks["files"] = [anchored(f, absolute) if isinstance(f, str) and f else f for f in files]
 
 
 def dump_config(config: Config) -> str:

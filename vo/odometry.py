@@ -36,6 +36,7 @@ class Odometry:
 
     Attributes:
         stopwatch: measures the stages.
+        hidden: ratio of the recorded images that masks of the whole run hide, by camera.
 
     Args:
         rig: the cameras, as recorded.
@@ -44,7 +45,7 @@ class Odometry:
         optimizer_process: that of `vo.backend.launch`, if it was started already.
 
     Raises:
-        CalibrationError: the cameras cannot be rectified.
+        CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class Odometry:
         self.stopwatch = Stopwatch()
         stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
         self._preprocessor = stages.preprocessor
+        self.hidden = stages.preprocessor.hidden
         self._window_optimizer = stages.window_optimizer
         self._tracker = stages.tracker
         self._frozen_camera = stages.frozen_camera
@@ -101,8 +103,7 @@ class Odometry:
         if result is None or not result.is_keyframe or result.keyframe is not None:
             return
         assert result.tracked is not None
-        keyframe = self._add_keyframe(result.frame, result.tracked)
-        self._result = result._replace(keyframe=keyframe)
+        self._result = result._replace(keyframe=self._add_keyframe(result.frame, result.tracked))
 
     def finish(self) -> Mapping[str, float]:
         """Apply the last result of the optimizer; the time by stage that it took."""

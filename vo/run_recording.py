@@ -12,6 +12,7 @@ from typing import TypedDict, Unpack
 from vo.config import Config, dump_config
 from vo.errors import ConfigError, SourceError, VoError
 from vo.extras import require
+from vo.image_areas import split_cameras
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
@@ -111,7 +112,8 @@ def run(
     Raises:
         SourceError: the recording is missing, damaged, or has no readable frame.
         CalibrationError: its calibration is missing or implausible.
-        ConfigError: `tracking.every` is above 1 for a stream, or a log that is followed.
+        ConfigError: `tracking.every` is above 1 for a stream, or a log that is followed; a mask
+            cannot be used.
         OutputError: the folder or the recording cannot be written, another run is writing there,
             it holds files of others with names of a run's, two outputs are the same file or
             one is the input, no viewer answers, or poses cannot be sent.
@@ -119,7 +121,7 @@ def run(
             standard output is gone.
     """
     exports = options.get("exports") or Exports()
-    _check_outputs(source, output, exports, options)
+    _check_outputs(source, output, config, exports, options)
     stream = _open(source, config, options)
     request = _request(source, stream, config, options)
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
@@ -146,13 +148,18 @@ def run(
 
 
 def _check_outputs(
-    source: str | Path | FrameStream, output: Path, exports: Exports, options: RunOptions
+    source: str | Path | FrameStream,
+    output: Path,
+    config: Config,
+    exports: Exports,
+    options: RunOptions,
 ) -> None:
     """Refuse outputs that would overwrite the input, files of others, or each other."""
     rrd = options.get("rrd")
     path = Path(source) if isinstance(source, str | Path) else None
     files = (rrd, exports.mcap, exports.ply, exports.colmap, options.get("record"))
-    refuse_to_overwrite((path, options.get("calibration")), (Path(output), *files))
+    masks = [Path(split_cameras(text)[1]) for text in config.masks.files]
+    refuse_to_overwrite((path, options.get("calibration"), *masks), (Path(output), *files))
     refuse_to_collide(Path(output), files)
 
 

@@ -301,6 +301,7 @@ class RunSession:
             error=None if error is None else named(error),
             profile=self._profile(),
             live=self._live_state(),
+            hidden=self._odometry.hidden,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())

@@ -163,8 +163,13 @@ def validate(
             raise ConfigError(
                 f"unknown setting '{key}' in {origin}{nearest(key, known)}"
             ) from error
+        reason = first["msg"]
+        if first["type"] == "value_error":  # of a validator of ours, which says what was found
+            raise ConfigError(
+                f"setting '{key}' in {origin}: {reason.removeprefix('Value error, ')}"
+            ) from error
         raise ConfigError(
-            f"setting '{key}' in {origin}: {first['msg']} (found {first['input']!r})"
+            f"setting '{key}' in {origin}: {reason} (found {first['input']!r})"
         ) from error
 
 

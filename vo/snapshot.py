@@ -176,6 +176,7 @@ def _view(result: FrameResult, local_map: LocalMap) -> View:
         baseline_m=rig.baseline_m,
         cam0_from_image0=rig.cam0_from_rectified,
         path=frame.path,
+        masks=frame.masks,
     )
 
 

@@ -15,6 +15,7 @@ from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import PairMatcher
 from vo.frontend.preprocessing import FramePreprocessor
+from vo.frontend.static_masks import StaticMasks, recorded_masks
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.map_updater import MapUpdater
@@ -90,9 +91,10 @@ def make_stages(
         optimizer_process: that of `vo.backend.launch`, if it was started already.
 
     Raises:
-        CalibrationError: the cameras cannot be rectified.
+        CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
     """
     rectified = rectified_rig(rig)
+    masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
     threads = config.threads or available_cores()
     frontend = _frontend(config, components)
     local_map = LocalMap(
@@ -119,7 +121,7 @@ def make_stages(
     )
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
     return Stages(
-        _preprocessor(rectified, frontend, config, threads),
+        _preprocessor(rectified, frontend, masks, config, threads),
         tracker,
         FrozenCamera(tracker),
         StereoInitializer(local_map, mapper, start.min_points),
@@ -157,7 +159,7 @@ def _frontend(config: Config, components: Components) -> Frontend:
 
 
 def _preprocessor(
-    rig: RectifiedRig, frontend: Frontend, config: Config, threads: int
+    rig: RectifiedRig, frontend: Frontend, masks: StaticMasks, config: Config, threads: int
 ) -> FramePreprocessor:
     vertical_disparity = VerticalDisparityCorrection(
         rig, frontend.matcher, frontend.patches, config.stereo
@@ -165,5 +167,5 @@ def _preprocessor(
     matcher = PairMatcher(frontend.matcher, frontend.patches, config.stereo.max_disparity_ratio)
     pair_check = PairCheck(rig, frontend.extractor, matcher)
     return FramePreprocessor(
-        rig, frontend.extractor, vertical_disparity, pair_check, threads=threads
+        rig, frontend.extractor, vertical_disparity, pair_check, masks, threads=threads
     )

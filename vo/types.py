@@ -107,7 +107,7 @@ class Frame:
         depth: (H, W) float32 metres along the axis of camera 0 at its pixels, 0 where unknown; None
             without a depth camera or image.
         path: the file with the image of camera 0 as recorded, perhaps in colour; None without one.
-        mask: (H, W) uint8, 0 where the image of camera 0 is not to be used; None to use all of it.
+        mask: (H, W) uint8, 0 where the image of camera 0 is not used, 255 elsewhere; or None.
     """
 
     index: int
@@ -261,6 +261,7 @@ class View:
         baseline_m: distance from image0's camera to image1's, 0 in mono.
         cam0_from_image0: (4, 4) from the camera of image0 to the recorded cam0.
         path: the file with the image of cam0 as recorded, or None.
+        masks: (H, W) uint8 of image0 and image1, 0 where they were not used, or None.
     """
 
     image0: Bytes
@@ -275,6 +276,7 @@ class View:
     baseline_m: float = 0.0
     cam0_from_image0: Floats | None = None
     path: Path | None = None
+    masks: tuple[Bytes | None, Bytes | None] = (None, None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,18 @@ def test_corners_are_spread_evenly_also_where_contrast_is_a_tenth() -> None:
     assert _filled_share(xy, BORDER, 240, 300) > 0.8
 
 
+def test_what_a_mask_hides_has_no_corners_and_the_rest_has_as_many_more() -> None:
+    image = shapes(300, 480, density=1 / 100)
+    mask = np.full(image.shape, 255, np.uint8)
+    mask[:, :320] = 0
+    every, _ = FastGrid(20, 7, BORDER).detect(image, 300)
+    shown, _ = FastGrid(20, 7, BORDER).detect(image, 300, mask)
+    assert shown[:, 0].min() >= 320
+    assert len(shown) > 2 * np.count_nonzero(every[:, 0] >= 320)
+    nothing, _ = FastGrid(20, 7, BORDER).detect(image, 300, np.zeros_like(mask))
+    assert len(nothing) == 0
+
+
 def test_the_lower_threshold_is_what_finds_corners_in_faint_cells() -> None:
     image = _with_faint_left_half(shapes(300, 480, density=1 / 150))
     with_low, _ = FastGrid(20, 7, BORDER).detect(image, 600)

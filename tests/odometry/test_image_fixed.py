@@ -2,41 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import cv2
-import numpy as np
 import pytest
+from own_body import with_body
 from recorded_walk import Recording, Run, aligned, track
 
 from vo.faults import FaultKind
 from vo.results.fault_log import FaultLog
-from vo.types import Bytes, Frame
-
-_SHARE = 0.3  # of the image's height
-_DISPARITY_PX = 40  # of the body
-
-
-def _body(shape: tuple[int, ...]) -> Bytes:
-    rng = np.random.default_rng(3)
-    height, width = shape[0], shape[1] + _DISPARITY_PX
-    texture = np.full((height, width), 90.0, np.float32)
-    for scale, contrast in ((2, 18), (6, 45), (24, 60)):
-        noise = rng.normal(0, contrast, (height // scale + 2, width // scale + 2))
-        texture += cv2.resize(noise.astype(np.float32), (width, height))
-    return np.clip(texture, 5, 250).astype(np.uint8)
-
-
-def _with_body(frame: Frame) -> Frame:
-    images: list[Bytes | None] = []
-    for camera, image in enumerate(frame.images):
-        assert image is not None
-        top = round(len(image) * (1 - _SHARE))
-        left = camera * _DISPARITY_PX
-        covered = image.copy()
-        covered[top:] = _body(image.shape)[top:, left : left + image.shape[1]]
-        images.append(covered)
-    return replace(frame, images=tuple(images))
 
 
 def _faults(run: Run) -> dict[FaultKind, bool]:
@@ -53,7 +24,7 @@ _HANDLED = {FaultKind.IMAGE_FIXED_FEATURES: True}
 
 
 def test_a_body_does_not_hold_the_path_in_stereo(recording: Recording, stereo: Run) -> None:
-    run = track(recording.rig, [_with_body(frame) for frame in recording.frames])
+    run = track(recording.rig, [with_body(frame) for frame in recording.frames])
     assert _faults(run) == _HANDLED
     assert run.numbers == stereo.numbers
     clean, _ = aligned(stereo, recording, with_scale=False)
@@ -62,7 +33,7 @@ def test_a_body_does_not_hold_the_path_in_stereo(recording: Recording, stereo: R
 
 
 def test_a_body_does_not_hold_the_path_in_mono(recording: Recording, mono: Run) -> None:
-    run = track(recording.mono_rig, [_with_body(frame) for frame in recording.mono()])
+    run = track(recording.mono_rig, [with_body(frame) for frame in recording.mono()])
     assert _faults(run) == _HANDLED
     assert len(run.numbers) > 0.7 * len(mono.numbers)
     ate, _ = aligned(run, recording, with_scale=True)

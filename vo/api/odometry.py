@@ -85,7 +85,8 @@ class Odometry:
             right: image of camera 1 at the same time, None if it is missing.
             depth: (H, W) of camera 0, as float metres or uint16 millimetres; 0, negative and NaN
                 where unknown.
-            mask: (H, W) bool or uint8, nonzero where the left image may be used.
+            mask: (H, W) bool or uint8, nonzero where the left image may be used, beside the masks
+                of all frames (section `masks` of the settings).
 
         Raises:
             InputError: a value is of the wrong type, shape, size or order; the next call goes on.
@@ -151,6 +152,7 @@ class Odometry:
                 unpaired=self._unpaired,
                 wall_s=time.perf_counter() - self._begun,
                 calibration=self._odometry.calibration_errors,
+                hidden=self._odometry.hidden,
             )
             return summarise(state)
 

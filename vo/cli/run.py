@@ -99,6 +99,36 @@ Overrides = Annotated[
         rich_help_panel=_ODOMETRY,
     ),
 ]
+Masks = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--mask",
+        metavar="FILE",
+        help="Image of the size of the recorded (not rectified) images: where it is black (0) "
+        "they are not used, elsewhere they are. Stereo: --mask left.png --mask right.png.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+Ignored = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--ignore",
+        metavar="AREA",
+        help="Do not use this area, such as the robot's own body or burnt-in text: x,y,width,"
+        "height or a polygon x1,y1,x2,y2,x3,y3,…, in pixels of the recorded left image; right: or "
+        "both: before it for others. Repeatable.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+Regions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--roi",
+        metavar="AREA",
+        help="Use only this area (region of interest); as --ignore.",
+        rich_help_panel=options.INPUT,
+    ),
+]
 Threads = Annotated[
     int | None,
     typer.Option(
@@ -213,6 +243,9 @@ def run_command(
     start: options.Start = 0,
     end: options.End = None,
     stride: options.Stride = 1,
+    mask: Masks = None,
+    ignore: Ignored = None,
+    roi: Regions = None,
     config: Config = "default",
     overrides: Overrides = None,
     threads: Threads = None,
@@ -258,6 +291,10 @@ def run_command(
 
       vo run camera:0 -o out/ --calibration camera.yaml --serve
 
+    Leave out the car's own bonnet and burnt-in text (see docs/recordings.md):
+
+      vo run drive.mp4 -o out/ --mask bonnet.png --ignore 0,0,400,24
+
     Use it in a script, and let it fail unless nearly all frames have a pose:
 
       vo run my_sequence/ -o out/ --json --fail-under 95% > summary.json
@@ -293,7 +330,12 @@ def run_command(
                 duration,
                 record,
             ),
-            Settings(config, tuple(overrides or ()), threads),
+            Settings(
+                config,
+                tuple(overrides or ()),
+                threads,
+                {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
+            ),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
                 output, mcap, colmap, ply, begun if profile else None, quiet, tuple(poses or ())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -31,17 +33,19 @@ class Input(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Settings of the odometry."""
+    """Settings of the odometry; `masks` are texts of that section by key, empty if not given."""
 
     config: str
     overrides: tuple[str, ...]
     threads: int | None
+    masks: Mapping[str, Sequence[str]]
 
     @property
     def all_overrides(self) -> list[str]:
-        """Overrides of settings, including the number of threads."""
+        """Overrides of settings, including the number of threads and masks."""
         threads = [] if self.threads is None else [f"threads={self.threads}"]
-        return [*self.overrides, *threads]
+        masks = [f"masks.{k}={json.dumps(texts)}" for k, texts in self.masks.items() if texts]
+        return [*self.overrides, *threads, *masks]
 
 
 class Visualisation(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,6 +67,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
     speed = f"{summary.frames_per_s:.1f} frames/s, {summary.wall_s:.1f} s"
     facts = [
         ("source", f"{summary.facts.source} ({kind})"),
+        *([("masks", _masks(summary.hidden))] if any(summary.hidden) else []),
         ("frames", _frames(summary)),
         ("tracked", f"{summary.tracked} ({_percent(summary.tracked, summary.frames)})"),
         *([("between", f"{summary.interpolated} interpolated")] if summary.interpolated else []),
@@ -84,6 +85,13 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
     if summary.profile is not None:
         facts.append(("profile", _profile(summary.profile)))
     return facts
+
+
+def _masks(hidden: Sequence[float]) -> str:
+    if len(hidden) == 1:
+        return f"{hidden[0]:.1%} of the images not used"
+    parts = [f"{r:.1%} of the {side}" for r, side in zip(hidden, ("left", "right"), strict=True)]
+    return f"{' and '.join(parts)} images not used"
 
 
 def _files(files: WrittenFiles) -> list[tuple[str, str]]:

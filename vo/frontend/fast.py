@@ -31,19 +31,26 @@ class FastGrid:
         self._thresholds = threshold, low_threshold
         self._border = border
 
-    def detect(self, image: Bytes, count: int) -> tuple[NDArray[np.int32], Floats32]:
+    def detect(
+        self, image: Bytes, count: int, mask: Bytes | None = None
+    ) -> tuple[NDArray[np.int32], Floats32]:
         """Pixels x, y (N, 2) and scores (N,) of at most `count` corners of an (H, W) uint8 image.
 
-        The score is the highest threshold at which the pixel is still a corner.
+        The score is the highest threshold at which the pixel is still a corner. Where a mask (H, W)
+        is 0 there are none, and as many more elsewhere.
         """
         height, width = image.shape
         b = self._border
         if count == 0 or min(height, width) <= 2 * b:
             return np.empty((0, 2), np.int32), np.empty(0, np.float32)
-        size = int(max(np.sqrt(width * height * _PER_CELL / count), 12.0))
+        area = width * height if mask is None else int(np.count_nonzero(mask))
+        size = int(max(np.sqrt(area * _PER_CELL / count), 12.0))
         edge = b - _RING
         inner = np.ascontiguousarray(image[edge : height - edge, edge : width - edge])
-        xy, scores = _best_corners(_contrasts(inner), *self._thresholds, size, count)
+        contrasts = _contrasts(inner)
+        if mask is not None:
+            contrasts[mask[b : height - b, b : width - b] == 0] = 0
+        xy, scores = _best_corners(contrasts, *self._thresholds, size, count)
         return xy + np.int32(b), scores
 
 

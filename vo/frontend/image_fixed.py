@@ -129,6 +129,7 @@ class ImageFixedDetector:
         pyramid: tuple[Bytes, ...],
         shape: tuple[int, ...],
         points: PairPoints | None = None,
+        used: Bytes | None = None,
     ) -> ImageFixed:
         """Add an image.
 
@@ -136,13 +137,14 @@ class ImageFixedDetector:
             pyramid: the rectified image at 1/2 of its size, first, and smaller.
             shape: (H, W).
             points: of the newest pair before it that was matched.
+            used: (H, W) uint8, 0 where the image is not used anyway; None to use all of it.
         """
         self._points = points
         self._frames += 1
         if self._frames > self._next and pyramid:
             self._shape = shape
             self._next = self._frames - 1 + self._step()
-            self._compare(gradients_of(pyramid[0]))
+            self._compare(gradients_of(pyramid[0]), used)
         return self.found
 
     def _step(self) -> int:
@@ -150,7 +152,7 @@ class ImageFixedDetector:
             return _STEPS[0]
         return _STEPS[1 if self._comparisons < 2 * _SETTLED else 2]
 
-    def _compare(self, now: Gradients) -> None:
+    def _compare(self, now: Gradients, used: Bytes | None) -> None:
         """Compare with the last image from which enough has moved."""
         if self._last is None:
             self._last = now
@@ -160,7 +162,7 @@ class ImageFixedDetector:
             self._fixed = np.zeros(now.u.shape, bool)
             self._has_moved = np.zeros(now.u.shape, bool)
             return
-        textured = _textured(now)
+        textured = _textured(now) if used is None else _textured(now) & _of_half_size(used)
         count = int(np.count_nonzero(textured))
         if count < _MIN_TEXTURED * textured.size:
             return
@@ -289,6 +291,13 @@ def _is_everywhere(fixed: Bools) -> bool:
     top, bottom = fixed[:third].mean(), fixed[-third:].mean()
     is_large = fixed.mean() > _MAX_AREA or top > _MAX_TOP
     return bool(is_large or min(top, bottom) > _MAX_OPPOSITE)
+
+
+def _of_half_size(used: Bytes) -> Bools:
+    """(H / 2, W / 2) where a mask (H, W) hides nothing."""
+    height, width = used.shape
+    half = cv2.resize(used, (width // 2, height // 2), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(half > 0)
 
 
 def _textured(gradients: Gradients) -> Bools:

@@ -14,6 +14,7 @@ from vo.compiling.function import compiled
 from vo.config import FeaturesConfig
 from vo.frontend.contracts import DescriptorFormat
 from vo.frontend.fast import FastGrid
+from vo.geometry.image_masks import used_at
 from vo.types import Bytes, Floats, Floats32, Keypoints
 
 _RADIUS = 15  # of the described patch, in pixels of its pyramid level
@@ -50,16 +51,16 @@ class OrbExtractor:
 
         Args:
             image: (H, W) uint8.
-            mask: (H, W) uint8, 0 where features are dropped; None for the whole image.
+            mask: (H, W) uint8, 0 where no feature may lie; None for the whole image.
             helper: extracts from the smaller levels, half of the work, at the same time.
         """
         full, *smaller = self._pyramid(image)
 
         def detect_smaller() -> list[Keypoints]:
-            return [self._detect_level(*s, o, image.shape) for o, s in enumerate(smaller, 1)]
+            return [self._detect_level(*s, o, image.shape, mask) for o, s in enumerate(smaller, 1)]
 
         others = None if helper is None else helper.submit(detect_smaller)
-        largest = self._detect_level(*full, 0, image.shape)
+        largest = self._detect_level(*full, 0, image.shape, mask)
         levels = [largest, *(detect_smaller() if others is None else others.result())]
         keypoints = Keypoints(
             xy=np.concatenate([k.xy for k in levels]),
@@ -85,9 +86,17 @@ class OrbExtractor:
         return levels
 
     def _detect_level(
-        self, image: Bytes, quota: int, octave: int, full_shape: tuple[int, ...]
+        self,
+        image: Bytes,
+        quota: int,
+        octave: int,
+        full_shape: tuple[int, ...],
+        mask: Bytes | None,
     ) -> Keypoints:
-        xy, scores = self._fast.detect(image, quota)
+        if mask is not None and octave:
+            size = image.shape[::-1]
+            mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+        xy, scores = self._fast.detect(image, quota, mask)
         angle, descriptor = describe_corners(image, xy)
         # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
         # are whole, so s differs a little from a power of the factor, and between u and v.
@@ -114,9 +123,7 @@ def _tables() -> tuple[Floats, tuple[Floats32, Floats32], Floats32]:
 
 def _outside_mask(keypoints: Keypoints, mask: Bytes) -> Keypoints:
     """The keypoints at whose nearest pixel the mask is not 0."""
-    u, v = np.rint(keypoints.xy).astype(np.int64).T
-    height, width = mask.shape
-    return keypoints.select(mask[v.clip(0, height - 1), u.clip(0, width - 1)] > 0)
+    return keypoints.select(used_at(mask, keypoints.xy))
 
 
 def _moment_weights() -> tuple[Floats32, Floats32]:

@@ -21,6 +21,7 @@ from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import View
 from vo.frontend.recent_frames import RecentFrames, RecordedFrame
 from vo.frontend.sharpness import BlurDetector
+from vo.frontend.static_masks import StaticMasks
 from vo.frontend.time_offset import TimeOffsetEstimator
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig
@@ -47,7 +48,7 @@ class PreprocessedFrame:
         faults: faults that the images show.
         repetition: whether the image of camera 0 repeats the one before.
         image_fixed: what stands still in images[0] while the scene moves.
-        mask: (H, W) uint8, 0 where images[0] is not to be used, or None.
+        masks: (H, W) uint8 by camera, 0 where that image is not to be used, or None.
         misled: frames before this one, to be tracked anew without such content, found just now.
     """
 
@@ -63,7 +64,7 @@ class PreprocessedFrame:
     faults: tuple[Fault, ...] = ()
     repetition: Repetition = Repetition.NONE
     image_fixed: ImageFixed = ImageFixed()
-    mask: Bytes | None = None
+    masks: tuple[Bytes | None, Bytes | None] = (None, None)
     misled: tuple[PreprocessedFrame, ...] = ()
 
     @property
@@ -121,6 +122,7 @@ class FramePreprocessor:
         extractor: extracts features.
         vertical_disparity: estimates and corrects vertical disparities of pairs.
         pair_check: refuses pairs whose images are exchanged; None for no check.
+        masks: parts of all images that are not used; None for none.
         threads: cores to use.
     """
 
@@ -130,6 +132,7 @@ class FramePreprocessor:
         extractor: FeatureExtractor,
         vertical_disparity: VerticalDisparityCorrection,
         pair_check: PairCheck | None = None,
+        masks: StaticMasks | None = None,
         *,
         threads: int,
     ) -> None:
@@ -138,6 +141,7 @@ class FramePreprocessor:
         self._extractor = extractor
         self._vertical_disparity = vertical_disparity
         self._pair_check = pair_check
+        self._masks = masks or StaticMasks(rig)
         self._repetition = RepetitionDetector()
         self._interlacing = InterlacingDetector()
         self._blur = BlurDetector()
@@ -149,6 +153,11 @@ class FramePreprocessor:
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
         ]
+
+    @property
+    def hidden(self) -> tuple[float, ...]:
+        """Ratio of the recorded images that masks of the whole run hide, by camera."""
+        return self._masks.hidden
 
     def submit(self, frame: Frame) -> LazyFuture[PreprocessedFrame]:
         """A frame to be preprocessed."""
@@ -191,7 +200,8 @@ class FramePreprocessor:
         recorded = RecordedFrame(frame, left_change.repetition, faults)
         image0 = self._rig.rectify(frame.image0, 0)
         pyramid = half_size_pyramid(image0)
-        fixed = self._image_fixed.update(pyramid, image0.shape, self._vertical_disparity.matches)
+        used, matches = self._masks.left_with(frame.mask), self._vertical_disparity.matches
+        fixed = self._image_fixed.update(pyramid, image0.shape, matches, used)
         misled = self._recent.add(recorded, fixed)
         if misled:
             self._vertical_disparity.restart()
@@ -199,14 +209,16 @@ class FramePreprocessor:
         again = tuple(self._without_fixed(each, fixed) for each in misled)
         if self._rig.is_stereo:
             self._time_offset.next_image(frame.stamp_ns, image0)
-        preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, self._pair_check)
+        mask = _joined(used, fixed.mask)
+        preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, mask, self._pair_check)
         if self.is_eager:
             preprocessed.start_features()
         return replace(preprocessed, misled=again) if again else preprocessed
 
     def _without_fixed(self, recorded: RecordedFrame, fixed: ImageFixed) -> PreprocessedFrame:
         image0 = self._rig.rectify(recorded.frame.image0, 0)
-        return self._preprocessed(recorded, image0, half_size_pyramid(image0), fixed, None)
+        mask = _joined(self._masks.left_with(recorded.frame.mask), fixed.mask)
+        return self._preprocessed(recorded, image0, half_size_pyramid(image0), fixed, mask, None)
 
     def _preprocessed(
         self,
@@ -214,10 +226,10 @@ class FramePreprocessor:
         image0: Bytes,
         pyramid: tuple[Bytes, ...],
         fixed: ImageFixed,
+        mask: Bytes | None,
         pair_check: PairCheck | None,
     ) -> PreprocessedFrame:
         frame = recorded.frame
-        mask = fixed.mask if frame.mask is None else self._combined(frame.mask, fixed.mask)
         images, features = self._images_and_features(frame, image0, mask, pair_check)
         return PreprocessedFrame(
             frame.index,
@@ -235,14 +247,12 @@ class FramePreprocessor:
             + recorded.faults,
             recorded.repetition,
             fixed,
-            mask,
+            (mask, self._right_mask()),
         )
 
-    def _combined(self, recorded: Bytes, fixed: Bytes | None) -> Bytes:
-        """A mask at the pixels of the rectified image, with that of fixed content."""
-        rectified = self._rig.rectify(recorded, 0)
-        mask = np.where(rectified == 255, np.uint8(255), np.uint8(0))  # no pixel between
-        return mask if fixed is None else np.minimum(mask, fixed)
+    def _right_mask(self) -> Bytes | None:
+        """The mask of camera 1 as its images are rectified now."""
+        return self._masks.right(self._vertical_disparity.aligned_rig())
 
     def _images_and_features(
         self, frame: Frame, image0: Bytes, mask: Bytes | None, pair_check: PairCheck | None
@@ -284,8 +294,15 @@ class FramePreprocessor:
         return keypoints if inside.all() else keypoints.select(inside)
 
     def _extract_right(self, image: Bytes) -> LazyFuture[Keypoints]:
-        pool = self._pools[1] if self._pools else None
-        return LazyFuture(lambda: self._extractor.extract(image), pool)
+        pool, mask = self._pools[1] if self._pools else None, self._right_mask()
+        return LazyFuture(lambda: self._extractor.extract(image, mask), pool)
+
+
+def _joined(mask: Bytes | None, other: Bytes | None) -> Bytes | None:
+    """A mask (H, W) that hides what either of two hides."""
+    if mask is None or other is None:
+        return other if mask is None else mask
+    return np.minimum(mask, other)
 
 
 def _compare(pair_check: PairCheck | None, frame: Frame) -> bool:

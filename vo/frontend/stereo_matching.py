@@ -9,10 +9,11 @@ from vo.frontend.contracts import EpipolarSegments, FeatureExtractor, Matcher, f
 from vo.frontend.depth import disparity_from_depth
 from vo.frontend.patch_alignment import PatchAligner, patches_of
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.geometry.image_masks import used_at
 from vo.geometry.neighbours import NEIGHBOURS, median_of_nearest
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.surfaces import inverse_depth_slopes, left_from_right
-from vo.types import Bytes, Floats, Ints
+from vo.types import Floats, Ints
 
 _RATIO = 0.9  # ratio test; looser than in tracking, as the search is along one row
 # Maximum difference between a measured disparity and its guess: pixels, and ratio of the guess.
@@ -66,7 +67,7 @@ class StereoMatcher:
             return disparity_from_depth(frame.depth, xy, rig)
         if frame.right is None:
             return np.full(len(xy), np.nan)
-        return self._measure_in_pair(frame.image0, frame.right[0], xy, guess, rig, slope)
+        return self._measure_in_pair(frame, xy, guess, rig, slope)
 
     def disparities(self, frame: PreprocessedFrame, rows: Ints, rig: RectifiedRig) -> Floats:
         """Sub-pixel disparities (n,) of some features of a frame, NaN where there is none."""
@@ -75,7 +76,7 @@ class StereoMatcher:
         if frame.depth is not None:
             return disparity_from_depth(frame.depth, xy, rig)
         assert frame.right is not None
-        image1, right = frame.right[0], frame.right[1].result()
+        right = frame.right[1].result()
         width = frame.image0.shape[1]
         max_offset = self._config.max_row_offset_px
         region = EpipolarSegments(
@@ -94,20 +95,20 @@ class StereoMatcher:
         disparity = np.full(len(rows), np.nan)
         right_u = right.xy[matches.train, 0].astype(np.float64)
         guess = xy[found, 0] - right_u - rig.disparity_error(right_u)
-        image0 = frame.image0
-        disparity[found] = self._measure_in_pair(image0, image1, xy[found], guess, rig)
-        disparity = self._fill_from_neighbours(disparity, xy, image0, image1, rig)
-        return self._measure_on_surfaces(disparity, xy, image0, image1, rig)
+        disparity[found] = self._measure_in_pair(frame, xy[found], guess, rig)
+        disparity = self._fill_from_neighbours(disparity, xy, frame, rig)
+        return self._measure_on_surfaces(disparity, xy, frame, rig)
 
     def _measure_in_pair(
         self,
-        image0: Bytes,
-        image1: Bytes,
+        frame: PreprocessedFrame,
         xy: Floats,
         guess: Floats,
         rig: RectifiedRig,
         slope: Floats | None = None,
     ) -> Floats:
+        assert frame.right is not None
+        image0, image1, mask = frame.image0, frame.right[0], frame.masks[1]
         expected = guess + rig.disparity_error(xy[:, 0] - guess)
         start = xy - np.column_stack([expected, np.zeros(len(guess))])
         shear = None if slope is None else left_from_right(guess, slope)
@@ -117,10 +118,12 @@ class StereoMatcher:
         good &= np.abs(found.xy[:, 1] - xy[:, 1]) <= self._config.max_row_offset_px
         max_change = np.maximum(_MAX_CHANGE_PX, _MAX_CHANGE_RATIO * guess)
         good &= (disparity > 0) & (np.abs(disparity - guess) <= max_change)
+        if mask is not None:
+            good[good] = used_at(mask, found.xy[good])
         return np.where(good, disparity, np.nan)
 
     def _fill_from_neighbours(
-        self, disparity: Floats, xy: Floats, image0: Bytes, image1: Bytes, rig: RectifiedRig
+        self, disparity: Floats, xy: Floats, frame: PreprocessedFrame, rig: RectifiedRig
     ) -> Floats:
         """Try features without a match, such as those in grass, at their neighbours' disparity."""
         is_known = ~np.isnan(disparity)
@@ -129,17 +132,17 @@ class StereoMatcher:
             return disparity
         guess = median_of_nearest(xy[missing], xy[known], disparity[known])
         filled = disparity.copy()
-        filled[missing] = self._measure_in_pair(image0, image1, xy[missing], guess, rig)
+        filled[missing] = self._measure_in_pair(frame, xy[missing], guess, rig)
         return filled
 
     def _measure_on_surfaces(
-        self, disparity: Floats, xy: Floats, image0: Bytes, image1: Bytes, rig: RectifiedRig
+        self, disparity: Floats, xy: Floats, frame: PreprocessedFrame, rig: RectifiedRig
     ) -> Floats:
         """Measure disparities again with the shear that follows from neighbouring disparities."""
         known = np.flatnonzero(disparity > 0.0)
         at, guess = xy[known], disparity[known]
         slope = inverse_depth_slopes(rig.undistort(at), guess, np.arange(len(known)))
-        again = self._measure_in_pair(image0, image1, at, guess, rig, slope)
+        again = self._measure_in_pair(frame, at, guess, rig, slope)
         measured = disparity.copy()
         measured[known] = np.where(np.isnan(again), guess, again)
         return measured

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.geometry.rectification import RectifiedRig
-from vo.types import Bools, Floats, Ints, Keypoints
+from vo.types import Bools, Bytes, Floats, Ints, Keypoints
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class Keyframe:
         image_xy: (n, 2) the same in its rectified image.
         disparity: (n,) pixels, NaN without a measurement.
         sigma_px: (n,) standard deviation of xy.
+        mask: (H, W) uint8, 0 where its image is not to be used, or None.
     """
 
     id: int
@@ -85,6 +86,7 @@ class Keyframe:
     image_xy: Floats
     disparity: Floats
     sigma_px: Floats
+    mask: Bytes | None = None
 
     def undistort(self, rig: RectifiedRig) -> None:
         """Compute ideal pixels anew, after the radial distortion was corrected."""

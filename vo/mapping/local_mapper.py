@@ -78,7 +78,11 @@ class LocalMapper:
     ) -> Keyframe:
         """Add a keyframe without observations; `free` (N,) marks features without a landmark."""
         number = FrameId(frame.index, frame.stamp_ns, segment)
-        return self._map.add_keyframe(number, frame.image0, world_from_cam, frame.keypoints, free)
+        keyframe = self._map.add_keyframe(
+            number, frame.image0, world_from_cam, frame.keypoints, free
+        )
+        keyframe.mask = frame.masks[0]
+        return keyframe
 
     @timed("map")
     def add_keyframe(

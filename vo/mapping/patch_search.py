@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.frontend.patch_alignment import PatchAligner, Patches
+from vo.geometry.image_masks import used_at
 from vo.geometry.patch_prediction import predict_patches
 from vo.mapping.local_map import LocalMap
-from vo.types import Floats, Ints
+from vo.types import Bools, Floats, Ints
 
 BORDER_PX = 8.0  # of an image, where no patch is searched
 MAX_SCALE = 2.0  # maximum size ratio of a patch and its reference
@@ -44,7 +45,8 @@ def find_patches(
     kept = np.flatnonzero((seen.scale < MAX_SCALE) & (seen.scale > 1.0 / MAX_SCALE))
     expected = rig.distort(seen.xy[kept])
     farthest = (rig.width - BORDER_PX, rig.height - BORDER_PX)
-    inside = ((expected >= BORDER_PX) & (expected < farthest)).all(axis=1)
+    inside = np.flatnonzero(((expected >= BORDER_PX) & (expected < farthest)).all(axis=1))
+    inside = inside[_shown(local_map, camera[kept[inside]], expected[inside])]
     kept, expected = kept[inside], expected[inside]
     rows, camera = rows[kept], camera[kept]
     references = Patches(
@@ -59,3 +61,13 @@ def find_patches(
     good = patches.is_found(found) & (shift <= patches.max_shift_px)
     good &= np.isfinite(ideal).all(axis=1)
     return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])
+
+
+def _shown(local_map: LocalMap, camera: Ints, xy: Floats) -> Bools:
+    """(N,) whether pixels (N, 2) in the images of keyframes (N,) are where these are used."""
+    shown = np.ones(len(xy), dtype=bool)
+    for number, keyframe in enumerate(local_map.keyframes):
+        if keyframe.mask is not None:
+            here = camera == number
+            shown[here] = used_at(keyframe.mask, xy[here])
+    return shown

@@ -30,6 +30,7 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
+from vo.recording.dimming import dimmed
 from vo.recording.durable_file import DurableFile
 from vo.recording.keyframe_history import KeyframeHistory
 from vo.recording.reconstruction import camera_of
@@ -187,7 +188,8 @@ class McapRecorder:
 
     def _write_image(self, view: View) -> None:
         stamp_ns, camera = self._stamp_ns, camera_of(view)
-        done, data = cv2.imencode(".jpg", view.image0, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        shown = dimmed(view.image0, view.masks[0])
+        done, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         assert done
         self._write("/image", CompressedImageMessage(stamp_ns, _IMAGE0, "jpeg", data.tobytes()))
         projection = np.column_stack([view.camera_matrix, np.zeros(3)])

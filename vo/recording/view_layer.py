@@ -9,6 +9,7 @@ import rerun as rr
 from vo.geometry.transforms import make_transform, quat_xyzw_from_rotation
 from vo.recording import entities
 from vo.recording.batch import Batch, Strips
+from vo.recording.dimming import dimmed
 from vo.recording.epipolar import epipolar_lines
 from vo.recording.recorder import ImageChoice
 from vo.recording.timelines import Moment
@@ -57,8 +58,10 @@ class ViewLayer:
         if not self._cameras_known:
             self._cameras_known = True
             self._log_cameras(view)
-        self._add_image(moment, entities.LEFT_IMAGE, view.image0, _LEFT_QUALITY)
-        self._add_image(moment, entities.RIGHT_IMAGE, view.image1, _RIGHT_QUALITY)
+        left, right = dimmed(view.image0, view.masks[0]), view.image1
+        right = None if right is None else dimmed(right, view.masks[1])
+        self._add_image(moment, entities.LEFT_IMAGE, left, _LEFT_QUALITY)
+        self._add_image(moment, entities.RIGHT_IMAGE, right, _RIGHT_QUALITY)
         self._add_features(moment, view)
         self._add_matches(moment, view)
         self._add_epipolar(moment, view, estimate.world_from_cam0)

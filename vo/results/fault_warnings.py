@@ -12,10 +12,11 @@ from vo.results.fault_log import FaultRecord
 _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     FaultKind.IMAGE_FIXED_FEATURES: (
         "{value:.0%} of the image does not move with the scene (the robot's own body, text, dirt, "
-        "a dark border, or a reflection?) and is left out: {frames}",
+        "a dark border, or a reflection?) and is left out: {frames}; --mask or --ignore leave it "
+        "out from the start",
         "{value:.0%} of the image does not move with the scene (the robot's own body, text, dirt, "
-        "a dark border, or a reflection?), too much for the rest to decide: {frames}; crop the "
-        "images",
+        "a dark border, or a reflection?), too much for the rest to decide: {frames}; leave it out "
+        "by --mask or --ignore, unless it is the scene",
     ),
     FaultKind.TWO_MOTIONS: (
         "two motions explain much of the image (a large moving object?); the path follows the one "

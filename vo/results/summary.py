@@ -73,6 +73,7 @@ class RunState:
         error: message of the error that ended the run, None without one.
         profile: None if it was not requested.
         live: None for a recording.
+        hidden: ratio of the recorded images that masks hide, by camera.
     """
 
     facts: RunFacts
@@ -87,6 +88,7 @@ class RunState:
     error: str | None = None
     profile: Profile | None = None
     live: LiveState | None = None
+    hidden: tuple[float, ...] = ()
 
 
 class Segment(NamedTuple):
@@ -135,6 +137,7 @@ class Summary:
     faults: tuple[FaultRecord, ...] = ()
     profile: Profile | None = None
     live: LiveSummary | None = None
+    hidden: tuple[float, ...] = ()
 
     @property
     def length_unit(self) -> str:
@@ -181,6 +184,7 @@ class Summary:
             "right_camera": None if right is None else _rounded(right),
             "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),
+            "hidden": list(self.hidden),
             "skipped": [asdict(s) for s in self.skipped],
             "faults": [record.to_dict() for record in self.faults],
             "without_pose": [_range_fields(r) for r in self.without_pose],
@@ -236,6 +240,7 @@ def summarise(state: RunState) -> Summary:
         lens_error=state.calibration.lens_error,
         main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
+        hidden=tuple(round(ratio, 4) for ratio in state.hidden),
         profile=state.profile,
         live=None
         if state.live is None

@@ -8,7 +8,6 @@ Prefetching, size checks, skipped frames and slices are implemented in `vo.sourc
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from vo.bounded_files import read_bytes
 from vo.errors import SourceError
 from vo.formats import png
+from vo.formats.image_decoding import is_complete, quiet_opencv
 from vo.formats.image_header import MAX_PIXELS, stated_size
 
 Pixels = NDArray[np.unsignedinteger]
@@ -31,9 +31,6 @@ ImageKind = Literal["grey", "colour", "recorded"]
 recorded in colour; `recorded`, unchanged, possibly with 16 bits."""
 
 _MAX_BYTES = 512 * 2**20
-_JPEG = b"\xff\xd8"
-_JPEG_END = b"\xff\xd9"
-_JPEG_SCAN = 0xDA
 _BIT_DEPTHS = (8, 10, 12, 14, 16)
 _AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 _FLAGS = {False: _AS_STORED, True: _AS_STORED | cv2.IMREAD_ANYCOLOR}
@@ -89,32 +86,6 @@ class ImageFile:
                 f"image {self.path} cannot be read: {error.strerror or error}"
             ) from error
         return decode_image(data, self.name, colour)
-
-
-class _QuietOpenCv:
-    """Context manager that silences OpenCV's log, which would repeat our errors; thread-safe."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._inside = 0
-        self._level = 0
-
-    def __enter__(self) -> None:
-        with self._lock:
-            self._inside += 1
-            if self._inside == 1:
-                silent = cv2.utils.logging.LOG_LEVEL_SILENT
-                self._level = cv2.utils.logging.setLogLevel(silent)
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0:
-                cv2.utils.logging.setLogLevel(self._level)
-
-
-quiet_opencv = _QuietOpenCv()
-"""Silences OpenCV's log inside a `with` block."""
 
 
 def estimate_bit_depth(images: Sequence[StoredImage]) -> int:
@@ -182,22 +153,3 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     if image.dtype not in (np.uint8, np.uint16):
         raise SourceError(f"image {name} has {image.dtype} pixels; 8 or 16 bits are supported")
     return cast("Pixels", image)
-
-
-def is_complete(data: bytes) -> bool:
-    """Whether a PNG or JPEG file is intact up to its end marker; True for other formats."""
-    if data.startswith(png.SIGNATURE):
-        return png.is_complete(data)
-    if data.startswith(_JPEG):
-        return _jpeg_is_complete(data)
-    return True
-
-
-def _jpeg_is_complete(data: bytes) -> bool:
-    """Find the end marker after the start of the first scan, past any embedded thumbnail."""
-    position = len(_JPEG)
-    while position + 4 <= len(data) and data[position] == 0xFF:
-        if data[position + 1] == _JPEG_SCAN:
-            return data.find(_JPEG_END, position) >= 0
-        position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
-    return False

@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 from vo.errors import SourceError
+from vo.formats.image_decoding import quiet_opencv
 from vo.formats.image_header import MAX_PIXELS
-from vo.sources.images import quiet_opencv
 from vo.types import Bytes
 
 _log = logging.getLogger(__name__)

@@ -6,6 +6,7 @@ import numpy as np
 
 from vo.frontend.optical_flow import follow
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.geometry.image_masks import used_at
 from vo.mapping.lookup import rows_of
 from vo.mapping.tracked_frame import Observations
 from vo.tracking.landmark_alignment import LandmarkAligner
@@ -40,6 +41,8 @@ class KltAligner(LandmarkAligner):
         chosen = np.flatnonzero((in_last < 0) & (in_keyframe >= 0))
         source = self._map.images[newest.slot], newest.image_xy[in_keyframe[chosen]]
         self._follow(source, frame.image0, visible.image_xy, chosen, (xy, found))
+        if frame.masks[0] is not None:
+            found[found] = used_at(frame.masks[0], xy[found])
         ideal = self._map.rig.undistort(xy)
         at = np.flatnonzero(found & np.isfinite(ideal).all(axis=1))
         return Observations(

@@ -9,14 +9,16 @@ import numpy as np
 
 from vo.frontend.camera_alignment import align_sparse
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.geometry.image_masks import used_at
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import LocalMap
 from vo.tracking.last_frame import LastFrame
-from vo.types import Floats
+from vo.types import Bools, Bytes, Floats
 
 _MAX_LANDMARKS = 200  # evenly chosen
 _MIN_LANDMARKS = 20
+_FAR_PX = 1e6  # beyond any image
 _MIN_SCORE, _MIN_SCORE_RATIO = 0.7, 0.3  # minimum ratio of patches that correlate as much
 
 
@@ -44,6 +46,11 @@ def sparse_image_alignment(
         return None
     points = transform_points(inverse(world_from_last), local_map.xyz[rows[seen]])
     start = inverse(predicted) @ world_from_last
+    if frame.masks[0] is not None:
+        kept = _shown(transform_points(start, points), frame.masks[0], rig)
+        seen, points = seen[kept], points[kept]
+        if len(seen) < _MIN_LANDMARKS:
+            return None
     found = align_sparse(
         last.frame.pyramid,
         last.image_xy[seen],
@@ -56,6 +63,16 @@ def sparse_image_alignment(
     if float(np.mean(found.score >= _MIN_SCORE)) < _MIN_SCORE_RATIO:
         return None
     return inverse(found.target_from_reference)
+
+
+def _shown(points: Floats, mask: Bytes, rig: RectifiedRig) -> Bools:
+    """(N,) whether points (N, 3) before the camera lie where a mask hides nothing."""
+    kept = points[:, 2] > 0.0
+    xy = rig.distort(rig.project(points[kept]))
+    is_near = (np.abs(xy) < _FAR_PX).all(axis=1)
+    kept[kept] = is_near
+    kept[kept] = used_at(mask, xy[is_near])
+    return kept
 
 
 def _distortion_near(xy: Floats, rig: RectifiedRig) -> Floats:

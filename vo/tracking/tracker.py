@@ -274,7 +274,7 @@ class Tracker:
         different times don't.
         """
         visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
-        visible = self._aligner.candidates(outside(frame.mask, visible), self.last)
+        visible = self._aligner.candidates(outside(frame.masks[0], visible), self.last)
         observed = self._aligner.align(visible, frame, self.last)
         if not is_alone:
             observed = self._aligner.with_disparity(observed, world_from_cam, frame)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from vo.geometry.image_masks import used_at
 from vo.geometry.patch_prediction import points_in_view, predict_patches
 from vo.mapping.local_map import LocalMap
 from vo.mapping.patch_search import BORDER_PX, MAX_SCALE
@@ -76,6 +77,4 @@ def outside(mask: Bytes | None, visible: Visible) -> Visible:
     """The landmarks whose predicted pixels are not where a mask (H, W) is 0; all without a mask."""
     if mask is None:
         return visible
-    u, v = np.rint(visible.image_xy).astype(np.int64).T
-    kept = np.flatnonzero(mask[v.clip(0, mask.shape[0] - 1), u.clip(0, mask.shape[1] - 1)])
-    return visible.select(kept)
+    return visible.select(np.flatnonzero(used_at(mask, visible.image_xy)))

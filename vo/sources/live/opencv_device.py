@@ -11,7 +11,8 @@ import cv2
 
 from vo.errors import SourceError
 from vo.formats.calibration import ImageSize
-from vo.sources.images import Pixels, quiet_opencv
+from vo.formats.image_decoding import quiet_opencv
+from vo.sources.images import Pixels
 from vo.sources.live.address import without_credentials
 from vo.sources.live.clock import CaptureStamps, HostClock
 from vo.sources.live.device import CapturedImages, as_grey
