@@ -29,6 +29,8 @@ def test_a_mask_and_areas_are_in_the_summary_and_in_the_settings(
     hidden = (96 * 20 + 6 * 44) / ALL
     assert summary_in(out)["hidden"] == [round(hidden, 4)]
     assert f"{hidden:.1%} of the images not used" in result.stdout
+    (again,) = [line for line in result.stdout.splitlines() if line.startswith("next: vo run")]
+    assert f"--config {out / 'config.yaml'}" in again
     settings = yaml.safe_load((out / "config.yaml").read_text(encoding="utf-8"))
     assert settings["masks"] == {
         "files": [str(mask)],

@@ -129,6 +129,8 @@ def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str
         if summary.facts.calibration is not None:
             again += f" --calibration {_quoted(summary.facts.calibration)}"
         again += "".join(f" --topic {_quoted(topic)}" for topic in summary.facts.topics)
+        if any(summary.hidden):  # the settings of the run have its masks
+            again += f" --config {_quoted(output / 'config.yaml')}"
         commands.append(f"{again} --rrd {_quoted(output / 'run.rrd')}")
     return commands
 
