@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,7 +50,7 @@ class FastGrid:
         inner = np.ascontiguousarray(image[edge : height - edge, edge : width - edge])
         contrasts = _contrasts(inner)
         if mask is not None:
-            contrasts[mask[b : height - b, b : width - b] == 0] = 0
+            contrasts = np.asarray(cv2.copyTo(contrasts, mask[b : height - b, b : width - b]))
         xy, scores = _best_corners(contrasts, *self._thresholds, size, count)
         return xy + np.int32(b), scores
 
