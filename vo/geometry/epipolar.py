@@ -105,8 +105,14 @@ def transfer_errors(homography: Floats, first: Floats, second: Floats) -> tuple[
     return _transfer(homography, first, second), _transfer(backwards, second, first)
 
 
-def _transfer(homography: Floats, source: Floats, target: Floats) -> Floats:
-    mapped = np.column_stack([source, np.ones(len(source))]) @ homography.T
+def transferred(homography: Floats, pixels: Floats) -> Floats:
+    """Pixels (N, 2) as a homography maps them; not finite on its line at infinity."""
+    mapped = np.column_stack([pixels, np.ones(len(pixels))]) @ homography.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.sum((mapped[:, :2] / mapped[:, 2:] - target) ** 2, axis=1)
+        return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def _transfer(homography: Floats, source: Floats, target: Floats) -> Floats:
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = np.sum((transferred(homography, source) - target) ** 2, axis=1)
     return np.where(np.isfinite(error), error, np.inf)
