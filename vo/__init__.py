@@ -14,7 +14,9 @@ from vo.compiling.processor import use_common_instructions
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
+    from vo import features
     from vo.api.functions import evaluate, run
+    from vo.api.matching import match
     from vo.api.odometry import Odometry
     from vo.calibration_errors import CalibrationErrors
     from vo.config import Config, load_config
@@ -73,7 +75,9 @@ _DEFINED_IN = {
     "Trajectory": "vo.types:Trajectory",
     "VoError": "vo.errors:VoError",
     "evaluate": "vo.api.functions:evaluate",
+    "features": "vo.features",
     "load_config": "vo.config:load_config",
+    "match": "vo.api.matching:match",
     "open": "vo.sources.registry:open_source",
     "quat_xyzw_from_rotation": "vo.geometry.transforms:quat_xyzw_from_rotation",
     "read_calibration": "vo.formats.calibration:read_calibration",
@@ -115,7 +119,9 @@ __all__ = [
     "VoError",
     "__version__",
     "evaluate",
+    "features",
     "load_config",
+    "match",
     "open",
     "quat_xyzw_from_rotation",
     "read_calibration",
@@ -133,7 +139,9 @@ def __getattr__(name: str) -> Any:
     # Before numpy and the compiler are loaded, if they are not yet: as `vo run` does.
     use_common_instructions()
     module, _, attribute = place.partition(":")
-    value = getattr(importlib.import_module(module), attribute)
+    value: Any = importlib.import_module(module)
+    if attribute:
+        value = getattr(value, attribute)
     globals()[name] = value
     return value
 

@@ -52,7 +52,7 @@ def test_formats_and_pictures_are_called_the_same(name: str) -> None:
     writes_a_recording = name in ("convert", "synth")
     assert ("format" in options) == reads_a_recording
     assert ("to" in options) == writes_a_recording
-    assert ("picture" in options) == (name in ("eval", "info", "report", "calibrate"))
+    assert ("picture" in options) == (name in ("eval", "info", "report", "calibrate", "match"))
 
 
 def test_the_package_runs_as_a_module(tmp_path: Path) -> None:

@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import operator
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
-import cv2
 import numpy as np
 
-from vo.api.grey_levels import Pixels, RunningStretch
 from vo.config import Config, load_config
 from vo.errors import CalibrationError, ConfigError, InputError
 from vo.formats.calibration import Calibration, read_calibration
+from vo.given_images import (
+    ColourOrder,
+    array_of,
+    check_colour,
+    image_array,
+    in_grey,
+    kind_of,
+    shown,
+)
+from vo.grey_stretch import Pixels, RunningStretch
 from vo.types import Bytes, Camera, Floats32, Frame, Rig
-
-ColourOrder = Literal["bgr", "rgb"]
 
 _MAX_STAMP_NS = 2**63 - 1
 _MAX_DEPTH_M = 1e6
 _MILLIMETRES = np.float32(1e-3)
-_TO_GREY = {
-    ("bgr", 3): cv2.COLOR_BGR2GRAY,
-    ("rgb", 3): cv2.COLOR_RGB2GRAY,
-    ("bgr", 4): cv2.COLOR_BGRA2GRAY,
-    ("rgb", 4): cv2.COLOR_RGBA2GRAY,
-}
 
 
 def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth: bool) -> Rig:
@@ -45,11 +45,11 @@ def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth:
     rig = calibration.rig if isinstance(calibration, Calibration) else calibration
     if not isinstance(rig, Rig):
         raise ConfigError(
-            f"calibration is {_kind(calibration)}; give a file, vo.read_calibration(file), the rig "
-            "of vo.open(recording), or a vo.Rig"
+            f"calibration is {kind_of(calibration)}; give a file, vo.read_calibration(file), the "
+            "rig of vo.open(recording), or a vo.Rig"
         )
     if mode not in ("auto", "mono", "stereo"):
-        raise ConfigError(f"mode is {_shown(mode)}; give 'auto', 'mono' or 'stereo'")
+        raise ConfigError(f"mode is {shown(mode)}; give 'auto', 'mono' or 'stereo'")
     if mode == "stereo" and not rig.is_stereo:
         raise CalibrationError("mode is 'stereo', but the calibration has one camera only")
     if mode == "stereo" and has_depth:
@@ -73,7 +73,7 @@ def config_of(config: Config | str | Path, overrides: Any) -> Config:
     elif isinstance(config, str | Path):
         config = load_config(config, list(overrides))
     else:
-        raise ConfigError(f"config is {_kind(config)}; give a preset, a file or a vo.Config")
+        raise ConfigError(f"config is {kind_of(config)}; give a preset, a file or a vo.Config")
     if config.tracking.every != 1:
         raise ConfigError(f"tracking.every is {config.tracking.every}; single frames need 1")
     return config
@@ -91,8 +91,7 @@ class FrameInput:
     """
 
     def __init__(self, rig: Rig, colour: ColourOrder) -> None:
-        if colour not in ("bgr", "rgb"):
-            raise ConfigError(f"colour is {_shown(colour)}; give 'bgr' (OpenCV) or 'rgb'")
+        check_colour(colour)
         self._rig = rig
         self._colour = colour
         self._stretch = RunningStretch()
@@ -126,7 +125,7 @@ class FrameInput:
             )
         if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
             raise InputError(
-                f"stamp_ns is {_kind(value)}; give integer nanoseconds, such as time.time_ns()"
+                f"stamp_ns is {kind_of(value)}; give integer nanoseconds, such as time.time_ns()"
             )
         try:
             stamp = operator.index(value)
@@ -159,21 +158,9 @@ class FrameInput:
 
     def _pixels(self, value: Any, name: str, camera: Camera) -> Pixels:
         """A grey image of 8 or 16 bits, perhaps the given one itself."""
-        image = _array(value, name, "an (H, W) or (H, W, 3) array of uint8 or uint16")
-        if image.dtype not in (np.uint8, np.uint16):
-            advice = "; scale it to 0 to 255 and convert it" if image.dtype.kind == "f" else ""
-            raise InputError(f"{name} has pixels of {image.dtype}; give uint8 or uint16{advice}")
-        if image.ndim == 3 and image.shape[2] == 1:
-            image = image[:, :, 0]
-        if image.ndim == 3 and image.shape[2] not in (3, 4) or image.ndim not in (2, 3):
-            raise InputError(
-                f"{name} has shape {image.shape}; give (H, W) in grey or (H, W, 3) in colour"
-            )
+        image = image_array(value, name)
         _check_size(image, name, camera)
-        if image.ndim == 2:
-            return cast("Pixels", image)
-        code = _TO_GREY[self._colour, image.shape[2]]
-        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), code))
+        return in_grey(image, self._colour)
 
     def _as_8_bits(self, image: Pixels) -> Bytes:
         """A copy, since the caller may use its buffer again."""
@@ -190,7 +177,7 @@ class FrameInput:
             )
             raise InputError(f"depth is given, but not expected; {advice}")
         wanted = "an (H, W) array, float metres or uint16 millimetres"
-        depth = _array(value, "depth", wanted)
+        depth = array_of(value, "depth", wanted)
         if depth.dtype.kind != "f" and depth.dtype != np.uint16:
             raise InputError(f"depth has pixels of {depth.dtype}; give {wanted}")
         if depth.ndim != 2:
@@ -204,29 +191,11 @@ class FrameInput:
 
     def _mask(self, value: Any) -> Bytes:
         wanted = "an (H, W) array of bool or uint8, nonzero where the left image may be used"
-        mask = _array(value, "mask", wanted)
+        mask = array_of(value, "mask", wanted)
         if mask.dtype not in (np.bool_, np.uint8) or mask.ndim != 2:
             raise InputError(f"mask is {mask.dtype} of shape {mask.shape}; give {wanted}")
         _check_size(mask, "mask", self._rig.cam0)
         return np.where(mask, np.uint8(255), np.uint8(0))
-
-
-def _array(value: Any, name: str, wanted: str) -> Any:
-    """The value as a plain array in native byte order; objects, such as None, are refused."""
-    if value is None or isinstance(value, str | bytes | Path):
-        raise InputError(f"{name} is {_kind(value)}; give {wanted}")
-    try:
-        if np.ma.isMaskedArray(value):
-            raise InputError(f"{name} is a masked array; give {wanted}, and mask= for the pixels")
-        array = np.asarray(value)
-        native = array.astype(array.dtype.newbyteorder("="), copy=False)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{name} is {_kind(value)}, no array ({error}); give {wanted}") from None
-    if native.dtype == object or native.ndim == 0:
-        raise InputError(f"{name} is {_kind(value)}; give {wanted}")
-    return native
 
 
 def _check_size(image: Any, name: str, camera: Camera) -> None:
@@ -239,11 +208,3 @@ def _check_size(image: Any, name: str, camera: Camera) -> None:
         f"{name} has {width}x{height} pixels, the calibration is for "
         f"{camera.width}x{camera.height}; {advice}"
     )
-
-
-def _kind(value: Any) -> str:
-    return "None" if value is None else f"of type {type(value).__name__}"
-
-
-def _shown(value: Any) -> str:
-    return repr(value)[:80]

@@ -10,12 +10,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from vo.api.inputs import ColourOrder, FrameInput, config_of, rig_of
+from vo.api.inputs import FrameInput, config_of, rig_of
 from vo.api.same_bits import prepare
 from vo.calibration_errors import CalibrationErrors
 from vo.config import Config
 from vo.errors import VoError
 from vo.formats.calibration import Calibration
+from vo.given_images import ColourOrder
 from vo.odometry import Odometry as FrameOdometry
 from vo.results.run_statistics import RunStatistics
 from vo.results.summary import RunFacts, RunState, Summary, summarise

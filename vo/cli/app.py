@@ -20,6 +20,7 @@ from vo.cli.demo import demo_command
 from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.info import info_command
+from vo.cli.match import match_command
 from vo.cli.models import models_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
@@ -136,7 +137,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "calibrate": calibrate_command,
         "synth": synth_command,
     },
-    _FEATURES: {"models": models_command},
+    _FEATURES: {"match": match_command, "models": models_command},
 }
 for _heading, _functions in _COMMANDS.items():
     for _name, _function in _functions.items():

@@ -42,6 +42,24 @@ def presets() -> list[str]:
     return names_in(preset_folder())
 
 
+def detectors() -> list[str]:
+    """Detectors of features."""
+    from typing import get_args
+
+    from vo.config import DetectorName
+
+    return list(get_args(DetectorName))
+
+
+def descriptors() -> list[str]:
+    """Descriptors of features."""
+    from typing import get_args
+
+    from vo.config import DescriptorName
+
+    return list(get_args(DescriptorName))
+
+
 def recipes() -> list[str]:
     """Presets of synthetic recordings."""
     from vo.settings import names_in, preset_folder

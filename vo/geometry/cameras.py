@@ -37,3 +37,8 @@ def normalise(camera: Camera, pixels: Floats) -> Floats:
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     rays = np.asarray((pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
     return undistort_rays(camera, rays) if camera.is_distorted else rays
+
+
+def ideal_pixels(camera: Camera, pixels: Floats) -> Floats:
+    """Pixels (N, 2) as a pinhole camera with the same matrix would see them; NaN without a ray."""
+    return np.asarray(normalise(camera, pixels) * (camera.fx, camera.fy) + (camera.cx, camera.cy))

@@ -1,0 +1,262 @@
+"""`vo match`: two images, their matches, and the geometry between them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vo.cli import completion, options
+from vo.cli.echo import echo_json
+
+_FEATURES, _GEOMETRY = "Features and matching", "Geometry"
+
+
+class Matcher(StrEnum):
+    """Choices of `--matcher`."""
+
+    BRUTE_FORCE = "brute_force"
+    FLANN = "flann"
+    ANN = "ann"
+    GMS = "gms"
+
+
+class Model(StrEnum):
+    """Choices of `--model`."""
+
+    AUTO = "auto"
+    FUNDAMENTAL = "f"
+    ESSENTIAL = "e"
+    HOMOGRAPHY = "h"
+
+
+class Method(StrEnum):
+    """Choices of `--method`."""
+
+    RANSAC = "ransac"
+    LMEDS = "lmeds"
+    USAC_DEFAULT = "usac_default"
+    USAC_FAST = "usac_fast"
+    USAC_ACCURATE = "usac_accurate"
+    MAGSAC = "magsac"
+    PROSAC = "prosac"
+
+
+Image = Annotated[
+    str,
+    typer.Argument(
+        metavar="A", help="First image: a file, or RECORDING:NUMBER for a frame of a recording."
+    ),
+]
+OtherImage = Annotated[str, typer.Argument(metavar="B", help="Second image.")]
+Detector = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="What finds features: orb, sift, fast, shi_tomasi, akaze, ... (docs/features.md).",
+        show_default="orb",
+        autocompletion=completion.detectors,
+        rich_help_panel=_FEATURES,
+    ),
+]
+Descriptor = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="What describes them: rbrief, sift, rootsift, ...",
+        show_default="the detector's own",
+        autocompletion=completion.descriptors,
+        rich_help_panel=_FEATURES,
+    ),
+]
+MatcherOption = Annotated[
+    Matcher | None,
+    typer.Option(
+        "--matcher",
+        help="Exact search, approximate search (flann, ann), or exact search and the support of "
+        "neighbours instead of a ratio test (gms).",
+        show_default="brute_force",
+        rich_help_panel=_FEATURES,
+    ),
+]
+Ratio = Annotated[
+    float | None,
+    typer.Option(
+        metavar="RATIO",
+        help="Maximum ratio of the best to the second-best distance.",
+        show_default="0.85",
+        rich_help_panel=_FEATURES,
+    ),
+]
+CrossCheck = Annotated[
+    bool,
+    typer.Option(
+        "--cross-check/--no-cross-check",
+        help="Keep only matches that are the best in both directions.",
+        rich_help_panel=_FEATURES,
+    ),
+]
+ConfigOption = Annotated[
+    str,
+    typer.Option(
+        "--config",
+        metavar="PRESET|FILE",
+        help="Settings: a preset or a YAML file.",
+        autocompletion=completion.presets,
+        rich_help_panel=_FEATURES,
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a setting, such as features.count=3000; repeatable.",
+        rich_help_panel=_FEATURES,
+    ),
+]
+ModelOption = Annotated[
+    Model,
+    typer.Option(
+        "--model",
+        help="Fundamental or essential matrix (needs a calibration), homography, or the one that "
+        "explains the matches best.",
+        rich_help_panel=_GEOMETRY,
+    ),
+]
+MethodOption = Annotated[
+    Method,
+    typer.Option(
+        "--method", help="How it is found among wrong matches.", rich_help_panel=_GEOMETRY
+    ),
+]
+Threshold = Annotated[
+    float,
+    typer.Option(
+        metavar="PX", help="Maximum Sampson distance of an inlier.", rich_help_panel=_GEOMETRY
+    ),
+]
+Calibration = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Calibration of the camera, for the motion: any format of `vo run`.",
+        show_default="that of the recording",
+        rich_help_panel=options.INPUT,
+    ),
+]
+Right = Annotated[
+    bool,
+    typer.Option("--right", help="B is of the right camera.", rich_help_panel=options.INPUT),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Draw both images side by side, inliers green and other matches red, to this .png or "
+        ".jpg file.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+Epipolar = Annotated[
+    bool,
+    typer.Option(
+        "--epipolar", help="Draw epipolar lines in the picture.", rich_help_panel=options.OUTPUT
+    ),
+]
+
+
+def match_command(
+    first: Image,
+    second: OtherImage,
+    calibration: Calibration = None,
+    right: Right = False,
+    detector: Detector = None,
+    descriptor: Descriptor = None,
+    matcher: MatcherOption = None,
+    ratio: Ratio = None,
+    cross_check: CrossCheck = True,
+    config: ConfigOption = "default",
+    set_values: Set = None,
+    model: ModelOption = Model.AUTO,
+    method: MethodOption = Method.USAC_ACCURATE,
+    threshold: Threshold = 1.5,
+    picture: Picture = None,
+    epipolar: Epipolar = False,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Match two images, and find the geometry and the motion between them.
+
+    The motion needs a calibration; the length of its translation is unknown
+    with two images, so that only its direction is given.
+
+    Match two images by SIFT, and draw what was found:
+
+      vo match a.png b.png --detector sift --picture matches.png
+
+    Motion between two frames of a recording, with epipolar lines:
+
+      vo match my_sequence:0 my_sequence:15 --picture ab.png --epipolar
+
+    Exit status: 0 a model was found, 1 none, or an error, 2 wrong usage.
+    """
+    from vo.cli.console import standard_error
+    from vo.cli.progress import details_on
+    from vo.config import load_config
+    from vo.errors import ConfigError
+    from vo.features.image_pair import match_images
+    from vo.features.pair_options import check_cameras, pair_cameras, pair_options
+    from vo.formats.calibration import read_calibration
+    from vo.results.output_paths import refuse_to_overwrite
+    from vo.sources.single_image import read_single_image
+
+    if epipolar and picture is None:
+        raise ConfigError("--epipolar needs --picture FILE, where the lines are drawn")
+    read = [text for each in (first, second) for text in (each, each.rpartition(":")[0])]
+    refuse_to_overwrite([*(Path(text) for text in read if text), calibration], [picture])
+    settings = load_config(config, set_values or [])
+    with details_on(standard_error()), standard_error(quiet=quiet).status("matching"):
+        given = (read_single_image(first), read_single_image(second, right=right))
+        images = (given[0].image, given[1].image)
+        size = (images[0].shape[1], images[0].shape[0])
+        rig = None if calibration is None else read_calibration(calibration, size).rig
+        cameras = pair_cameras(rig, (given[0].camera, given[1].camera), right=right)
+        names = (given[0].name, given[1].name)
+        check_cameras(cameras, images, names)
+        chosen = pair_options(
+            settings,
+            {
+                "detector": detector,
+                "descriptor": descriptor,
+                "matcher": None if matcher is None else matcher.value,
+                "ratio": ratio,
+                "cross_check": None if cross_check else False,
+                "model": model.value,
+                "method": method.value,
+                "threshold_px": threshold,
+            },
+            cameras,
+        )
+        pair = match_images(images, chosen)
+        if picture is not None:
+            from vo.features.pair_picture import write_pair_picture
+
+            write_pair_picture(picture, images, pair, epipolar=epipolar)
+    if json_output:
+        from vo.features.pair_record import pair_record
+
+        written = None if picture is None else str(picture)
+        echo_json(pair_record(pair, chosen, names) | {"picture": written})
+    else:
+        from vo.cli.match_table import print_failures, print_pair
+
+        if quiet:
+            print_failures(pair, standard_error())
+        else:
+            print_pair(pair, chosen, names, picture)
+    if pair.fit is None:
+        raise typer.Exit(1)

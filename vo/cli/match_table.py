@@ -1,0 +1,106 @@
+"""Two matched images as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from vo.cli.console import standard_output
+from vo.features.image_pair import ImagePair, PairOptions
+from vo.geometry.transforms import rotation_angle, so3_log
+from vo.geometry.two_view_records import ModelKind, RelativePose
+from vo.types import Floats
+
+_STEPS = {"keypoints": "features", "matches": "matching", "model": "geometry"}
+
+
+def print_pair(
+    pair: ImagePair,
+    options: PairOptions,
+    names: tuple[str, str],
+    picture: Path | None,
+    console: Console | None = None,
+) -> None:
+    """Print counts, model, motion, the time of each step, and the path of the picture."""
+    console = console or standard_output()
+    for name, value in _facts(pair, options, names):
+        step = _STEPS.get(name)
+        time = "" if step is None else f"  [dim]{pair.stage_ms[step]:.1f} ms[/]"
+        console.print(f"[bold]{name:<11}[/]", escape(value) + time, soft_wrap=True)
+    if picture is not None:
+        console.print(f"[bold]{'picture':<11}[/]", escape(str(picture)), soft_wrap=True)
+    print_failures(pair, console)
+
+
+def print_failures(pair: ImagePair, console: Console) -> None:
+    """Print why there is no model or no motion."""
+    for what, failure in (("model", pair.failure), ("motion", pair.pose_failure)):
+        if failure is not None:
+            console.print(
+                f"[bold red]no {what}:[/]", escape(failure.text), soft_wrap=True, markup=True
+            )
+
+
+def _facts(
+    pair: ImagePair, options: PairOptions, names: tuple[str, str]
+) -> Iterator[tuple[str, str]]:
+    features, matching = options.config.features, options.config.matching
+    for side, (name, size) in enumerate(zip(names, pair.sizes, strict=True)):
+        yield "" if side else "images", f"{name} ({size[0]}x{size[1]})"
+    descriptor = "" if features.descriptor == "auto" else f"+{features.descriptor}"
+    counts = " and ".join(str(len(each)) for each in pair.keypoints)
+    yield "keypoints", f"{counts} ({features.detector}{descriptor})"
+    matcher = "gms" if options.grid_motion else matching.method
+    exact = "brute_force" if matcher == "auto" else matcher
+    yield "matches", f"{len(pair.matches.query)} ({exact})"
+    fit = pair.fit
+    if fit is None:
+        return
+    count = int(fit.inlier.sum())
+    word = "transfer" if fit.kind is ModelKind.HOMOGRAPHY else "epipolar"
+    ratio = count / max(len(fit.inlier), 1)
+    yield "model", f"{_matrix_name(fit.kind)} ({fit.method})"
+    yield "inliers", f"{count} of {len(fit.inlier)} matches ({ratio:.1%})"
+    yield "error", f"{fit.symmetric_px:.2f} px (median symmetric {word} error of the inliers)"
+    if pair.pose is not None:
+        yield from _pose(pair.pose)
+    elif pair.cameras is None:
+        yield "motion", "unknown without a calibration (--calibration FILE)"
+
+
+def _matrix_name(kind: ModelKind) -> str:
+    return kind.value if kind is ModelKind.HOMOGRAPHY else f"{kind.value} matrix"
+
+
+def _pose(pose: RelativePose) -> Iterator[tuple[str, str]]:
+    yield "rotation", _rotation(pose.second_from_first)
+    if not pose.has_translation:
+        yield "translation", "none: the camera only turns, or does not move"
+        return
+    yield "translation", _direction(pose.second_from_first)
+    yield (
+        "parallax",
+        f"{pose.parallax_deg:.2f}° (median); {pose.in_front} points in front of both cameras",
+    )
+    if pose.alternative is not None:
+        other = pose.alternative
+        yield "or else", f"{_rotation(other)}, {_direction(other)}: a plane allows two motions"
+
+
+def _rotation(second_from_first: Floats) -> str:
+    """Angle, and the rotation vector by axes of the camera."""
+    rotation = second_from_first[:3, :3]
+    x, y, z = np.rad2deg(so3_log(rotation)).tolist()
+    angle = np.rad2deg(rotation_angle(rotation))
+    return f"{angle:.2f}° (x {x:+.2f}, y {y:+.2f}, z {z:+.2f})"
+
+
+def _direction(second_from_first: Floats) -> str:
+    """Direction in which the camera has moved, in the frame of the first image."""
+    moved = -second_from_first[:3, :3].T @ second_from_first[:3, 3]
+    x, y, z = moved.tolist()
+    return f"direction x {x:+.3f}, y {y:+.3f}, z {z:+.3f} (length unknown)"
