@@ -49,7 +49,7 @@ def test_says_that_the_images_are_to_blame(
         assert cv2.imwrite(str(folder / f"{i}.png"), image)
     (folder / "calibration.yaml").write_text(CALIBRATION, encoding="utf-8")
     result = CliRunner().invoke(app, ["run", str(folder), "-o", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     assert f"no frame was tracked (the image is {told})" in result.stdout
     assert f"warning: images 0 to 3 are {told}\n" in result.stdout
     assert advice in result.stdout
