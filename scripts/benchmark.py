@@ -20,6 +20,8 @@ from benchmark_table import document, generator_document, reading_document, suit
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
+FEATURES_PAGE = ROOT / "docs" / "features.md"
+FEATURES_PLOT = ROOT / "docs" / "images" / "features.png"
 TUM_CALIBRATION = """\
 cam0:
   resolution: [640, 480]
@@ -41,8 +43,12 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(replaced(page, section, text), encoding="utf-8")
+        page = FEATURES_PAGE if options.features else PAGE
+        page.write_text(replaced(page.read_text("utf-8"), section, text), encoding="utf-8")
+        if options.features:
+            from benchmark_features import plot_features
+
+            plot_features(FEATURES_PLOT, report)
 
 
 def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]:
@@ -60,6 +66,11 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
         reading = measure_reading(options.cache, _say)
         report = {**_conditions(options), "reading": reading, "recording": recording}
         return "reading", reading_document(report), report
+    if options.features:
+        from benchmark_features import features_document, measure_features
+
+        report = {**_conditions(options), **measure_features(options, _say)}
+        return "comparison", features_document(report), report
     cases = _suite(options) if options.synth else [(c, options.data / c.folder) for c in CASES]
     report = _measure(_chosen(cases, options), options, work)
     known = {case.name: case for case, _ in cases}
@@ -83,20 +94,22 @@ def _options() -> argparse.Namespace:
     add("--synth", action="store_true", help="the synthetic suite instead of real recordings")
     add("--generator", action="store_true", help="the speed of the generator of recordings")
     add("--reading", action="store_true", help="the speed of reading, and the cost of an .rrd")
+    add("--features", action="store_true", help="detectors, descriptors and matchers, on pairs")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the made recordings")
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
     add(
         "--runs",
         type=int,
         default=1,
-        help="runs of each; the one with the median wall time counts",
+        help="runs of each; the one with the median wall time counts; with --features pairs of "
+        "each recording and gap",
     )
     add("--config", default="default", help="preset or file for `vo run`")
     add("--set", action="append", default=[], metavar="KEY=VALUE", help="setting for `vo run`")
     add("--only", default="", metavar="TEXT", help="only where sequence and mode contain this")
     add("--keep", type=Path, metavar="DIR", help="keep the folder of each first run here")
     add("--json", type=Path, metavar="FILE", help="write every figure into this file")
-    add("--write", action="store_true", help="write into docs/benchmarks.md")
+    add("--write", action="store_true", help="write into the page of docs")
     options = parser.parse_args()
     if options.runs < 1:
         parser.error("--runs must be 1 or more")

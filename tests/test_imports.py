@@ -65,6 +65,7 @@ ALLOWED = {
     "vo.results": GROUND | {"vo"},
     "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
+    "vo.laboratory": GROUND | {"vo.features", "vo.frontend", "vo.sources", "vo.evaluation"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.warmup": GROUND | {"vo"},
     "vo.run_session": GROUND
@@ -77,6 +78,7 @@ ALLOWED = {
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup", "vo.features", "vo.learned"}
+    | {"vo.laboratory"}
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}

@@ -48,11 +48,12 @@ def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_formats_and_pictures_are_called_the_same(name: str) -> None:
     options = {p.name: p for p in COMMANDS[name].params}
-    reads_a_recording = name in ("run", "info", "convert", "calibrate")
+    reads_a_recording = name in ("run", "info", "convert", "calibrate", "features")
     writes_a_recording = name in ("convert", "synth")
     assert ("format" in options) == reads_a_recording
     assert ("to" in options) == writes_a_recording
-    assert ("picture" in options) == (name in ("eval", "info", "report", "calibrate", "match"))
+    with_picture = ("eval", "info", "report", "calibrate", "features", "match")
+    assert ("picture" in options) == (name in with_picture)
 
 
 def test_the_package_runs_as_a_module(tmp_path: Path) -> None:
@@ -137,6 +138,8 @@ def completed(tmp_path: Path, *words: str) -> list[str]:
         (["run", "x", "--config", ""], ["accurate", "default", "fast"]),
         (["convert", "x", "y", "--to", "m"], ["mcap", "mcap-ros2"]),
         (["info", "x", "--format", "kitti"], ["kitti", "kitti_raw"]),
+        (["features", "x", "--detector", "k"], ["kaze"]),
+        (["features", "x", "--descriptor", "root"], ["rootsift"]),
         (["synth", "--preset", "ki"], ["kitti"]),
         (["synth", "x", "--camera", "ki"], ["kitti"]),
         (["run", "x.mcap", "--topic", ""], []),  # there is no such file

@@ -40,6 +40,8 @@ def names_in(folder: Path) -> list[str]:
         ["run", "images", "-o", "out", "--mcap", "images/run.mcap"],
         ["run", "images", "-o", "out", "--colmap", "images/model"],
         ["info", "images", "--picture", "images/sheet.png"],
+        ["features", "images", "--picture", "images/features.png"],
+        ["features", "images", "--compare", "orb", "--picture", "images/plot.png"],
         ["convert", "images", "images/copy"],
         ["convert", "images", "images/copy.mcap"],
         ["calibrate", "images", "-o", "images/camera.yaml"],

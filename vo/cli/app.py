@@ -19,6 +19,7 @@ from vo.cli.convert import convert_command
 from vo.cli.demo import demo_command
 from vo.cli.echo import echo
 from vo.cli.eval import eval_command
+from vo.cli.features import features_command
 from vo.cli.info import info_command
 from vo.cli.match import match_command
 from vo.cli.models import models_command
@@ -137,7 +138,11 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "calibrate": calibrate_command,
         "synth": synth_command,
     },
-    _FEATURES: {"match": match_command, "models": models_command},
+    _FEATURES: {
+        "features": features_command,
+        "match": match_command,
+        "models": models_command,
+    },
 }
 for _heading, _functions in _COMMANDS.items():
     for _name, _function in _functions.items():

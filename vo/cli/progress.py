@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich import progress as bars
@@ -100,6 +100,31 @@ class LineProgress:
 
     def _print(self, line: str) -> None:
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def counting(console: Console, title: str, total: int) -> Iterator[Callable[[str], None]]:
+    """A bar on a terminal; the function that it gives is called with what each step is about."""
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    columns = (
+        bars.TextColumn("{task.fields[title]}"),
+        bars.BarColumn(bar_width=None),
+        bars.MofNCompleteColumn(),
+        bars.TimeRemainingColumn(compact=True),
+        bars.TextColumn("left"),
+    )
+    with bars.Progress(*columns, console=console, expand=True, transient=True) as bar:
+        task = bar.add_task("", total=total, title=escape(title))
+        done = -1
+
+        def step(name: str) -> None:
+            nonlocal done
+            done += 1
+            bar.update(task, completed=done, title=escape(f"{title}: {name}"))
+
+        yield step
 
 
 class _Counts:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from vo.features.methods import Method, PairMatches
+from vo.features.methods import Method
+from vo.features.repeatability import CORRECT_PX, by_depth, repeatability, transferred
 from vo.geometry import epipolar
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse, rotation_angle
-from vo.types import Bytes, Camera, Floats, Ints, Rig
+from vo.types import Bools, Bytes, Camera, Floats, Floats32, Ints, Rig
 
 MAX_ERROR_DEG = 2.0
 _THRESHOLD_PX = 1.0  # of inliers of the essential matrix
-_CORRECT_PX = 2.0  # from the true epipolar line, in both images
 _MIN_BASELINE_M = 0.02  # without translation its direction is undefined
 _FAILED_DEG = 180.0
 
@@ -30,12 +31,14 @@ class ImagePair(NamedTuple):
         first: (H, W) uint8.
         second: (H, W) uint8.
         second_from_first: (4, 4) true motion.
+        depths: (H, W) metres at the pixels of both images, 0 where unknown; None without depth.
     """
 
     gap: int
     first: Bytes
     second: Bytes
     second_from_first: Floats
+    depths: tuple[Floats32, Floats32] | None = None
 
 
 class PairScore(NamedTuple):
@@ -50,6 +53,7 @@ class PairScore(NamedTuple):
         direction_deg: error of the direction of translation; NaN where there is no translation.
         extract_ms: CPU time of detection and description, per image.
         match_ms: CPU time of matching.
+        repeatability: ratio of features that are found again; NaN without depth.
     """
 
     features: int
@@ -60,6 +64,7 @@ class PairScore(NamedTuple):
     direction_deg: float
     extract_ms: float
     match_ms: float
+    repeatability: float = float("nan")
 
     @property
     def error_deg(self) -> float:
@@ -85,6 +90,7 @@ class Comparison:
         direction_deg: median error of the direction of translation, NaN without translation.
         extract_ms: CPU time of detection and description per image.
         match_ms: CPU time of matching per pair.
+        repeatability: ratio of features that are found again, by depth; NaN without depth.
     """
 
     method: str
@@ -100,14 +106,24 @@ class Comparison:
     direction_deg: float
     extract_ms: float
     match_ms: float
+    repeatability: float
 
 
-def choose_pairs(count: int, gaps: Sequence[int], wanted: int) -> Iterator[tuple[int, Ints]]:
-    """For each gap, numbers of at most `wanted` first frames of `count`, evenly spread."""
+def choose_pairs(usable: Bools, gaps: Sequence[int], wanted: int) -> Iterator[tuple[int, Ints]]:
+    """First frames of pairs: for each gap at most `wanted`, evenly spread, perhaps none.
+
+    They lie in the middle of equal parts, as recordings often begin and end without motion.
+
+    Args:
+        usable: (N,) frames that may be part of a pair.
+        gaps: frames between the images of a pair, 1 or more each.
+        wanted: number of pairs per gap.
+    """
     for gap in gaps:
-        last = count - gap
-        if last > 0:
-            yield gap, np.unique(np.linspace(0, last - 1, min(wanted, last)).round().astype(int))
+        firsts = np.flatnonzero(usable[:-gap] & usable[gap:])
+        count = min(wanted, len(firsts))
+        at = ((np.arange(count) + 0.5) * len(firsts) / max(count, 1)).astype(np.int64)
+        yield gap, np.asarray(firsts[at], dtype=np.int64)
 
 
 def score_pair(method: Method, pair: ImagePair, camera: RectifiedRig) -> PairScore:
@@ -115,7 +131,7 @@ def score_pair(method: Method, pair: ImagePair, camera: RectifiedRig) -> PairSco
 
     Args:
         method: finds matches.
-        pair: the images.
+        pair: the images, rectified as `compare` does it.
         camera: of both, as `rectified_rig` gives it for a single camera.
     """
     found = method.match(pair.first, pair.second)
@@ -123,6 +139,10 @@ def score_pair(method: Method, pair: ImagePair, camera: RectifiedRig) -> PairSco
     usable = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
     first, second = first[usable], second[usable]
     inliers, rotation_deg, direction_deg = _motion_errors(pair, first, second, camera.matrix)
+    repeated = float("nan")
+    if pair.depths is not None:
+        transfers = by_depth(pair.depths, pair.second_from_first, camera)
+        repeated = repeatability(method.detect(pair.first), method.detect(pair.second), transfers)
     return PairScore(
         found.counts[0],
         len(first),
@@ -132,6 +152,7 @@ def score_pair(method: Method, pair: ImagePair, camera: RectifiedRig) -> PairSco
         direction_deg,
         found.extract_ms / 2.0,
         found.match_ms,
+        repeated,
     )
 
 
@@ -140,7 +161,8 @@ def summarise(method: str, gap: int, scores: Sequence[PairScore]) -> Comparison:
     table = np.array([tuple(score) for score in scores], dtype=np.float64)
     features, matches, correct, inliers = table[:, :4].T
     direction = table[:, 5][np.isfinite(table[:, 5])]
-    extract_ms, match_ms = table[:, 6:].mean(axis=0).tolist()
+    extract_ms, match_ms = table[:, 6:8].mean(axis=0).tolist()
+    repeated = table[:, 8][np.isfinite(table[:, 8])]
     return Comparison(
         method,
         gap,
@@ -155,78 +177,69 @@ def summarise(method: str, gap: int, scores: Sequence[PairScore]) -> Comparison:
         float(np.median(direction)) if len(direction) else float("nan"),
         extract_ms,
         match_ms,
+        float(repeated.mean()) if len(repeated) else float("nan"),
     )
 
 
 def compare(
     methods: Sequence[Method],
-    pairs: Sequence[ImagePair],
+    pairs: Iterable[ImagePair],
     camera: Camera,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Comparison]:
-    """Score methods on pairs of images, one after the other, in one thread.
+    """Score methods on pairs of images, in one thread; rows are ordered by method, then by gap.
+
+    All methods see a pair before the next one is taken, so that times of a busy machine can be
+    compared, and `pairs` may read images when they are needed.
 
     Args:
-        methods: what to compare.
-        pairs: of one camera, in order of their gaps.
+        methods: what to compare, of different names.
+        pairs: of one camera.
         camera: as recorded.
         progress: called with the name of a method before each pair.
     """
     rig = rectified_rig(Rig(camera))
+    scores: dict[tuple[str, int], list[PairScore]] = {}
+    with one_thread():
+        for number, recorded in enumerate(pairs):
+            pair = _rectified(recorded, rig)
+            for method in methods:
+                if number == 0:
+                    method.match(pair.first, pair.first)  # what is loaded at first use
+                progress(method.name)
+                score = score_pair(method, pair, rig)
+                scores.setdefault((method.name, pair.gap), []).append(score)
+    order = {method.name: number for number, method in enumerate(methods)}
+    keys = sorted(scores, key=lambda key: (order[key[0]], key[1]))
+    return [summarise(*key, scores[key]) for key in keys]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let OpenCV work in the calling thread alone, so that CPU times are those of the method."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        rows = []
-        for method in methods:
-            scores: dict[int, list[PairScore]] = {}
-            method.match(pairs[0].first, pairs[0].first)  # what is loaded at first use
-            for pair in pairs:
-                progress(method.name)
-                scores.setdefault(pair.gap, []).append(score_pair(method, pair, rig))
-            rows += [summarise(method.name, gap, each) for gap, each in scores.items()]
-        return rows
+        yield
     finally:
         cv2.setNumThreads(threads)
 
 
-def repeatability(method: Method, pair: tuple[Bytes, Bytes], second_from_first: Floats) -> float:
-    """Ratio of features that are found again, of a plane with a known homography (3, 3).
-
-    A feature counts if it lies in both images; it is repeated if one of the other image lies within
-    2 pixels of where the homography takes it.
-
-    Source: Mikolajczyk et al., "A comparison of affine region detectors", IJCV 2005, section 4.
-    """
-    first, second = (method.detect(image) for image in pair)
-    there = _transferred(first, second_from_first)
-    back = _transferred(second, np.asarray(np.linalg.inv(second_from_first), dtype=np.float64))
-    there = there[_inside(there, pair[1])]
-    back_inside = _inside(back, pair[0])
-    second = second[back_inside]
-    fewer = min(len(there), len(second))
-    if fewer == 0:
-        return 0.0
-    away = np.linalg.norm(there[:, None] - second[None], axis=2)
-    is_nearest = away.argmin(axis=0)[away.argmin(axis=1)] == np.arange(len(there))
-    return float(np.count_nonzero(is_nearest & (away.min(axis=1) <= _CORRECT_PX)) / fewer)
-
-
-def correct_by_homography(found: PairMatches, second_from_first: Floats) -> int:
-    """Number of matches within 2 pixels of where a homography (3, 3) takes them."""
-    there = _transferred(found.first, second_from_first)
-    away = np.linalg.norm(there - found.second, axis=1)
-    return int(np.count_nonzero(away <= _CORRECT_PX))
-
-
-def _transferred(xy: Floats, homography: Floats) -> Floats:
-    mapped = np.column_stack([xy, np.ones(len(xy))]) @ homography.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(mapped[:, :2] / mapped[:, 2:])
-
-
-def _inside(xy: Floats, image: Bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    height, width = image.shape
-    return np.asarray(((xy >= 0) & (xy <= [width - 1, height - 1])).all(axis=1))
+def _rectified(pair: ImagePair, rig: RectifiedRig) -> ImagePair:
+    """The pair as seen by ideal cameras, if the lens is so wide that images are remapped."""
+    if rig.maps[0] is None:
+        return pair
+    turned = rig.cam0_from_rectified
+    depths = pair.depths
+    if depths is not None:
+        depths = rig.rectify_depth(depths[0]), rig.rectify_depth(depths[1])
+    return ImagePair(
+        pair.gap,
+        rig.rectify(pair.first, 0),
+        rig.rectify(pair.second, 0),
+        np.asarray(inverse(turned) @ pair.second_from_first @ turned),
+        depths,
+    )
 
 
 def _motion_errors(
@@ -257,11 +270,11 @@ def _count_correct(pair: ImagePair, first: Floats, second: Floats, matrix: Float
         return 0
     if np.linalg.norm(truth[:3, 3]) < _MIN_BASELINE_M:
         turned = matrix @ truth[:3, :3] @ np.linalg.inv(matrix)
-        away = np.linalg.norm(_transferred(first, turned) - second, axis=1)
-        return int(np.count_nonzero(away <= _CORRECT_PX))
+        away = np.linalg.norm(transferred(first, turned) - second, axis=1)
+        return int(np.count_nonzero(away <= CORRECT_PX))
     fundamental = epipolar.fundamental_from_motion(truth, matrix)
     errors = np.maximum(*epipolar.epipolar_errors(fundamental, first, second))
-    return int(np.count_nonzero(errors <= _CORRECT_PX**2))
+    return int(np.count_nonzero(errors <= CORRECT_PX**2))
 
 
 def _ratio(part: Floats, whole: Floats) -> float:

@@ -14,7 +14,9 @@ from vo.features.detections import Detections, Detector, at_points, from_opencv
 from vo.features.opencv import has_algorithm, require_algorithm
 from vo.types import Bytes
 
-_CORNER_SIZE_PX = 7.0  # of FAST's ring
+CORNER_SIZE_PX = 7.0
+"""Diameter of FAST's ring of pixels."""
+
 _BLOCK_PX = 5  # side of the window that corner measures sum over
 _CORNER_QUALITY = 0.005  # of the strongest corner's response
 _CORNER_DISTANCE_PX = 3.0
@@ -61,7 +63,7 @@ class CornerDetector:
     Harris det - k trace^2 (Harris and Stephens, "A combined corner and edge detector", 1988).
     """
 
-    base_size = _CORNER_SIZE_PX
+    base_size = CORNER_SIZE_PX
     has_scale = False
 
     def __init__(self, options: DetectorOptions, *, harris: bool) -> None:
@@ -82,7 +84,7 @@ class CornerDetector:
         )
         if corners is None:
             return at_points(np.empty((0, 2), np.float32), np.empty(0, np.float32), 1.0)
-        return at_points(corners, quality.ravel(), _CORNER_SIZE_PX).in_fixed_order()
+        return at_points(corners, quality.ravel(), CORNER_SIZE_PX).in_fixed_order()
 
 
 class DetectorKind(NamedTuple):
@@ -135,7 +137,7 @@ DETECTORS: dict[str, DetectorKind] = {
         "FastFeatureDetector",
         "rbrief",
         "corners by a ring of brighter or darker pixels, on a pyramid",
-        _CORNER_SIZE_PX,
+        CORNER_SIZE_PX,
         lambda options: {"threshold": options.threshold},
         has_scale=False,
     ),
@@ -143,7 +145,7 @@ DETECTORS: dict[str, DetectorKind] = {
         "AgastFeatureDetector",
         "rbrief",
         "FAST with decision trees that adapt to the image, on a pyramid",
-        _CORNER_SIZE_PX,
+        CORNER_SIZE_PX,
         lambda options: {"threshold": options.threshold},
         has_scale=False,
     ),

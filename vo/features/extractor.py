@@ -56,6 +56,11 @@ class ComposedExtractor:
         """Size ratio of two octaves; scales in between are rounded."""
         return self._config.scale_factor if self._detector.has_scale else 1.0
 
+    @property
+    def base_size(self) -> float:
+        """Diameter in pixels of what is detected in octave 0."""
+        return self._detector.base_size
+
     def extract(
         self, image: Bytes, mask: Bytes | None = None, helper: Executor | None = None
     ) -> Keypoints:

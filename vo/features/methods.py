@@ -14,11 +14,15 @@ import numpy as np
 
 from vo.config import DescriptorName, FeaturesConfig, MatchingConfig
 from vo.errors import ConfigError
-from vo.features.detections import Detector
-from vo.features.detectors import DETECTORS, DetectorOptions, available_detectors
-from vo.features.extractor import BUILT_IN, LEARNED, make_extractor
+from vo.features.detections import Detections, Detector
+from vo.features.detectors import (
+    CORNER_SIZE_PX,
+    DETECTORS,
+    DetectorOptions,
+    available_detectors,
+)
+from vo.features.extractor import BUILT_IN, LEARNED, ComposedExtractor, make_extractor
 from vo.features.matching import make_matcher
-from vo.features.pyramid import PyramidDetector
 from vo.features.selection import select
 from vo.frontend.contracts import feature_set
 from vo.frontend.optical_flow import follow
@@ -54,6 +58,11 @@ class Method(Protocol):
         """How it is written."""
         ...
 
+    @property
+    def needs_one_size(self) -> bool:
+        """Whether both images must be of the same size."""
+        ...
+
     def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:
         """Matches of two (H, W) uint8 images; no feature of the first lies where `mask` is 0."""
         ...
@@ -62,9 +71,19 @@ class Method(Protocol):
         """(N, 2) pixels of the features in an (H, W) uint8 image."""
         ...
 
+    def extract(self, image: Bytes, mask: Bytes | None = None) -> Keypoints:
+        """Features of an (H, W) uint8 image; without descriptors if it needs none."""
+        ...
+
+    def sizes(self, keypoints: Keypoints) -> Floats:
+        """(N,) diameters in pixels of what was detected."""
+        ...
+
 
 class DescribedFeatures:
     """Features that are matched by their descriptors."""
+
+    needs_one_size = False
 
     def __init__(self, name: str, features: FeaturesConfig, matching: MatchingConfig) -> None:
         self.name = name
@@ -87,8 +106,14 @@ class DescribedFeatures:
         )
 
     def extract(self, image: Bytes, mask: Bytes | None = None) -> Keypoints:
-        """Features with descriptors of an (H, W) uint8 image."""
+        """See `Method.extract`."""
         return self._extractor.extract(image, mask)
+
+    def sizes(self, keypoints: Keypoints) -> Floats:
+        """See `Method.sizes`."""
+        extractor = self._extractor
+        base = extractor.base_size if isinstance(extractor, ComposedExtractor) else CORNER_SIZE_PX
+        return np.asarray(base * extractor.scale_factor ** keypoints.octave.astype(np.float64))
 
     def detect(self, image: Bytes, mask: Bytes | None = None) -> Floats:
         """See `Method.detect`."""
@@ -98,20 +123,26 @@ class DescribedFeatures:
 class FollowedCorners:
     """Corners of the first image, followed into the second by optical flow."""
 
+    needs_one_size = True
+
     def __init__(self, name: str, detector: Detector, features: FeaturesConfig) -> None:
         self.name = name
         self._detector = detector
         self._config = features
 
     def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:
-        """See `Method.match`; images of two sizes have no matches."""
-        begin = time.process_time()
-        xy = self.detect(first, mask)
-        extracted = time.process_time()
+        """See `Method.match`.
+
+        Raises:
+            ConfigError: the images differ in size.
+        """
         if first.shape != second.shape:
             raise ConfigError(
                 f"optical flow needs images of one size, not {_size(first)} and {_size(second)}"
             )
+        begin = time.process_time()
+        xy = self.detect(first, mask)
+        extracted = time.process_time()
         flow = follow(first, second, xy, xy)
         end = time.process_time()
         return PairMatches(
@@ -124,9 +155,22 @@ class FollowedCorners:
 
     def detect(self, image: Bytes, mask: Bytes | None = None) -> Floats:
         """See `Method.detect`."""
+        return self._select(image, mask).xy.astype(np.float64)
+
+    def extract(self, image: Bytes, mask: Bytes | None = None) -> Keypoints:
+        """See `Method.extract`."""
+        found = self._select(image, mask)
+        nothing = np.empty((len(found), 0), np.uint8)
+        octave = np.zeros(len(found), np.int32)
+        return Keypoints(found.xy, octave, found.angle, found.response, nothing)
+
+    def sizes(self, keypoints: Keypoints) -> Floats:
+        """See `Method.sizes`."""
+        return np.full(len(keypoints), self._detector.base_size)
+
+    def _select(self, image: Bytes, mask: Bytes | None) -> Detections:
         found = self._detector.detect(image, mask)
-        chosen = select(found, self._config.count, image.shape, self._config.selection)
-        return chosen.xy.astype(np.float64)
+        return select(found, self._config.count, image.shape, self._config.selection)
 
 
 def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -> Method:
@@ -143,7 +187,9 @@ def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -
     written = f"shi_tomasi/{KLT}" if text == KLT else text
     rest, _, matcher = written.partition("/")
     detector, _, descriptor = rest.partition("+")
-    _check(text, detector, (BUILT_IN, *LEARNED, *DETECTORS), "detector")
+    _check(text, detector, (BUILT_IN, *LEARNED, *DETECTORS, KLT), "detector")
+    if detector == KLT:
+        raise ConfigError(f"method '{text}': write {KLT} alone, or DETECTOR/{KLT}")
     _check(text, matcher or "auto", MATCHERS, "matcher")
     if matcher == KLT:
         if descriptor:
@@ -166,6 +212,12 @@ def expand(texts: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(expanded))
 
 
+def missing_detectors() -> list[str]:
+    """Names of the detectors that this installation lacks."""
+    available = available_detectors()
+    return [name for name in DETECTORS if name not in available]
+
+
 def all_methods() -> list[str]:
     """Every detector with its own descriptor, optical flow, and SIFT with each matcher."""
     detectors = [BUILT_IN, *available_detectors()]
@@ -175,10 +227,7 @@ def all_methods() -> list[str]:
 def _corner_detector(text: str, name: str, features: FeaturesConfig) -> Detector:
     if name not in DETECTORS:
         raise ConfigError(f"method '{text}': choose corners such as fast/{KLT} or shi_tomasi/{KLT}")
-    detector = DETECTORS[name].make(DetectorOptions(features.count, features.threshold))
-    if detector.has_scale or features.levels == 1:
-        return detector
-    return PyramidDetector(detector, 1, features.scale_factor)
+    return DETECTORS[name].make(DetectorOptions(features.count, features.threshold))
 
 
 def _check(text: str, name: str, known: Sequence[str], what: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import cv2
@@ -69,6 +69,15 @@ def require_function(name: str, word: str) -> Callable[..., Any]:
     if function is None:
         raise ConfigError(_missing(word))
     return function
+
+
+def describe_missing(algorithms: Mapping[str, str]) -> str:
+    """Names of missing algorithms in one line, with what brings them; a name for each algorithm."""
+    patented = [name for name, algorithm in algorithms.items() if algorithm in _PATENTED]
+    others = [name for name in algorithms if name not in patented]
+    parts = [f"{', '.join(others)} ({_CONTRIB} has them)"] if others else []
+    parts += [f"{name} (patented, in no package)" for name in patented]
+    return ", ".join(parts)
 
 
 def _missing(word: str) -> str:

@@ -1,0 +1,237 @@
+"""What `vo features` does: one image, two images of a plane, or pairs of a recording."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from vo.cli.features_table import FeaturesResult
+from vo.cli.progress import counting
+from vo.config import Config, load_config
+from vo.errors import CalibrationError, ConfigError
+from vo.features.comparison import compare, one_thread
+from vo.features.detectors import DETECTORS
+from vo.features.methods import KLT, Method, expand, make_method, missing_detectors
+from vo.features.opencv import describe_missing
+from vo.features.repeatability import score_plane
+from vo.laboratory.examination import examine
+from vo.laboratory.images import GreyImage, is_image, read_frame, read_homography, read_image
+from vo.laboratory.pictures import check_picture, check_plot, save_comparison, save_features
+from vo.laboratory.recording_pairs import plan_pairs
+from vo.sources.registry import open_source
+from vo.sources.source import Recording
+from vo.sources.uncalibrated import open_uncalibrated
+
+_log = logging.getLogger(__name__)
+_SECTIONS = ("features.", "matching.")
+_ALL = "all"
+
+
+@dataclass(frozen=True)
+class Request:
+    """Arguments and options of the command."""
+
+    target: Path
+    second: Path | None
+    detector: str | None
+    descriptor: str | None
+    settings: tuple[str, ...]
+    compare: str | None
+    gaps: str
+    pairs: int
+    homography: Path | None
+    frame: int | None
+    calibration: Path | None
+    format: str | None
+    topics: tuple[str, ...]
+    picture: Path | None
+
+
+def run_request(request: Request, console: Console) -> FeaturesResult:
+    """Do what the options ask for.
+
+    Raises:
+        VoError: options that do not go together, or an input that cannot be used.
+    """
+    _check(request)
+    methods = _methods(request)
+    if request.second is not None:
+        return _compare_images(request, methods, console)
+    if request.compare is None or request.frame is not None or is_image(request.target):
+        return _examine(request, methods, console)
+    return _compare_frames(request, methods, console)
+
+
+def _check(request: Request) -> None:
+    shown_alone = is_image(request.target) or request.second is not None
+    if (request.second is None) != (request.homography is None):
+        raise ConfigError(
+            "methods are scored on two images by a known homography; give both SECOND and "
+            "--homography FILE (vo match shows the matches of any two images)"
+        )
+    if shown_alone and request.frame is not None:
+        raise ConfigError(f"--frame is of a recording; {request.target} is an image")
+    if request.compare is not None and (request.detector or request.descriptor):
+        raise ConfigError("use --detector and --descriptor without --compare, which names both")
+    for text in request.settings:
+        if not text.startswith(_SECTIONS):
+            raise ConfigError(
+                f"--set {text} has no effect on vo features; give features.… or matching.…"
+            )
+
+
+def _methods(request: Request) -> list[Method]:
+    config = load_config("default", list(request.settings))
+    if request.compare is None:
+        detector = request.detector or config.features.detector
+        descriptor = request.descriptor or config.features.descriptor
+        name = detector if descriptor == "auto" else f"{detector}+{descriptor}"
+        return [make_method(name, config.features, config.matching)]
+    texts = [text.strip() for text in request.compare.split(",") if text.strip()]
+    if not texts:
+        raise ConfigError("--compare names no method; give such as orb,sift,klt, or all")
+    if _ALL in texts:
+        _warn_of_missing()
+    return [_method(name, config) for name in expand(texts)]
+
+
+def _method(name: str, config: Config) -> Method:
+    return make_method(name, config.features, config.matching)
+
+
+def _warn_of_missing() -> None:
+    missing = missing_detectors()
+    if missing:
+        described = describe_missing({name: DETECTORS[name].algorithm for name in missing})
+        _log.warning("left out: %s", described)
+
+
+def _examine(request: Request, methods: Sequence[Method], console: Console) -> FeaturesResult:
+    """Features of one image, by each method."""
+    if request.picture is not None:
+        if len(methods) > 1:
+            raise ConfigError("--picture shows the features of one method; leave --compare out")
+        check_picture(request.picture)
+    if request.compare is not None:  # methods that differ in their matcher find the same
+        names = [_features_of(method.name) for method in methods]
+        methods = [m for i, m in enumerate(methods) if names[i] not in names[:i]]
+    image, frame = _image(request)
+    reports = []
+    with counting(console, request.target.name, len(methods)) as step:
+        for method in methods:
+            step(method.name)
+            report, found = examine(method, image)
+            reports.append(report)
+    if request.picture is not None:
+        save_features(request.picture, image.pixels, found, methods[0].sizes(found))
+    height, width = image.pixels.shape
+    return FeaturesResult(
+        str(request.target),
+        (width, height),
+        frame,
+        reports=tuple(reports),
+        picture=request.picture,
+    )
+
+
+def _features_of(name: str) -> str:
+    features, _, matcher = name.partition("/")
+    return name if matcher == KLT else features
+
+
+def _image(request: Request) -> tuple[GreyImage, int | None]:
+    if is_image(request.target):
+        return read_image(request.target), None
+    number = request.frame or 0
+    recording: Recording
+    try:
+        recording = _open(request)
+    except CalibrationError:
+        if request.calibration is not None:
+            raise
+        recording = open_uncalibrated(
+            request.target, format=request.format, topics=request.topics, mode="mono"
+        )
+    frame = read_frame(recording, number)
+    return GreyImage(frame.image0, frame.mask), number
+
+
+def _open(request: Request) -> Recording:
+    """The recording, without the right images of a pair, which are not used."""
+    source = open_source(
+        request.target,
+        format=request.format,
+        calibration=request.calibration,
+        topics=request.topics,
+    )
+    if not source.rig.is_stereo:
+        return source
+    return open_source(
+        request.target,
+        format=request.format,
+        calibration=request.calibration,
+        topics=request.topics,
+        mode="mono",
+    )
+
+
+def _compare_images(
+    request: Request, methods: Sequence[Method], console: Console
+) -> FeaturesResult:
+    assert request.second is not None and request.homography is not None
+    if request.picture is not None:
+        raise ConfigError("--picture needs a recording, or one image; leave it out")
+    homography = read_homography(request.homography)
+    first, second = read_image(request.target).pixels, read_image(request.second).pixels
+    if first.shape != second.shape and _ALL in (request.compare or ""):
+        methods = [method for method in methods if not method.needs_one_size]
+        _log.warning("left out: optical flow, as the images differ in size")
+    scores = []
+    with counting(console, request.target.name, len(methods)) as step, one_thread():
+        for method in methods:
+            step(method.name)
+            method.match(first, first)  # what is loaded at first use
+            scores.append(score_plane(method, first, second, homography))
+    height, width = first.shape
+    return FeaturesResult(str(request.target), (width, height), None, planes=tuple(scores))
+
+
+def _compare_frames(
+    request: Request, methods: Sequence[Method], console: Console
+) -> FeaturesResult:
+    if request.picture is not None:
+        check_plot(request.picture)
+    recording = _open(request)
+    pairs = plan_pairs(recording, _gaps(request.gaps), request.pairs)
+    for gap in pairs.without_pairs:
+        _log.warning(
+            "gap %d is left out: of %d frames, no two with ground truth are so far apart",
+            gap,
+            len(recording),
+        )
+    with counting(console, recording.name, len(pairs) * len(methods)) as step:
+        rows = compare(methods, pairs, recording.rig.cam0, step)
+    if request.picture is not None:
+        save_comparison(request.picture, rows, recording.name)
+    camera = recording.rig.cam0
+    return FeaturesResult(
+        str(request.target),
+        (camera.width, camera.height),
+        None,
+        rows=tuple(rows),
+        picture=request.picture,
+    )
+
+
+def _gaps(text: str) -> list[int]:
+    try:
+        gaps = sorted({int(word) for word in text.split(",") if word.strip()})
+    except ValueError:
+        gaps = []
+    if not gaps or gaps[0] < 1:
+        raise ConfigError(f"--gaps is '{text}'; give numbers of frames from 1, such as 1,5,15")
+    return gaps
