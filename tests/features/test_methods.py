@@ -68,8 +68,8 @@ def test_optical_flow_needs_images_of_one_size(image: Bytes) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("sfit", "method 'sfit': there is no detector 'sfit'; known are orb, harris"),
-        ("sift/best", "there is no matcher 'best'; known are auto, brute_force, flann, ann, klt"),
+        ("sfit", "method 'sfit': there is no detector 'sfit'; known are orb, "),
+        ("sift/best", "there is no matcher 'best'; known are auto, brute_force, "),
         ("sift+hog", "there is no descriptor 'hog'"),
         ("fast+sift/klt", "optical flow needs no descriptor"),
         ("orb/klt", "choose corners such as fast/klt"),

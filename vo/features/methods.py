@@ -219,9 +219,17 @@ def missing_detectors() -> list[str]:
 
 
 def all_methods() -> list[str]:
-    """Every detector with its own descriptor, optical flow, and SIFT with each matcher."""
-    detectors = [BUILT_IN, *available_detectors()]
+    """Every detector with its own descriptor, optical flow, and ORB and SIFT with each matcher."""
+    detectors = [BUILT_IN, *available_detectors(), *_fetched()]
     return [*detectors, KLT, f"fast/{KLT}", "sift/flann", "sift/ann", "orb/flann", "orb/ann"]
+
+
+def _fetched() -> list[str]:
+    """Learned features whose model is on this machine."""
+    from vo.learned.catalog import find_model
+    from vo.learned.files import path_of
+
+    return [name for name in LEARNED if path_of(find_model(name)).is_file()]
 
 
 def _corner_detector(text: str, name: str, features: FeaturesConfig) -> Detector:
