@@ -56,10 +56,12 @@ def test_says_that_the_images_are_to_blame(
 
 
 def test_images_with_something_in_them_are_not_to_blame(tmp_path: Path) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
     for i in range(4):
-        assert cv2.imwrite(str(tmp_path / f"{i}.png"), noise(20, 60, i))
-    (tmp_path / "calibration.yaml").write_text(CALIBRATION, encoding="utf-8")
-    result = CliRunner().invoke(app, ["run", str(tmp_path), "-o", str(tmp_path / "out")])
+        assert cv2.imwrite(str(folder / f"{i}.png"), noise(20, 60, i))
+    (folder / "calibration.yaml").write_text(CALIBRATION, encoding="utf-8")
+    result = CliRunner().invoke(app, ["run", str(folder), "-o", str(tmp_path / "out")])
     assert "no frame was tracked" in result.stdout
     assert "almost" not in result.stdout and "of one grey" not in result.stdout
 
