@@ -64,6 +64,8 @@ def test_options_and_settings() -> None:
         ("nothing:3", {}, vo.SourceError, "nothing does not exist"),
         (A, {"masks": (A[:9], None)}, vo.InputError, "320x9 pixels, its image 320x240"),
         (A, {"masks": (A.astype(float), None)}, vo.InputError, "mask of a is float64"),
+        (A, {"masks": A}, vo.ConfigError, "give one for each image"),
+        (A, {"overrides": ["masks.ignore=[9]"]}, vo.ConfigError, "masks.ignore"),
         (A, {"colour": "hsv"}, vo.ConfigError, "'hsv'"),
         (A, {"colour": None}, vo.ConfigError, "None"),
         (A, {"model": "e"}, vo.ConfigError, "calibration"),

@@ -56,6 +56,21 @@ def test_frames_of_a_recording_bring_their_calibration(folder: Path, tmp_path: P
     assert cv2.imread(str(picture)) is not None
 
 
+def test_masked_parts_have_no_features(folder: Path, tmp_path: Path) -> None:
+    images = folder / "a.png", folder / "b.png"
+    counts = []
+    for words in ([], ["--ignore", "0,0,160,240"], ["--roi", "0,0,320,80"]):
+        found = match(*images, *words, "--detector", "sift", "--json")
+        record = json.loads(found.stdout)
+        counts.append([image["keypoints"] for image in record["images"]])
+    assert max(counts[1]) < 0.85 * min(counts[0]) and max(counts[2]) < 0.6 * min(counts[0])
+    mask = tmp_path / "mask.png"
+    cv2.imwrite(str(mask), layered_pair()[0][:99])
+    result = match(*images, "--mask", mask)
+    assert result.exit_code == 1
+    assert "320x99" in result.stderr and result.stderr.count("\n") == 1
+
+
 def test_quiet_prints_failures_only(folder: Path, tmp_path: Path) -> None:
     assert match(folder / "a.png", folder / "b.png", "-q").output == ""
     black = tmp_path / "black.png"

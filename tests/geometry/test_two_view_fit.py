@@ -7,6 +7,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 import pytest
 
+from vo.geometry import cameras
 from vo.geometry.model_selection import fit_best
 from vo.geometry.relative_pose import relative_pose
 from vo.geometry.transforms import rotation_angle, se3_exp, transform_points
@@ -20,7 +21,7 @@ from vo.geometry.two_view_records import (
     RelativePose,
     RobustMethod,
 )
-from vo.types import Bools, Floats
+from vo.types import Bools, Camera, DistortionModel, Floats
 
 MATRIX = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
 OTHER = np.array([[500.0, 0.0, 300.0], [0.0, 510.0, 250.0], [0.0, 0.0, 1.0]])
@@ -153,6 +154,24 @@ def test_two_cameras_need_not_be_alike() -> None:
     assert isinstance(pose, RelativePose)
     assert rotation_error_deg(pose, SIDEWAYS) < 1e-5
     assert pose.in_front == 300
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [("equidistant", (0.02, -0.01, 0.004, -0.001)), ("radtan", (-0.3, 0.1, 1e-3, -1e-3))],
+)
+def test_distorted_lenses_give_the_exact_motion(
+    model: DistortionModel, coefficients: tuple[float, ...]
+) -> None:
+    lens = Camera(640, 480, 400.0, 400.0, 320.0, 240.0, model, coefficients)
+    points = scene(0, 300)
+    seen = cameras.project(lens, points), cameras.project(lens, transform_points(SIDEWAYS, points))
+    first, second = (cameras.ideal_pixels(lens, xy) for xy in seen)
+    found = fit_essential(first, second, (lens.matrix, lens.matrix))
+    assert isinstance(found, Fit) and found.inlier.sum() > 250
+    pose = relative_pose(found, first, second, (lens.matrix, lens.matrix))
+    assert isinstance(pose, RelativePose)
+    assert rotation_error_deg(pose, SIDEWAYS) < 1e-5
 
 
 def test_camera_matrices_need_not_be_contiguous() -> None:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import Any, Unpack
+
+import numpy as np
 
 from vo.api.inputs import rig_of
 from vo.config import Config, load_config
 from vo.errors import ConfigError
 from vo.features.image_pair import ImagePair, match_images
-from vo.features.pair_options import PairChoices, check_cameras, pair_cameras, pair_options
+from vo.features.pair_options import (
+    PairChoices,
+    check_cameras,
+    pair_cameras,
+    pair_masks,
+    pair_options,
+)
 from vo.formats.calibration import Calibration, read_calibration
 from vo.given_images import ColourOrder, grey_image, grey_mask
 from vo.sources.single_image import SingleImage, read_single_image
-from vo.types import Rig
+from vo.types import Bytes, Rig
 
 
 class MatchOptions(PairChoices, total=False):
@@ -62,17 +70,15 @@ def match(
         CalibrationError: the calibration cannot be read, or is for another image size.
         ConfigError: an option is unknown or invalid, or this build of OpenCV lacks it.
     """
-    known = MatchOptions.__annotations__.keys() | PairChoices.__annotations__.keys()
-    unknown = sorted(options.keys() - known)
-    if unknown:
-        names = ", ".join(sorted(known))
-        raise ConfigError(f"vo.match has no option '{unknown[0]}'; known: {names}")
+    _check_names(options.keys())
     if not isinstance(config, Config):
         config = load_config(config, list(overrides))
     elif overrides:
         raise ConfigError("give overrides with the name of a preset or file, not with a Config")
     is_right, colour = options.pop("right", False), options.pop("colour", "bgr")
     masks = options.pop("masks", (None, None))
+    if not isinstance(masks, tuple | list) or len(masks) != 2:
+        raise ConfigError("masks are not two; give one for each image, or None")
     first = _image(a, "a", colour, right=False)
     second = _image(b, "b", colour, right=is_right)
     if isinstance(calibration, str | Path):
@@ -82,12 +88,30 @@ def match(
     cameras = pair_cameras(rig, (first.camera, second.camera), right=is_right)
     images = (first.image, second.image)
     check_cameras(cameras, images, (first.name, second.name))
-    given = [
-        None if mask is None else grey_mask(mask, f"mask of {each.name}", each.image.shape)
-        for mask, each in zip(masks, (first, second), strict=True)
-    ]
+    one, other = (
+        _with(of_settings, mask, each)
+        for of_settings, mask, each in zip(
+            pair_masks(config, images, right=is_right), masks, (first, second), strict=True
+        )
+    )
     choices: PairChoices = options
-    return match_images(images, pair_options(config, choices, cameras), (given[0], given[1]))
+    return match_images(images, pair_options(config, choices, cameras), (one, other))
+
+
+def _check_names(given: Set[str]) -> None:
+    known = MatchOptions.__annotations__.keys() | PairChoices.__annotations__.keys()
+    unknown = sorted(given - known)
+    if unknown:
+        names = ", ".join(sorted(known))
+        raise ConfigError(f"vo.match has no option '{unknown[0]}'; known: {names}")
+
+
+def _with(mask: Bytes | None, given: Any, image: SingleImage) -> Bytes | None:
+    """A mask of the settings and a given one together."""
+    if given is None:
+        return mask
+    checked = grey_mask(given, f"mask of {image.name}", image.image.shape)
+    return checked if mask is None else np.minimum(mask, checked)
 
 
 def _image(given: Any, name: str, colour: ColourOrder, *, right: bool) -> SingleImage:

@@ -173,6 +173,9 @@ def match_command(
     second: OtherImage,
     calibration: Calibration = None,
     right: Right = False,
+    mask: options.Masks = None,
+    ignore: options.Ignored = None,
+    roi: options.Regions = None,
     detector: Detector = None,
     descriptor: Descriptor = None,
     matcher: MatcherOption = None,
@@ -204,12 +207,19 @@ def match_command(
 
     Exit status: 0 a model was found, 1 none, or an error, 2 wrong usage.
     """
+    import json
+
     from vo.cli.console import standard_error
     from vo.cli.progress import details_on
     from vo.config import load_config
     from vo.errors import ConfigError
     from vo.features.image_pair import match_images
-    from vo.features.pair_options import check_cameras, pair_cameras, pair_options
+    from vo.features.pair_options import (
+        check_cameras,
+        pair_cameras,
+        pair_masks,
+        pair_options,
+    )
     from vo.formats.calibration import read_calibration
     from vo.results.output_paths import refuse_to_overwrite
     from vo.sources.single_image import read_single_image
@@ -218,7 +228,9 @@ def match_command(
         raise ConfigError("--epipolar needs --picture FILE, where the lines are drawn")
     read = [text for each in (first, second) for text in (each, each.rpartition(":")[0])]
     refuse_to_overwrite([*(Path(text) for text in read if text), calibration], [picture])
-    settings = load_config(config, set_values or [])
+    masks = {"files": mask, "ignore": ignore, "roi": roi}
+    overrides = [f"masks.{key}={json.dumps(texts)}" for key, texts in masks.items() if texts]
+    settings = load_config(config, [*(set_values or []), *overrides])
     with details_on(standard_error()), standard_error(quiet=quiet).status("matching"):
         given = (read_single_image(first), read_single_image(second, right=right))
         images = (given[0].image, given[1].image)
@@ -241,7 +253,7 @@ def match_command(
             },
             cameras,
         )
-        pair = match_images(images, chosen)
+        pair = match_images(images, chosen, pair_masks(settings, images, right=right))
         if picture is not None:
             from vo.features.pair_picture import write_pair_picture
 

@@ -119,6 +119,36 @@ SideBySide = Annotated[
     ),
 ]
 
+Masks = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--mask",
+        metavar="FILE",
+        help="Image of the size of the recorded (not rectified) images: where it is black (0) "
+        "they are not used, elsewhere they are. Stereo: --mask left.png --mask right.png.",
+        rich_help_panel=INPUT,
+    ),
+]
+Ignored = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--ignore",
+        metavar="AREA",
+        help="Do not use this area, such as the robot's own body or burnt-in text: x,y,width,"
+        "height or a polygon x1,y1,x2,y2,x3,y3,…, in pixels of the recorded left image; right: or "
+        "both: before it for others. Repeatable.",
+        rich_help_panel=INPUT,
+    ),
+]
+Regions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--roi",
+        metavar="AREA",
+        help="Use only this area (region of interest); as --ignore.",
+        rich_help_panel=INPUT,
+    ),
+]
 Start = Annotated[
     int,
     typer.Option(min=0, metavar="N", help="First frame, counted from 0.", rich_help_panel=INPUT),

@@ -99,36 +99,6 @@ Overrides = Annotated[
         rich_help_panel=_ODOMETRY,
     ),
 ]
-Masks = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--mask",
-        metavar="FILE",
-        help="Image of the size of the recorded (not rectified) images: where it is black (0) "
-        "they are not used, elsewhere they are. Stereo: --mask left.png --mask right.png.",
-        rich_help_panel=options.INPUT,
-    ),
-]
-Ignored = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--ignore",
-        metavar="AREA",
-        help="Do not use this area, such as the robot's own body or burnt-in text: x,y,width,"
-        "height or a polygon x1,y1,x2,y2,x3,y3,…, in pixels of the recorded left image; right: or "
-        "both: before it for others. Repeatable.",
-        rich_help_panel=options.INPUT,
-    ),
-]
-Regions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--roi",
-        metavar="AREA",
-        help="Use only this area (region of interest); as --ignore.",
-        rich_help_panel=options.INPUT,
-    ),
-]
 Threads = Annotated[
     int | None,
     typer.Option(
@@ -243,9 +213,9 @@ def run_command(
     start: options.Start = 0,
     end: options.End = None,
     stride: options.Stride = 1,
-    mask: Masks = None,
-    ignore: Ignored = None,
-    roi: Regions = None,
+    mask: options.Masks = None,
+    ignore: options.Ignored = None,
+    roi: options.Regions = None,
     config: Config = "default",
     overrides: Overrides = None,
     threads: Threads = None,

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TypedDict, get_args
 
+import numpy as np
+
 from vo.config import Config
 from vo.errors import CalibrationError, ConfigError
 from vo.features.image_pair import ModelName, PairOptions
+from vo.frontend.static_masks import recorded_masks
 from vo.geometry.two_view_records import FitOptions, RobustMethod
 from vo.given_images import shown
 from vo.settings import nearest, validate
@@ -112,6 +115,31 @@ def pair_cameras(
     if rig.cam1 is None:
         raise CalibrationError("the second image is a right one, but the calibration has no cam1")
     return rig.cam0, rig.cam1
+
+
+def pair_masks(
+    config: Config, images: tuple[Bytes, Bytes], *, right: bool
+) -> tuple[Bytes | None, Bytes | None]:
+    """Masks (H, W) that the settings give for two images, 0 where no feature may lie.
+
+    Args:
+        config: settings, of which `masks` is used.
+        images: both images.
+        right: whether the second image is of the right camera; otherwise both are of the left one.
+
+    Raises:
+        ConfigError: a mask is missing, damaged or of another size, or nothing is left.
+    """
+    first, second = (_any_camera(image) for image in images)
+    of_first = recorded_masks(config.masks, Rig(first))[0]
+    rig = Rig(first, second, np.eye(4)) if right else Rig(second)
+    return of_first, recorded_masks(config.masks, rig)[-1]
+
+
+def _any_camera(image: Bytes) -> Camera:
+    """A camera of which only the size is used."""
+    height, width = image.shape
+    return Camera(width, height, 1.0, 1.0, 0.0, 0.0)
 
 
 def check_cameras(
