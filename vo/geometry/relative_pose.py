@@ -96,7 +96,8 @@ def relative_pose(
         return RelativePose(make_transform(turn, np.zeros(3)), None, len(errors), 0.0)
     motions = _motions(fit, inliers, threshold_px)
     trials = [_try(motion, inliers, rest, threshold_px) for motion in motions]
-    return _choose(trials, inliers)
+    # A homography ties both coordinates of a match, epipolar lines one: its motion is the best one.
+    return _choose(trials, inliers, refine=fit.kind is not ModelKind.HOMOGRAPHY)
 
 
 def _motions(fit: Fit, inliers: _Views, threshold_px: float) -> list[Motion]:
@@ -147,7 +148,7 @@ def _try(motion: Motion, inliers: _Views, rest: _Views, threshold_px: float) -> 
     return _Trial(motion, good, angle, int((errors <= threshold_px).sum()))
 
 
-def _choose(trials: list[_Trial], inliers: _Views) -> RelativePose | FitFailure:
+def _choose(trials: list[_Trial], inliers: _Views, *, refine: bool) -> RelativePose | FitFailure:
     """The motion with most points in front, and of several the one that explains most matches."""
     count = len(inliers.first)
     most = max((int(trial.good.sum()) for trial in trials), default=0)
@@ -156,10 +157,10 @@ def _choose(trials: list[_Trial], inliers: _Views) -> RelativePose | FitFailure:
     likely = [trial for trial in trials if trial.good.sum() > _MIN_RIVAL * most]
     likely.sort(key=lambda trial: (-trial.others, -int(trial.good.sum())))
     best = likely[0]
-    motion = _refined(best, inliers)
+    motion = _transform(best, inliers, refine=refine)
     alternative = None
     for rival in likely[1:]:
-        other = _refined(rival, inliers)
+        other = _transform(rival, inliers, refine=refine)
         # Random matches that fit a wrong motion scatter by the root of their number.
         is_decided = best.others - rival.others > _MIN_DECIDING + 3.0 * np.sqrt(rival.others)
         if not is_decided and np.abs(other - motion).max() > _SAME_MOTION:
@@ -169,8 +170,10 @@ def _choose(trials: list[_Trial], inliers: _Views) -> RelativePose | FitFailure:
     return RelativePose(motion, alternative, int(best.good.sum()), parallax)
 
 
-def _refined(trial: _Trial, inliers: _Views) -> Floats:
-    """(4, 4) refined on the points in front."""
-    good = inliers.select(trial.good)
-    motion = refine_motion(trial.motion, good.first, good.second, good.matrices)
+def _transform(trial: _Trial, inliers: _Views, *, refine: bool) -> Floats:
+    """(4, 4) of a motion, perhaps refined on the points in front."""
+    motion = trial.motion
+    if refine:
+        good = inliers.select(trial.good)
+        motion = refine_motion(motion, good.first, good.second, good.matrices)
     return make_transform(*motion)
