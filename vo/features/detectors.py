@@ -22,6 +22,8 @@ _CORNER_QUALITY = 0.005  # of the strongest corner's response
 _CORNER_DISTANCE_PX = 3.0
 _HARRIS_K = 0.04
 _SMALLEST_PX = 16
+_REGION_AREA_PX = 30  # of the smallest region of MSER
+_REGION_SIZE_PX = 6.2  # the diameter of a disc of that area
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,14 @@ DETECTORS: dict[str, DetectorKind] = {
     "sift": _opencv(
         "SIFT", "rootsift", "extrema of differences of Gaussians, with scale and orientation", 3.2
     ),
-    "mser": _opencv("MSER", "sift", "regions that stay the same over many thresholds", 10.0),
+    "mser": _opencv(
+        "MSER",
+        "sift",
+        "regions that stay the same over many thresholds",
+        _REGION_SIZE_PX,
+        # OpenCV's defaults (delta 5, 60 pixels, diversity 0.2) find a tenth: too few for odometry.
+        lambda _: {"delta": 2, "min_area": _REGION_AREA_PX, "min_diversity": 0.1},
+    ),
     "akaze": _opencv(
         "AKAZE", "akaze", "blobs of a nonlinear scale space, fast, binary descriptor", 4.8
     ),
