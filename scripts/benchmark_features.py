@@ -92,7 +92,7 @@ def _recordings(options: argparse.Namespace) -> list[tuple[str, Path]]:
 
 
 def features_document(report: dict[str, Any]) -> str:
-    """The section of the page: methods by the ratio of good pairs."""
+    """The section of the page: methods by the ratio of good pairs, best first."""
     rows = report["results"]
     by_method = {row["method"]: [r for r in rows if r["method"] == row["method"]] for row in rows}
     base_ms = _pair_ms(by_method.get(BASE, rows))
@@ -105,9 +105,7 @@ def features_document(report: dict[str, Any]) -> str:
     for method, own in sorted(by_method.items(), key=lambda item: -_good(item[1])):
         good = [_good([row for row in own if row["gap"] == gap]) for gap in GAPS]
         cells = [
-            f"`{method}`"
-            if "," not in method
-            else method.replace("orb,", "`orb`,").replace("sift,", "`sift`,"),
+            _code(method),
             f"{_mean(own, 'features'):.0f}",
             f"{_mean(own, 'inlier_ratio'):.2f}",
             *(f"{ratio:.2f}" for ratio in good),
@@ -125,6 +123,11 @@ def features_document(report: dict[str, Any]) -> str:
         f"{report['versions']}."
     )
     return "\n".join([*wrapped(words), "", *lines])
+
+
+def _code(method: str) -> str:
+    name, comma, words = method.partition(",")
+    return f"`{name}`{comma}{words}"
 
 
 def wrapped(text: str) -> list[str]:
