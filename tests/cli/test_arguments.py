@@ -11,7 +11,15 @@ from typer.testing import CliRunner
 
 from vo.cli.app import app
 
-CHOICES = ("mode", "rrd_images", "align", "board", "model")  # Typer lists the choices
+CHOICES = (
+    "mode",
+    "rrd_images",
+    "align",
+    "board",
+    "model",
+    "matcher",
+    "method",
+)  # Typer lists the choices
 METAVAR = r"(-\|)?[A-Z][A-Z.=:,…|xN-]*"
 
 
