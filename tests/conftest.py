@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from vo.compiling.processor import use_common_instructions
 
@@ -15,6 +16,9 @@ from vo.compiling.processor import use_common_instructions
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# A busy machine is no fault of a test.
+settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any speed")
 use_common_instructions()  # as the program does, so that both share what is compiled
 
 

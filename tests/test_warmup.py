@@ -72,7 +72,8 @@ def test_warmup_compiles_once(first_warmup: tuple[Path, str, str]) -> None:
 
     again = run(cache, VO, "warmup")
 
-    assert (again.stdout, again.stderr) == ("nothing to compile\n", "")
+    assert again.stdout.startswith("nothing to compile;")
+    assert again.stderr == ""
 
 
 def test_stamp_depends_on_all_compiled_functions() -> None:
@@ -109,7 +110,7 @@ def test_run_compiles_what_is_missing(
 
     assert missing.exists()
     assert (NOTICE in done.stderr) is not quiet
-    assert run(cache, VO, "warmup").stdout == "nothing to compile\n"
+    assert run(cache, VO, "warmup").stdout.startswith("nothing to compile;")
 
 
 def test_library_compiles_before_the_first_frame(outdated: tuple[Path, Path]) -> None:

@@ -22,6 +22,7 @@ _PACKAGE = Path(__file__).parent
 _ROOMS_WITH_KERNELS = (
     "backend",
     "compiling",
+    "features",
     "formats",
     "frontend",
     "geometry",
