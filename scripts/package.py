@@ -34,6 +34,21 @@ writer.release()
 """
 
 
+_MAKE_CALIBRATION = """
+import vo
+camera = vo.Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
+vo.write_calibration("camera.yaml", vo.Rig(camera))
+shift = __import__("numpy").eye(4)
+shift[0, 3] = -0.1
+vo.write_calibration("pair.yaml", vo.Rig(camera, camera, shift))
+"""
+_EXAMPLES = (
+    ("recording.py", "walk"),
+    ("webcam.py", "camera.yaml", "clip.avi"),
+    ("stereo_rig.py", "pair.yaml", "clip.avi", "clip.avi"),
+)
+
+
 @dataclass(frozen=True)
 class Trial:
     """A command, and what its output must contain with and without the extra that it needs."""
@@ -108,6 +123,9 @@ def try_extra(wheel: Path, extra: str, work: Path) -> tuple[float, float]:
     _call([str(vo), "synth", "walk", *_RECORDING], folder)
     _call([str(vo), "run", "walk", "--output", "run", "--rrd", "run.rrd"], folder)
     _call([str(vo), "eval", "run", "walk"], folder)
+    _call([str(python), "-c", _MAKE_CALIBRATION], folder)
+    for name, *words in _EXAMPLES:
+        _call([str(python), str(ROOT / "examples" / name), *words], folder)
     for trial in TRIALS:
         _try(trial, extra, vo, folder)
     if extra in ("foxglove", "all"):

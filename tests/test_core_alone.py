@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from dependencies import DISTRIBUTION, required
+from package import _MAKE_CALIBRATION, _MAKE_VIDEO
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -76,6 +77,23 @@ for name in {modules}:
     result = _run(hide + code, tmp_path)
     assert result.returncode == 0, result.stderr
     assert dict(line.split() for line in result.stdout.splitlines()) == NEEDS_EXTRA
+
+
+@pytest.mark.parametrize("name", ["recording.py", "webcam.py", "stereo_rig.py"])
+def test_examples_need_the_core_alone(
+    hide: str, name: str, synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    words = {
+        "recording.py": [str(synthetic_stereo)],
+        "webcam.py": ["camera.yaml", "clip.avi"],
+        "stereo_rig.py": ["pair.yaml", "clip.avi", "clip.avi"],
+    }[name]
+    example = str(ROOT / "examples" / name)
+    code = f"import runpy\nsys.argv = {[example, *words]!r}\nrunpy.run_path({example!r})"
+    result = _run(hide + _MAKE_VIDEO + _MAKE_CALIBRATION + code, tmp_path)
+    assert result.returncode == 0, result.stderr
+    lines = [line for line in result.stdout.splitlines() if line != "complete"]
+    assert len(lines) == (30 if name == "recording.py" else 9)
 
 
 @pytest.mark.parametrize(
