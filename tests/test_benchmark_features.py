@@ -36,7 +36,7 @@ def row(method: str, gap: int, good: float, pairs: int = 2, **changes: Any) -> d
 
 
 def report(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    return {"count": 1024, "results": rows, "date": "a", "machine": "b", "versions": "c"}
+    return {"count": 1024, "runs": 3, "results": rows, "date": "a", "machine": "b", "versions": "c"}
 
 
 def test_the_best_method_is_first_and_times_are_ratios(benchmark: ModuleType) -> None:
