@@ -95,7 +95,7 @@ def features_document(report: dict[str, Any]) -> str:
     """The section of the page: methods by the ratio of good pairs, best first."""
     rows = report["results"]
     by_method = {row["method"]: [r for r in rows if r["method"] == row["method"]] for row in rows}
-    base_ms = _pair_ms(by_method.get(BASE, rows))
+    base_ms = _pair_ms(by_method[BASE]) if BASE in by_method else 0.0
     lines = [
         "| method | features | inlier ratio | "
         + " | ".join(f"< 2°, gap {gap}" for gap in GAPS)
@@ -116,14 +116,17 @@ def features_document(report: dict[str, Any]) -> str:
         lines.append("| " + " | ".join(cells) + " |")
     recordings = list(dict.fromkeys(row["recording"] for row in rows))
     pairs = sum(row["pairs"] for row in by_method[next(iter(by_method))])
+    times = (
+        f"ORB takes {base_ms:.0f} ms of CPU time for a pair of images, features and matches, in "
+        "one thread; other times are ratios to it, as all methods see a pair one after the other. "
+        if base_ms
+        else ""
+    )
     words = (
         f"Made by `scripts/benchmark --features --runs {report['runs']} --write`: "
         f"{pairs} pairs of {len(recordings)} recordings ({', '.join(recordings)}), "
-        f"{report['count']} features at most; ORB takes {base_ms:.0f} ms of CPU time for a pair of "
-        f"images, features and matches, in one thread; other times are ratios to it, as all "
-        f"methods see a pair one after the other. Methods are in order of the ratio of all pairs "
-        f"with errors below 2°. {report['date']}, {report['machine']}, "
-        f"{report['versions']}."
+        f"{report['count']} features at most. {times}Methods are in order of the ratio of all "
+        f"pairs with errors below 2°. {report['date']}, {report['machine']}, {report['versions']}."
     )
     plot = "![Pairs with errors below 2° by method and gap, and CPU times](images/features.png)"
     return "\n".join([*wrapped(words), "", plot, "", *lines])
