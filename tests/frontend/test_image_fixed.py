@@ -10,6 +10,7 @@ import pytest
 from fixed_scenes import SHAPE, find, noisy, panning, passed_by, texture, with_body
 
 from vo.faults import FaultKind
+from vo.frontend.image_fixed import place_of
 from vo.types import Bytes
 
 _TRAIN = slice(48, 192)
@@ -106,3 +107,20 @@ def test_reports_a_reflection_over_all_of_the_image() -> None:
     images = (noisy(0.7 * im + 0.3 * reflected, i) for i, im in enumerate(panning(4.0, 60)))
     *_, found = find(images)
     assert found.is_ambiguous and not found.faults[0].is_handled
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "words"),
+    [
+        (slice(100, 120), slice(None), "bottom"),
+        (slice(0, 20), slice(None), "top"),
+        (slice(None), slice(0, 25), "left"),
+        (slice(0, 15), slice(130, 160), "top right"),
+        (slice(50, 70), slice(60, 100), ""),
+        (slice(None), slice(None), ""),
+    ],
+)
+def test_the_place_of_fixed_content_has_a_name(rows: slice, columns: slice, words: str) -> None:
+    fixed = np.zeros((120, 160), dtype=bool)
+    fixed[rows, columns] = True
+    assert place_of(fixed) == words

@@ -59,6 +59,7 @@ _MIN_LONG_PASSING, _LONG = 0.3, 15
 # Images that the mean gradient remembers, and the weight of the newest after so many.
 _MEAN_OF = 8
 _WEIGHTS = (1.0 / (1.0 + np.arange(256))).astype(np.float32)
+_MOST = 0.6  # of what is fixed, for the place where it lies
 _GROWTH_PX = 8  # added round what is fixed, pixels of the image of half the size: half a feature
 _SETTLED = 8  # comparisons after which a recording is taken to be free of such content
 # Frames between comparisons: at first, after `_SETTLED`, and after twice as many without a find.
@@ -75,6 +76,7 @@ class ImageFixed(NamedTuple):
             something large passes; there is no mask then.
         finds: number of times that a mask was made where there was none.
         is_settled: whether nothing was found for so long that it can no longer be expected.
+        place: where most of it lies, such as `bottom`; empty if it is all over the image.
     """
 
     mask: Bytes | None = None
@@ -82,6 +84,7 @@ class ImageFixed(NamedTuple):
     is_ambiguous: bool = False
     finds: int = 0
     is_settled: bool = False
+    place: str = ""
 
     @property
     def is_present(self) -> bool:
@@ -94,7 +97,7 @@ class ImageFixed(NamedTuple):
         if not self.is_present:
             return ()
         is_handled = not self.is_ambiguous
-        return (Fault(FaultKind.IMAGE_FIXED_FEATURES, is_handled, self.share),)
+        return (Fault(FaultKind.IMAGE_FIXED_FEATURES, is_handled, self.share, self.place),)
 
 
 class ImageFixedDetector:
@@ -264,10 +267,18 @@ class ImageFixedDetector:
             is_settled = self._finds == 0 and self._comparisons >= _SETTLED
             self.found = ImageFixed(finds=self._finds, is_settled=is_settled)
         elif is_ambiguous and is_new:
-            self.found = ImageFixed(None, self._area(), is_ambiguous=True, finds=self._finds)
+            self.found = ImageFixed(
+                None,
+                self._area(),
+                is_ambiguous=True,
+                finds=self._finds,
+                place=place_of(self._fixed),
+            )
         else:
             self._finds += is_new
-            self.found = ImageFixed(self._mask(), self._area(), finds=self._finds)
+            self.found = ImageFixed(
+                self._mask(), self._area(), finds=self._finds, place=place_of(self._fixed)
+            )
 
     def _lies_still(self, now: Gradients, count: int) -> bool:
         """Whether enough of what has not changed is where it was when its run began."""
@@ -283,6 +294,22 @@ class ImageFixedDetector:
         grown = cv2.dilate(self._fixed.astype(np.uint8), np.ones((side, side), np.uint8))
         full = cv2.resize(grown, self._shape[::-1], interpolation=cv2.INTER_NEAREST)
         return np.asarray(1 - full, dtype=np.uint8)
+
+
+def place_of(fixed: Bools) -> str:
+    """Words for the part of the image (H, W) in which most of it lies, empty for no such part.
+
+    A third of the height (top, bottom), of the width (left, right), or a corner of both.
+    """
+    total = max(int(np.count_nonzero(fixed)), 1)
+    words = []
+    for axis, (low, high) in ((1, ("top", "bottom")), (0, ("left", "right"))):
+        counts = np.count_nonzero(fixed, axis=axis)
+        third = len(counts) // 3
+        for part, word in ((counts[:third], low), (counts[-third:], high)):
+            if int(part.sum()) > _MOST * total:
+                words.append(word)
+    return " ".join(words)
 
 
 def _is_everywhere(fixed: Bools) -> bool:

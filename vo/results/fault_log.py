@@ -26,6 +26,7 @@ class FaultRecord(NamedTuple):
         first: number of the first frame with it, None for a fault of the whole recording.
         last: number of the last frame with it, or None.
         value: of the largest magnitude, in the unit of its message.
+        place: where the one of this value lies in the image; empty if that does not apply.
     """
 
     kind: FaultKind
@@ -34,6 +35,7 @@ class FaultRecord(NamedTuple):
     first: int | None
     last: int | None
     value: float
+    place: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -51,7 +53,9 @@ class FaultLog:
         for fault in faults:
             before = self._records.get(fault.kind)
             count = 0 if frame is None else 1
-            record = FaultRecord(fault.kind, fault.is_handled, count, frame, frame, fault.value)
+            record = FaultRecord(
+                fault.kind, fault.is_handled, count, frame, frame, fault.value, fault.place
+            )
             self._records[fault.kind] = record if before is None else _joined(before, record)
 
     def withdraw_from(self, frame: int) -> None:
@@ -67,11 +71,13 @@ class FaultLog:
 
 
 def _joined(before: FaultRecord, new: FaultRecord) -> FaultRecord:
+    larger = max(before, new, key=lambda record: abs(record.value))
     return FaultRecord(
         before.kind,
         before.is_handled and new.is_handled,
         before.frames + new.frames,
         new.first if before.first is None else before.first,
         before.last if new.last is None else new.last,
-        max(before.value, new.value, key=abs),
+        larger.value,
+        larger.place,
     )

@@ -7,16 +7,17 @@ from collections.abc import Mapping, Sequence
 from vo.faults import FaultKind
 from vo.results.fault_log import FaultRecord
 
-# Texts with {frames} ("frame 7", "12 of the frames 7 to 30"), {value} and {size} (its magnitude).
+# Texts with {frames} ("frame 7", "12 of the frames 7 to 30"), {value}, {size} (its magnitude) and
+# {place} (", mostly at the bottom,").
 # The first is used where all faults of the kind were handled, the second where one was not.
 _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     FaultKind.IMAGE_FIXED_FEATURES: (
-        "{value:.0%} of the image does not move with the scene (the robot's own body, text, dirt, "
-        "a dark border, or a reflection?) and is left out: {frames}; --mask or --ignore leave it "
-        "out from the start",
-        "{value:.0%} of the image does not move with the scene (the robot's own body, text, dirt, "
-        "a dark border, or a reflection?), too much for the rest to decide: {frames}; leave it out "
-        "by --mask or --ignore, unless it is the scene",
+        "{value:.0%} of the image{place} does not move with the scene (the robot's own body, text, "
+        "dirt, a dark border, or a reflection?) and is left out: {frames}; --mask or --ignore "
+        "leave it out from the start",
+        "{value:.0%} of the image{place} does not move with the scene (the robot's own body, text, "
+        "dirt, a dark border, or a reflection?), too much for the rest to decide: {frames}; leave "
+        "it out by --mask or --ignore, unless it is the scene",
     ),
     FaultKind.TWO_MOTIONS: (
         "two motions explain much of the image (a large moving object?); the path follows the one "
@@ -111,7 +112,12 @@ def fault_warnings(records: Sequence[FaultRecord]) -> list[str]:
 def _text(record: FaultRecord) -> str:
     handled, open_ = _TEXTS[record.kind]
     text = handled if record.is_handled else open_
-    return text.format(frames=_frames(record), value=record.value, size=abs(record.value))
+    return text.format(
+        frames=_frames(record),
+        value=record.value,
+        size=abs(record.value),
+        place=f", mostly at the {record.place}," if record.place else "",
+    )
 
 
 def _frames(record: FaultRecord) -> str:
