@@ -182,7 +182,7 @@ def test_full_disk_is_an_output_error_and_leaves_no_files(tmp_path: Path) -> Non
         ("world=moon", "setting 'world'"),
         ("effects.blur=-2", "setting 'effects.blur'"),
         ("effects.blurr=1", "did you mean 'effects.blur'"),
-        ("camera=eurok", "no camera named 'eurok'; did you mean 'euroc'"),
+        ("camera=eurok", "no camera named 'eurok'; .*did you mean 'euroc'"),
         ("codec=raw", "format euroc does not support codec raw"),
     ],
 )
@@ -193,7 +193,7 @@ def test_infeasible_settings_are_config_errors(tmp_path: Path, setting: str, mes
 
 
 def test_error_of_an_unknown_preset_suggests_the_nearest_name() -> None:
-    with pytest.raises(ConfigError, match="no preset named 'kiti'; did you mean 'kitti'"):
+    with pytest.raises(ConfigError, match="no preset named 'kiti'; .*did you mean 'kitti'"):
         load_recipe("kiti")
 
 
