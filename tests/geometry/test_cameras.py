@@ -306,7 +306,10 @@ def test_any_omni_camera_is_inverted(xi: float, k1: float, k2: float, angle: flo
     if np.sin(angle) / (np.cos(angle) + xi) > 0.95 * radial_reach(lens):
         return
     pixel = distort(camera, ray)
-    assert np.abs(distort(camera, normalise(camera, pixel)) - pixel).max() < 1e-9
+    # Far outside of the image, of a pinhole with strong distortion, single bits are more.
+    np.testing.assert_allclose(
+        distort(camera, normalise(camera, pixel)), pixel, rtol=1e-14, atol=1e-9
+    )
 
 
 @each_wide_camera
