@@ -17,7 +17,7 @@ Target = Annotated[
 Second = Annotated[
     Path | None,
     typer.Argument(
-        metavar="[SECOND]",
+        metavar="SECOND",
         help="A second image of the same plane, with --homography.",
         show_default=False,
     ),
@@ -171,4 +171,4 @@ def features_command(
 
         echo_json(result.to_dict())
     elif not quiet:
-        result.print()
+        result.show()

@@ -55,7 +55,7 @@ class FeaturesResult:
             "picture": None if self.picture is None else str(self.picture),
         }
 
-    def print(self) -> None:
+    def show(self) -> None:
         """Print a table on standard output."""
         console = standard_output()
         frame = "" if self.frame is None else f", frame {self.frame}"
