@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -16,6 +17,8 @@ from vo.compiling.processor import use_common_instructions
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# FFmpeg in OpenCV reads it once, with the first video of the process: as the package sets it.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 # A busy machine is no fault of a test.
 settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any speed")
