@@ -79,7 +79,7 @@ def licence(name: str) -> str:
 
 
 def home_page(name: str) -> str:
-    """Address of a distribution's project."""
+    """Address of a distribution's project, empty if it gives none."""
     data = distribution(name).metadata
     if "Home-page" in data and data["Home-page"] not in ("", "UNKNOWN"):
         return str(data["Home-page"])
@@ -88,4 +88,4 @@ def home_page(name: str) -> str:
     for label in ("homepage", "home", "source", "source code", "repository", "github"):
         if label in lower:
             return lower[label]
-    return next(iter(pages.values()), f"https://pypi.org/project/{name}")
+    return next(iter(pages.values()), "")

@@ -30,7 +30,8 @@ def rows() -> dict[str, Row]:
         for name in required((extra,) if extra else ()):
             if name not in found:
                 origin = f"`{extra}`" if extra else "core"
-                found[name] = Row(f"[{name}]({home_page(name)})", origin, licence(name))
+                page = home_page(name)
+                found[name] = Row(f"[{name}]({page})" if page else name, origin, licence(name))
     return found
 
 

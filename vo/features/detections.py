@@ -73,6 +73,7 @@ class Detector(Protocol):
 
 def from_opencv(keypoints: Any) -> Detections:
     """Detections of OpenCV's objects."""
+    # SIFT packs octave, layer and a fraction; the upper byte, the fraction, describes nothing.
     rows = [
         (*k.pt, k.size, k.angle, k.response, k.octave & 0xFFFFFF, k.class_id) for k in keypoints
     ]
