@@ -73,10 +73,7 @@ class Detector(Protocol):
 
 def from_opencv(keypoints: Any) -> Detections:
     """Detections of OpenCV's objects."""
-    # SIFT packs octave, layer and a fraction; the upper byte, the fraction, describes nothing.
-    rows = [
-        (*k.pt, k.size, k.angle, k.response, k.octave & 0xFFFFFF, k.class_id) for k in keypoints
-    ]
+    rows = [(*k.pt, k.size, k.angle, k.response, k.octave, k.class_id) for k in keypoints]
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     angle = np.where(table[:, 3] == -1.0, np.nan, np.deg2rad(table[:, 3]))
     return Detections(
