@@ -20,6 +20,7 @@ from benchmark_cases import Case
 VO = Path(sys.executable).with_name("vo")
 LIMIT_FEATURES = 2000
 
+_NO_PATH = 3  # exit status of `vo run` that no frame has a pose: a result, too
 Result = dict[str, Any]
 Say = Callable[..., None]
 
@@ -91,10 +92,11 @@ def _run(
     begin = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     wall_s = time.perf_counter() - begin
-    if done.returncode == 0 and "Warning:" not in done.stderr:
+    if done.returncode in (0, _NO_PATH) and "Warning:" not in done.stderr:
         return "", wall_s
     lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-    return lines[-1] if done.returncode else f"a warning: {lines[0]}", wall_s
+    is_error = done.returncode not in (0, _NO_PATH)
+    return lines[-1] if is_error else f"a warning: {lines[0]}", wall_s
 
 
 def _summary(out: Path, wall_s: float) -> Result:
