@@ -27,9 +27,10 @@ FLOORS = (
     {"vo.frontend"},
     {"vo.learned"},
     {"vo.mapping", "vo.features"},
+    {"vo.places"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
-    {"vo.map_updater", "vo.snapshot"},
+    {"vo.map_updater", "vo.snapshot", "vo.memory"},
     {"vo.stages"},
     {"vo.odometry"},
 )
@@ -38,6 +39,7 @@ CORE_CASES = (
     ("vo.tracking.tracker", "import vo.backend.gauge", "vo.tracking must not know vo.backend"),
     ("vo.refinement.bias", "import vo.backend", "vo.refinement must not know vo.backend"),
     ("vo.frontend.orb", "import vo.mapping", "vo.frontend must not know vo.mapping"),
+    ("vo.places.records", "import vo.backend", "vo.places must not know vo.backend"),
     ("vo.trajectory.store", "import vo.odometry", "vo.trajectory must not know vo.odometry"),
 )
 

@@ -1,0 +1,1 @@
+"""Places: stored keyframes, recognition of places, and verification of loops."""

@@ -1,0 +1,141 @@
+"""Records of the memory: stored keyframes, candidates and verified loops.
+
+Poses are those of the rectified camera. A *segment* is a connected part of the path with a world of
+its own, the *odometry frame*, in which the local map works; loops never change it. The pose graph
+places stored keyframes in the *map frame*, common to all segments that have met (REP 105 calls the
+two frames `odom` and `map`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.mapping.keyframe import FrameId
+from vo.types import Bytes, Descriptors, Floats, Floats32, Ints
+
+PATCH_PX = 13  # side of a stored patch, sampled at the pyramid level of its feature
+
+
+class PlaceKey(NamedTuple):
+    """Identity of a stored keyframe.
+
+    Attributes:
+        session: 0 for those of a loaded map's first recording, and so on; the run itself is last.
+        keyframe: id among the keyframes of its session.
+    """
+
+    session: int
+    keyframe: int
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceLandmarks:
+    """Landmarks as a keyframe observes them; rows belong together.
+
+    Coordinates are relative to the keyframe, so that they move with it.
+
+    Attributes:
+        id: (n,) increasing, unique within the session.
+        xyz: (n, 3) float32 in the camera's frame, unit of the segment.
+        xy: (n, 2) float32 ideal pixels where it is observed.
+        sigma: (n,) float32 standard deviation of the depth relative to the depth.
+        descriptor: (n, width).
+        octave: (n,) pyramid level.
+        angle: (n,) float32 radians.
+        patch: (n, PATCH_PX, PATCH_PX) uint8 around the observation, at its pyramid level.
+    """
+
+    id: Ints
+    xyz: Floats32
+    xy: Floats32
+    sigma: Floats32
+    descriptor: Descriptors
+    octave: NDArray[np.int32]
+    angle: Floats32
+    patch: Bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A keyframe as it is stored once it has left the local map.
+
+    Attributes:
+        key: its identity.
+        frame: which frame it is.
+        is_metric: whether lengths are metres (stereo, depth); otherwise units of the segment.
+        odom_from_cam: (4, 4) in the odometry frame of its segment.
+        covariance: (6, 6) of the motion since the stored keyframe before it in the segment,
+            in this camera's frame (rotation, then translation, as GTSAM orders them).
+        descriptor: (N, width) of all its features, for place recognition.
+        landmarks: those that it observes.
+        thumbnail: (h, w) uint8.
+    """
+
+    key: PlaceKey
+    frame: FrameId
+    is_metric: bool
+    odom_from_cam: Floats
+    covariance: Floats
+    descriptor: Descriptors
+    landmarks: PlaceLandmarks
+    thumbnail: Bytes
+
+
+class Candidate(NamedTuple):
+    """A stored keyframe that may show the place of a query.
+
+    Attributes:
+        key: of the stored keyframe.
+        score: similarity of the bags of words, 0 to 1.
+    """
+
+    key: PlaceKey
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A verified relation between two stored keyframes.
+
+    Attributes:
+        earlier: keyframe that was stored before.
+        later: keyframe that sees the same place again.
+        earlier_from_later: (4, 4), translation in the unit of the earlier one's segment.
+        scale: length in the unit of the earlier segment of one unit of the later one; 1 if both
+            are metric.
+        covariance: (7, 7) of rotation, translation and logarithm of the scale, in the later
+            camera's frame; the last row and column are 0 if both are metric.
+        inliers: landmarks that agree.
+    """
+
+    earlier: PlaceKey
+    later: PlaceKey
+    earlier_from_later: Floats
+    scale: float
+    covariance: Floats
+    inliers: int
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedKeyframes:
+    """Where the pose graph places keyframes; rows belong together.
+
+    Attributes:
+        keys: of the keyframes, in order.
+        world: (n,) number of the connected world that each belongs to: that of its first segment.
+        world_from_cam: (n, 4, 4), in the unit of the world's first segment.
+        scale: (n,) length in that unit of one unit of the keyframe's own segment.
+        covariance: (n, 6, 6) in the camera's frame, NaN if unknown.
+        rejected: loops that the graph does not believe.
+    """
+
+    keys: tuple[PlaceKey, ...]
+    world: Ints
+    world_from_cam: Floats
+    scale: Floats
+    covariance: Floats
+    rejected: tuple[Loop, ...]
