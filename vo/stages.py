@@ -102,6 +102,7 @@ def make_stages(
         config.smoothing.window + config.smoothing.fixed,
         frontend.extractor.descriptor_format,
         components.keyframe_store,
+        config.stereo.sigma_disparity_px,
     )
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or ConstantVelocity()

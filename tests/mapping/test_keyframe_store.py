@@ -20,7 +20,7 @@ from vo.mapping.keyframe_store import KeyframeStore, MemoryKeyframeStore, Stored
 from vo.odometry import Odometry
 from vo.sources.registry import open_source
 from vo.stages import Components
-from vo.types import Frame, KeyframePose, Mode, Rig
+from vo.types import Bytes, Frame, KeyframePose, Mode, Rig
 
 CAPACITY = 4
 SETTINGS = (
@@ -41,10 +41,12 @@ class RowStore:
     def __init__(self) -> None:
         self.rows: list[tuple[int, int, int]] = []  # id, frame, segment
         self.copies: list[tuple[Keyframe, StoredLandmarks]] = []
+        self.images: list[Bytes] = []
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
         self.rows.append((keyframe.id, keyframe.frame.index, keyframe.frame.segment))
         self.copies.append(deepcopy((keyframe, landmarks)))
+        self.images.append(image.copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +125,8 @@ def test_landmarks_are_those_that_the_keyframe_observes_sorted_by_id(run: Run) -
         assert landmarks.descriptor.shape == (count, width)
         assert landmarks.descriptor.dtype == dtype
         assert landmarks.xyz.shape == landmarks.normal.shape == (count, 3)
-        assert landmarks.octave.shape == landmarks.angle.shape == (count,)
+        assert landmarks.octave.shape == landmarks.angle.shape == landmarks.sigma.shape == (count,)
+        assert landmarks.sigma.min() > 0.0
 
 
 def test_landmarks_lie_where_the_keyframe_observes_them(run: Run) -> None:
@@ -204,6 +207,10 @@ def test_stores_of_two_kinds_receive_the_same_and_change_no_pose(synthetic_stere
     expected = run.odometry.trajectory.trajectory().world_from_cam
     for odometry in (other, none):
         np.testing.assert_array_equal(odometry.trajectory.trajectory().world_from_cam, expected)
+    rig = rectified_rig(run.rig)
+    for (keyframe, _), image in zip(rows.copies, rows.images, strict=True):
+        expected_image = rig.rectify(run.frames[keyframe.frame.index].image0, 0)
+        np.testing.assert_array_equal(image, expected_image)
     for keyframe, landmarks in rows.copies:  # what was handed over has not been changed since
         kept, kept_landmarks = run.store.keyframes[keyframe.id], run.store.landmarks[keyframe.id]
         np.testing.assert_array_equal(kept.world_from_cam, keyframe.world_from_cam)

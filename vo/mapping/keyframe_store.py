@@ -1,7 +1,8 @@
 """Contract of what receives the keyframes that leave the local map.
 
 A keyframe is handed over as it leaves: with its features and their descriptors, its observations,
-its covariance, and the landmarks that it observes. Place recognition and loop closure build on it.
+its covariance, the landmarks that it observes, and its image. Place recognition and loop closure
+build on it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.mapping.keyframe import Keyframe
-from vo.types import Descriptors, Floats, Ints
+from vo.types import Bytes, Descriptors, Floats, Ints
 
 
 class StoredLandmarks(NamedTuple):
@@ -25,6 +26,8 @@ class StoredLandmarks(NamedTuple):
         descriptor: (n, width).
         octave: (n,).
         angle: (n,) radians.
+        sigma: (n,) standard deviation of the position, all axes together, given exact poses;
+            infinite if the observations in the map do not determine the depth.
     """
 
     id: Ints
@@ -33,13 +36,20 @@ class StoredLandmarks(NamedTuple):
     descriptor: Descriptors
     octave: NDArray[np.int32]
     angle: NDArray[np.float32]
+    sigma: Floats
 
 
 class KeyframeStore(Protocol):
     """Receives keyframes, in the order of their ids, when they leave the map or at `close`."""
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
-        """Take over a keyframe and copies of the landmarks that it observes."""
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+        """Take over a keyframe and copies of the landmarks that it observes.
+
+        Args:
+            keyframe: it is not changed any more.
+            landmarks: those that it observes.
+            image: (H, W) its rectified image of camera 0, overwritten after the call.
+        """
         ...
 
 
@@ -55,7 +65,7 @@ class MemoryKeyframeStore:
         self.keyframes: list[Keyframe] = []
         self.landmarks: dict[int, StoredLandmarks] = {}
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
-        """Keep a keyframe."""
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+        """Keep a keyframe, without its image."""
         self.keyframes.append(keyframe)
         self.landmarks[keyframe.id] = landmarks

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.frontend.contracts import DescriptorFormat
+from vo.geometry.point_uncertainty import position_sigma
+from vo.geometry.projection import PixelObservations
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import FrameId, Keyframe
@@ -43,6 +45,7 @@ class LocalMap:
         capacity: maximum number of keyframes.
         descriptors: layout of the descriptors.
         store: receives the keyframes that leave the map.
+        sigma_disparity_px: standard deviation of a disparity.
     """
 
     def __init__(
@@ -51,12 +54,14 @@ class LocalMap:
         capacity: int,
         descriptors: DescriptorFormat,
         store: KeyframeStore | None = None,
+        sigma_disparity_px: float = 0.4,
     ) -> None:
         self.rig = rig
         self.keyframes: list[Keyframe] = []
         self.images: Bytes = np.zeros((capacity, rig.height, rig.width), dtype=np.uint8)
         self._capacity = capacity
         self._store = store
+        self._sigma_disparity_px = sigma_disparity_px
         self._next_landmark = 0
         self._next_keyframe = 0
         self._fields: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -265,5 +270,28 @@ class LocalMap:
             return
         rows = self.rows(keyframe.landmark)
         rows = np.sort(rows[rows >= 0])
-        fields = (getattr(self, name).take(rows, axis=0) for name in StoredLandmarks._fields)
-        self._store.add(keyframe, StoredLandmarks(*fields))
+        names = StoredLandmarks._fields[:-1]
+        fields = {name: getattr(self, name).take(rows, axis=0) for name in names}
+        landmarks = StoredLandmarks(**fields, sigma=self._position_sigma(rows))
+        self._store.add(keyframe, landmarks, self.images[keyframe.slot])
+
+    def _position_sigma(self, chosen: Ints) -> Floats:
+        """Standard deviation (n,) of the positions of landmarks (n,), given exact poses."""
+        place = np.full(len(self), -1)
+        place[chosen] = np.arange(len(chosen))
+        number, row = self.observation_rows()
+        used = np.flatnonzero(place[row] >= 0)
+        return position_sigma(
+            self.xyz[chosen],
+            np.stack([k.world_from_cam[:3, 3] for k in self.keyframes]),
+            place[row[used]],
+            number[used],
+            PixelObservations(
+                np.concatenate([k.xy for k in self.keyframes])[used],
+                np.concatenate([k.disparity for k in self.keyframes])[used],
+                np.concatenate([k.sigma_px for k in self.keyframes])[used],
+                self._sigma_disparity_px,
+            ),
+            self.rig.fx,
+            self.rig.fx * self.rig.baseline_m,
+        )

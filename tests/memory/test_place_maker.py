@@ -1,0 +1,132 @@
+"""Places made of the keyframes of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vo.config import load_config
+from vo.geometry.transforms import adjoint, inverse, so3_exp
+from vo.geometry.transforms import make_transform as transform_of
+from vo.mapping.keyframe import FrameId, Keyframe
+from vo.mapping.keyframe_store import StoredLandmarks
+from vo.memory.place_maker import PlaceMaker, motion_covariance, patches
+from vo.odometry import Odometry
+from vo.places.records import PATCH_PX, Place, PlaceKey
+from vo.sources.registry import open_source
+from vo.stages import Components
+from vo.types import Bytes, Floats, Keypoints
+
+
+class PlaceStore:
+    """Makes a place of each keyframe."""
+
+    def __init__(self, *, is_metric: bool) -> None:
+        self.places: list[Place] = []
+        self.keyframes: list[Keyframe] = []
+        self._maker = PlaceMaker(3, 1.44, is_metric=is_metric)
+
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+        self.places.append(self._maker.make(keyframe, landmarks, image))
+        self.keyframes.append(keyframe)
+
+
+@pytest.fixture(scope="module", params=["stereo", "mono"])
+def store(synthetic_stereo: Path, request: pytest.FixtureRequest) -> PlaceStore:
+    source = open_source(synthetic_stereo, mode=request.param)
+    store = PlaceStore(is_metric=source.rig.is_metric)
+    settings = ["smoothing.window=3", "smoothing.fixed=1", "keyframes.max_gap_s=0.1"]
+    config = load_config("fast", settings)
+    odometry = Odometry(source.rig, config, Components(keyframe_store=store))
+    for _ in odometry.track_all(source.frames(0, 18)):
+        pass
+    odometry.finish()
+    odometry.close()
+    return store
+
+
+def test_each_keyframe_has_a_place_with_its_landmarks(store: PlaceStore) -> None:
+    assert len(store.places) > 4
+    for place, keyframe in zip(store.places, store.keyframes, strict=True):
+        assert place.key == PlaceKey(3, keyframe.id)
+        landmarks, count = place.landmarks, len(place.landmarks.id)
+        assert count > 100
+        assert np.all(np.diff(landmarks.id) > 0)
+        assert landmarks.patch.shape == (count, PATCH_PX, PATCH_PX)
+        lengths = {len(value) for value in vars(landmarks).values()}
+        assert lengths == {count}
+        rows = np.searchsorted(np.sort(keyframe.landmark), landmarks.id)
+        expected = keyframe.xy[np.argsort(keyframe.landmark)][rows]
+        np.testing.assert_allclose(landmarks.xy, expected, atol=1e-3)
+        assert np.all(landmarks.xyz[:, 2] > 0)
+        assert 0.0 < np.median(landmarks.sigma) < 0.3
+        assert place.thumbnail.shape[0] == 60
+
+
+def test_motions_have_a_covariance_that_grows_less_than_that_of_the_poses(
+    store: PlaceStore,
+) -> None:
+    assert not store.places[0].covariance.any()
+    for place in store.places[1:]:
+        assert np.linalg.eigvalsh(place.covariance)[0] > 0.0
+    last = store.keyframes[-2]
+    assert last.covariance is not None
+    assert np.trace(store.places[-2].covariance) < np.trace(last.covariance)
+
+
+def test_motion_of_independent_steps_has_the_covariance_of_the_last_step() -> None:
+    """If `next = before @ motion` with independent errors, that of the motion comes out."""
+    rng = np.random.default_rng(0)
+    of_before, of_motion = (a @ a.T for a in rng.normal(size=(2, 6, 6)))
+    before_from_next = transform_of(so3_exp(np.array([0.1, -0.2, 0.05])), np.array([0.3, 0.1, 2.0]))
+    moved = adjoint(inverse(before_from_next))
+    before = _keyframe(0, np.eye(4), of_before, {})
+    after = _keyframe(
+        1, before_from_next, moved @ of_before @ moved.T + of_motion, {0: moved @ of_before}
+    )
+    np.testing.assert_allclose(motion_covariance(before, after), of_motion, rtol=1e-6, atol=1e-9)
+
+
+def test_patches_are_of_the_pyramid_level_of_their_feature() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (60, 80), dtype=np.uint8)
+    xy = np.array([[30.0, 20.0], [40.0, 30.0], [0.0, 0.0]])
+    found = patches(image, xy, np.array([0, 1, 0], np.int32), 2.0)
+    np.testing.assert_array_equal(found[0], image[14:27, 24:37])
+    half = image.reshape(30, 2, 40, 2).mean(axis=(1, 3))
+    # Pixel (40, 30) has its centre at (19.75, 14.75) of the image of half the size.
+    column = 0.25 * half[:, :-1] + 0.75 * half[:, 1:]
+    expected = (0.25 * column[:-1] + 0.75 * column[1:])[8:21, 13:26]
+    assert np.abs(found[1] - expected).max() < 2.0
+    assert (found[2][:7, :7] == image[0, 0]).all()
+
+
+def _keyframe(
+    number: int, world_from_cam: Floats, covariance: Floats, cross: dict[int, Floats]
+) -> Keyframe:
+    nothing = np.empty((0, 2))
+    keypoints = Keypoints(
+        nothing.astype(np.float32),
+        np.empty(0, np.int32),
+        np.empty(0, np.float32),
+        np.empty(0, np.float32),
+        np.empty((0, 32), np.uint8),
+    )
+    return Keyframe(
+        number,
+        FrameId(number, number, 0),
+        0,
+        world_from_cam,
+        covariance,
+        cross,
+        keypoints,
+        nothing,
+        np.empty(0, bool),
+        np.empty(0, np.int64),
+        nothing,
+        nothing,
+        np.empty(0),
+        np.empty(0),
+    )

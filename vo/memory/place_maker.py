@@ -1,0 +1,126 @@
+"""Places from keyframes that leave the local map."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.geometry.transforms import adjoint, inverse, transform_points
+from vo.mapping.keyframe import Keyframe
+from vo.mapping.keyframe_store import StoredLandmarks
+from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
+from vo.types import Bytes, Floats
+
+_THUMBNAIL_HEIGHT = 60
+# Standard deviations of the motion since the keyframe before where the window does not give them:
+# radians, and fractions of the distance.
+_SIGMA_RAD, _SIGMA_RATIO = 0.02, 0.1
+
+
+class PlaceMaker:
+    """Makes places of consecutive keyframes.
+
+    Args:
+        session: number of the session.
+        scale_factor: size ratio of two pyramid levels.
+        is_metric: whether lengths are metres.
+    """
+
+    def __init__(self, session: int, scale_factor: float, *, is_metric: bool) -> None:
+        self._session = session
+        self._scale_factor = scale_factor
+        self._is_metric = is_metric
+        self._last: Keyframe | None = None  # the one before
+
+    def make(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> Place:
+        """The place of a keyframe that follows the one of the last call."""
+        covariance = motion_covariance(self._last, keyframe)
+        self._last = keyframe
+        order = np.argsort(keyframe.landmark, kind="stable")
+        order = order[np.isin(keyframe.landmark[order], landmarks.id, assume_unique=True)]
+        xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
+        distance = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
+        height, width = image.shape
+        thumbnail_width = max(1, round(width * _THUMBNAIL_HEIGHT / height))
+        return Place(
+            key=PlaceKey(self._session, keyframe.id),
+            frame=keyframe.frame,
+            is_metric=self._is_metric,
+            odom_from_cam=keyframe.world_from_cam.copy(),
+            covariance=covariance,
+            descriptor=keyframe.keypoints.descriptor,
+            landmarks=PlaceLandmarks(
+                id=landmarks.id,
+                xyz=xyz.astype(np.float32),
+                xy=keyframe.xy[order].astype(np.float32),
+                sigma=(landmarks.sigma / distance).astype(np.float32),
+                descriptor=landmarks.descriptor,
+                octave=landmarks.octave,
+                angle=landmarks.angle,
+                patch=patches(
+                    image, keyframe.image_xy[order], landmarks.octave, self._scale_factor
+                ),
+            ),
+            thumbnail=cv2.resize(
+                image, (thumbnail_width, _THUMBNAIL_HEIGHT), interpolation=cv2.INTER_AREA
+            ),
+        )
+
+
+def motion_covariance(before: Keyframe | None, keyframe: Keyframe) -> Floats:
+    """(6, 6) of the motion from one keyframe to the next of its segment, in the frame of the next.
+
+    Both are relative to the first of the segment: the error of the motion is
+    xi - Ad(next_from_before) xi_before, where the two errors are correlated. Zero for the first
+    keyframe of a segment; a rough guess where the window has not determined it.
+    """
+    if before is None or before.frame.segment != keyframe.frame.segment:
+        return np.zeros((6, 6))
+    next_from_before = inverse(keyframe.world_from_cam) @ before.world_from_cam
+    cross = keyframe.cross_covariance.get(before.id)
+    if keyframe.covariance is None or before.covariance is None or cross is None:
+        length = float(np.linalg.norm(next_from_before[:3, 3]))
+        return np.diag([_SIGMA_RAD**2] * 3 + [max(_SIGMA_RATIO * length, 1e-3) ** 2] * 3)
+    moved = adjoint(next_from_before)
+    shared = cross @ moved.T
+    covariance = keyframe.covariance + moved @ before.covariance @ moved.T - shared - shared.T
+    # Differences of large numbers: no direction may come out as certain, or worse.
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    floor = max(1e-6 * float(values[-1]), 1e-14)
+    return np.asarray((vectors * np.maximum(values, floor)) @ vectors.T)
+
+
+def patches(image: Bytes, xy: Floats, octave: NDArray[np.int32], scale_factor: float) -> Bytes:
+    """(n, PATCH_PX, PATCH_PX) around pixels (n, 2) of an image, at their pyramid levels (n,)."""
+    result = np.zeros((len(xy), PATCH_PX, PATCH_PX), np.uint8)
+    offset = np.arange(PATCH_PX, dtype=np.float32) - PATCH_PX // 2
+    height, width = image.shape
+    for level in np.unique(octave).tolist():
+        factor = scale_factor**level
+        size = (math.ceil(width / factor), math.ceil(height / factor))
+        reduced = image
+        if level > 0:
+            reduced = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        rows = np.flatnonzero(octave == level)
+        ratio = np.array([size[0] / width, size[1] / height])
+        centre = ((xy[rows] + 0.5) * ratio - 0.5).astype(np.float32)
+        u, v = (
+            np.ascontiguousarray(np.broadcast_to(at, (len(rows), PATCH_PX, PATCH_PX)))
+            for at in (
+                centre[:, 0, None, None] + offset[None, None, :],
+                centre[:, 1, None, None] + offset[None, :, None],
+            )
+        )
+        flat = (len(rows), PATCH_PX * PATCH_PX)
+        sampled = cv2.remap(
+            reduced,
+            u.reshape(flat),
+            v.reshape(flat),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        result[rows] = sampled.reshape(-1, PATCH_PX, PATCH_PX)
+    return result
