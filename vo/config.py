@@ -90,13 +90,18 @@ class FeaturesConfig(Section):
     )
 
 
+MatchingName = Literal[
+    "auto", "brute_force", "mnn", "flann", "ann", "lightglue", "lighterglue", "superglue"
+]
+
+
 class MatchingConfig(Section):
     """Descriptor matching."""
 
-    method: Literal["auto", "brute_force", "mnn", "flann", "ann"] = Field(
+    method: MatchingName = Field(
         "auto",
         description="search where nothing is predicted; auto is exact and fits the descriptor; mnn "
-        "for mutual nearest neighbours without ratio test",
+        "for mutual nearest neighbours without ratio test; others in docs/features.md",
     )
     cross_check: bool = expert(
         True, description="keep only matches that are the best in both directions"

@@ -155,8 +155,9 @@ def _frontend(config: Config, components: Components) -> Frontend:
     from vo.features.extractor import make_extractor
     from vo.features.matching import make_matcher
 
+    own = None if extractor is not None else features
     extractor = extractor or make_extractor(features)
-    return make_frontend(config, extractor, matcher or make_matcher(matching, extractor))
+    return make_frontend(config, extractor, matcher or make_matcher(matching, extractor, own))
 
 
 def _preprocessor(

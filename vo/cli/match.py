@@ -18,9 +18,13 @@ class Matcher(StrEnum):
     """Choices of `--matcher`."""
 
     BRUTE_FORCE = "brute_force"
+    MNN = "mnn"
     FLANN = "flann"
     ANN = "ann"
     GMS = "gms"
+    LIGHTGLUE = "lightglue"
+    LIGHTERGLUE = "lighterglue"
+    SUPERGLUE = "superglue"
 
 
 class Model(StrEnum):

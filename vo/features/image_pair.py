@@ -140,8 +140,11 @@ def _matches(
     sizes: tuple[tuple[int, int], tuple[int, int]],
     options: PairOptions,
 ) -> Matches:
-    matcher = make_matcher(options.config.matching, extractor)
-    query, train = (feature_set(each) for each in keypoints)
+    config = options.config
+    matcher = make_matcher(config.matching, extractor, config.features)
+    query, train = (
+        feature_set(each, size=size) for each, size in zip(keypoints, sizes, strict=True)
+    )
     if not options.grid_motion:
         return matcher.match(query, train)
     every = matcher.match(query, train, ratio=1.0, check_rotation=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.compiling.function import compiled
-from vo.config import MatchingConfig
+from vo.config import FeaturesConfig, MatchingConfig
 from vo.features.nearest import Nearest, make_search
 from vo.features.opencv import require_function
 from vo.frontend.contracts import (
@@ -25,6 +25,7 @@ from vo.frontend.hamming_kernels import make_grid
 from vo.frontend.matching import HammingMatcher, with_common_rotation
 from vo.types import Descriptors, Floats, Floats32, Ints
 
+LEARNED = ("lightglue", "lighterglue", "superglue")
 _MARGIN_PX = 1e-3  # added to tolerances where whole cells are skipped
 _MAX_BINARY = 0.3  # of the bits: unrelated descriptors differ in half of them
 
@@ -91,8 +92,25 @@ class DescriptorMatcher:
         return with_common_rotation(matches, query, train) if check_rotation else matches
 
 
-def make_matcher(config: MatchingConfig, extractor: FeatureExtractor) -> Matcher:
-    """The matcher for an extractor's descriptors that the settings name."""
+def make_matcher(
+    config: MatchingConfig, extractor: FeatureExtractor, features: FeaturesConfig | None = None
+) -> Matcher:
+    """The matcher for an extractor's descriptors that the settings name.
+
+    Args:
+        config: settings of matching.
+        extractor: finds the features.
+        features: settings that the extractor was made from, None for one of the caller's own.
+
+    Raises:
+        ConfigError: the matcher is made for other features, or its program is not installed.
+        ModelError: its model has not been fetched.
+    """
+    if config.method in LEARNED:
+        from vo.learned.matchers import make_learned_matcher
+
+        near = DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
+        return make_learned_matcher(config.method, features, near)
     if config.method == "auto" and getattr(extractor, "suits_mutual_matching", False):
         return DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
     is_default = extractor.descriptor_format == HammingMatcher.descriptor_format

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, get_args
 
 import numpy as np
 
-from vo.config import DescriptorName, FeaturesConfig, MatchingConfig
+from vo.config import DescriptorName, FeaturesConfig, MatchingConfig, MatchingName
 from vo.errors import ConfigError
 from vo.features.detections import Detections, Detector
 from vo.features.detectors import (
@@ -29,7 +29,7 @@ from vo.frontend.optical_flow import follow
 from vo.types import Bytes, Floats, Keypoints
 
 KLT = "klt"
-MATCHERS = ("auto", "brute_force", "mnn", "flann", "ann", KLT)
+MATCHERS = (*get_args(MatchingName), KLT)
 
 
 class PairMatches(NamedTuple):
@@ -88,14 +88,18 @@ class DescribedFeatures:
     def __init__(self, name: str, features: FeaturesConfig, matching: MatchingConfig) -> None:
         self.name = name
         self._extractor = make_extractor(features)
-        self._matcher = make_matcher(matching, self._extractor)
+        self._matcher = make_matcher(matching, self._extractor, features)
 
     def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:
         """See `Method.match`."""
         begin = time.process_time()
         a, b = self._extractor.extract(first, mask), self._extractor.extract(second)
         extracted = time.process_time()
-        matches = self._matcher.match(feature_set(a), feature_set(b))
+        query, train = (
+            feature_set(each, size=(image.shape[1], image.shape[0]))
+            for each, image in ((a, first), (b, second))
+        )
+        matches = self._matcher.match(query, train)
         end = time.process_time()
         return PairMatches(
             a.xy[matches.query].astype(np.float64),

@@ -6,7 +6,7 @@ from typing import TypedDict, get_args
 
 import numpy as np
 
-from vo.config import Config
+from vo.config import Config, MatchingName
 from vo.errors import CalibrationError, ConfigError
 from vo.features.image_pair import ModelName, PairOptions
 from vo.frontend.static_masks import recorded_masks
@@ -15,7 +15,7 @@ from vo.given_images import shown
 from vo.settings import nearest, validate
 from vo.types import Bytes, Camera, Rig
 
-MATCHERS = ("auto", "brute_force", "flann", "ann", "gms")
+MATCHERS = (*get_args(MatchingName), "gms")
 """Values of `PairChoices.matcher`."""
 
 

@@ -81,31 +81,37 @@ class FeatureSet:
     """What a matcher needs to know of features; rows belong together.
 
     Attributes:
-        xy: (N, 2) pixels; of a query the predicted positions, None without a prediction (the
-            landmarks of several keyframes have no common image).
+        xy: (N, 2) pixels; of a query the predicted positions, NaN where there is none, and None
+            without any (the landmarks of several keyframes have no common image).
         octave: (N,) int32.
         angle: (N,) radians, NaN without orientation.
         descriptor: (N, width).
+        size: (width, height) of the image, None where it is not known; it is known where there
+            are positions and no search region.
+        response: (N,) of the detector, None if it is not known.
     """
 
     xy: Floats | Floats32 | None
     octave: np.ndarray[tuple[int, ...], np.dtype[np.int32]]
     angle: Floats32
     descriptor: Descriptors
+    size: tuple[int, int] | None = None
+    response: Floats32 | None = None
 
     def __len__(self) -> int:
         return len(self.octave)
 
 
 def feature_set(
-    keypoints: Keypoints, rows: Ints | None = None, xy: Floats | Floats32 | None = None
+    keypoints: Keypoints,
+    rows: Ints | None = None,
+    xy: Floats | Floats32 | None = None,
+    size: tuple[int, int] | None = None,
 ) -> FeatureSet:
     """The features of an image, or some rows of them, perhaps at other positions `xy`."""
-    k = keypoints
-    if rows is None:
-        return FeatureSet(k.xy if xy is None else xy, k.octave, k.angle, k.descriptor)
-    at = k.xy[rows] if xy is None else xy
-    return FeatureSet(at, k.octave[rows], k.angle[rows], k.descriptor[rows])
+    k = keypoints if rows is None else keypoints.select(rows)
+    at = k.xy if xy is None else xy
+    return FeatureSet(at, k.octave, k.angle, k.descriptor, size, k.response)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.frontend.contracts import Matches
-from vo.types import Floats, Floats32
+from vo.frontend.contracts import FeatureSet, Matcher, Matches, SearchRegion
+from vo.learned.inference import Inference
+from vo.types import Floats, Floats32, Ints
 
 MIN_PROBABILITY = 0.1  # the authors' threshold
 
@@ -32,3 +33,61 @@ def matches_of(log_assignment: Floats32, min_probability: float) -> Matches:
     probability = np.exp(log_assignment[every, train].astype(np.float64))
     good = np.flatnonzero((query[train] == every) & (probability > min_probability))
     return Matches(good, train[good], 1.0 - probability[good])
+
+
+class LightGlueMatcher:
+    """Matches two images by a network; see `vo.frontend.contracts.Matcher`.
+
+    Within a search region, and where positions are not known, `near` matches by descriptors alone:
+    the network compares how features lie to each other in whole images. Ratio and orientations
+    are not used.
+
+    Args:
+        network: the loaded model.
+        near: matches by descriptors.
+    """
+
+    def __init__(self, network: Inference, near: Matcher) -> None:
+        self._network = network
+        self._near = near
+
+    def match(
+        self,
+        query: FeatureSet,
+        train: FeatureSet,
+        region: SearchRegion = None,
+        *,
+        ratio: float | None = None,
+        check_rotation: bool = True,
+    ) -> Matches:
+        """One-to-one matches, see `vo.frontend.contracts.Matcher`.
+
+        Raises:
+            ValueError: the size of an image is missing, or descriptors have another layout.
+        """
+        q, t = _placed(query), _placed(train)
+        if region is not None or len(q) == 0 or len(t) == 0:
+            return self._near.match(
+                query, train, region, ratio=ratio, check_rotation=check_rotation
+            )
+        given = _inputs(query, q, 0) | _inputs(train, t, 1)
+        (log_assignment,) = self._network.run(given, ["log_assignment"])
+        matches = matches_of(log_assignment[0], MIN_PROBABILITY)
+        return Matches(q[matches.query], t[matches.train], matches.score)
+
+
+def _placed(features: FeatureSet) -> Ints:
+    """Rows of the features with known positions."""
+    if features.xy is None:
+        return np.empty(0, np.int64)
+    return np.flatnonzero(np.isfinite(features.xy).all(axis=1))
+
+
+def _inputs(features: FeatureSet, rows: Ints, side: int) -> dict[str, Floats32]:
+    """Inputs of the network for one of the two images."""
+    if features.size is None or features.xy is None:
+        raise ValueError("features have no image size; LightGlue needs it")
+    return {
+        f"kpts{side}": normalised(features.xy[rows], features.size)[None],
+        f"desc{side}": np.ascontiguousarray(features.descriptor[rows], np.float32)[None],
+    }

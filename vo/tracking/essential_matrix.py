@@ -45,7 +45,8 @@ class EssentialMatrixFallback:
         """
         rig = self._map.rig
         a, b = last.frame.keypoints, frame.keypoints
-        matches = self._matcher.match(feature_set(a), feature_set(b))
+        size = rig.width, rig.height
+        matches = self._matcher.match(feature_set(a, size=size), feature_set(b, size=size))
         query = matches.query
         if len(query) < self._config.min_matches:
             return None

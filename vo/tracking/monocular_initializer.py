@@ -182,9 +182,10 @@ class MonocularInitializer:
     def _match_descriptors(self, reference: PreprocessedFrame, frame: PreprocessedFrame) -> Matches:
         """Matches near the pixels in the frame before, or anywhere if these are too few."""
         a, b, matcher = reference.keypoints, frame.keypoints, self._frontend.matcher
-        radius_px = np.full(len(a), self._radius_ratio * self._map.rig.width)
-        query, train = feature_set(a, xy=self._expected_xy), feature_set(b)
+        size = self._map.rig.width, self._map.rig.height
+        radius_px = np.full(len(a), self._radius_ratio * size[0])
+        query, train = feature_set(a, xy=self._expected_xy), feature_set(b, size=size)
         matches = matcher.match(query, train, Circles(radius_px), check_rotation=False)
         if len(matches.query) < self._config.min_matches:
-            return matcher.match(query, train)
+            return matcher.match(feature_set(a, size=size), train)
         return with_common_rotation(matches, query, train)

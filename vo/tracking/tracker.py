@@ -253,9 +253,17 @@ class Tracker:
         return None
 
     def relocalize(self, frame: PreprocessedFrame) -> Floats | None:
-        """world_from_cam from descriptors alone."""
-        query = self._features_of(np.arange(len(self._map)))
-        matches = self._matcher.match(query, feature_set(frame.keypoints))
+        """world_from_cam from descriptors alone.
+
+        Landmarks have positions as the camera of the last pose would see them, for matchers that
+        compare how features lie to each other; NaN outside of its view.
+        """
+        visible = visible_landmarks(self._map, self._motion.last)
+        xy = np.full((len(self._map), 2), np.nan)
+        xy[visible.rows] = visible.image_xy
+        size = self._map.rig.width, self._map.rig.height
+        query = replace(self._features_of(np.arange(len(self._map))), xy=xy, size=size)
+        matches = self._matcher.match(query, feature_set(frame.keypoints, size=size))
         return self._pose(frame, matches.query, matches.train)
 
     def track_anywhere(self, frame: PreprocessedFrame) -> TrackedFrame | None:

@@ -1,0 +1,44 @@
+"""Matchers of learned features by name, for the features that they were trained with."""
+
+from __future__ import annotations
+
+import logging
+
+from vo.config import FeaturesConfig
+from vo.errors import ConfigError
+from vo.frontend.contracts import Matcher
+from vo.learned.catalog import find_model
+from vo.learned.files import require_model
+from vo.learned.inference import load
+from vo.learned.lightglue import LightGlueMatcher
+
+_MODELS = {
+    "lighterglue": {"xfeat": "lighterglue"},
+    "lightglue": {"aliked-n16": "lightglue-aliked", "disk": "lightglue-disk"},
+}
+"""For each matcher, its models by detector."""
+_log = logging.getLogger(__name__)
+
+
+def make_learned_matcher(name: str, features: FeaturesConfig | None, near: Matcher) -> Matcher:
+    """A matcher by the name of the setting `matching.method`.
+
+    Args:
+        name: of the matcher.
+        features: settings of the features, None for those of the caller's own.
+        near: matches within search regions.
+
+    Raises:
+        ConfigError: the matcher was trained with other features.
+        ModelError: its model has not been fetched.
+    """
+    models = _MODELS[name]
+    detector = None if features is None else features.detector
+    if features is None or detector not in models:
+        wanted = " or ".join(f"features.detector={each}" for each in models)
+        given = "features of your own" if detector is None else f"'{detector}'"
+        raise ConfigError(f"matching.method '{name}' needs {wanted}, not {given}")
+    model = find_model(models[detector])
+    network = load(require_model(model), features.backend)
+    _log.info("%s runs in %s", model.name, network.description)
+    return LightGlueMatcher(network, near)
