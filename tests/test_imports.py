@@ -31,6 +31,7 @@ FLOORS = (
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
     {"vo.map_updater", "vo.snapshot", "vo.memory"},
+    {"vo.map_creator"},
     {"vo.stages"},
     {"vo.odometry"},
 )

@@ -79,6 +79,11 @@ class FeaturesConfig(Section):
     subpixel: bool = expert(
         False, description="refine corners to sub-pixel by their gradients, not for orb"
     )
+    rescue: Literal["none", "xfeat"] = Field(
+        "none",
+        description="learned features where tracking would be lost, or no map can be made, with "
+        "detector orb",
+    )
     backend: Literal["auto", "opencv", "onnxruntime"] = expert(
         "auto", description="what computes learned features; auto is opencv"
     )

@@ -25,7 +25,7 @@ from vo.snapshot import FrameResult, make_estimate, make_snapshot
 from vo.stages import BUILT_IN, Components, make_stages
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.store import TrajectoryStore
-from vo.types import Estimate, Floats, Frame, Rig, Snapshot, State
+from vo.types import Estimate, Frame, Rig, Snapshot, State
 from vo.warmup import warm_up
 
 
@@ -64,8 +64,8 @@ class Odometry:
         self._window_optimizer = stages.window_optimizer
         self._tracker = stages.tracker
         self._frozen_camera = stages.frozen_camera
-        self._stereo_initializer = stages.stereo_initializer
-        self._monocular_initializer = stages.monocular_initializer
+        self._rescue = stages.rescue
+        self._creator = stages.creator
         self._policy = stages.policy
         self._forecast = stages.forecast
         self._map = stages.local_map
@@ -144,7 +144,7 @@ class Odometry:
         frame = self._preprocess(pending)
         self.update_map()
         if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
-            self._monocular_initializer.restart()
+            self._creator.restart()
             self._state, self._lost = State.STARTING, []
             for each in frame.misled:
                 self._advance(each)
@@ -183,10 +183,13 @@ class Odometry:
         if self._state is State.STARTING:
             return self._start(frame)
         is_lost = self._state is State.LOST or self._frozen_camera.has_withheld
+        frame = self._rescue.of_map(frame)
         tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)
         if isinstance(tracked, Failure):
+            frame, tracked = self._rescue.track(frame, tracked)
+        if isinstance(tracked, Failure):
             self._state = State.LOST
-            self._lost.append(frame)
+            self._lost.append(frame.of_kind(is_second=False))
             return FrameResult(frame, failure=tracked)
         self._state, self._lost = State.TRACKING, []
         newest = self._map.keyframes[-1]
@@ -194,7 +197,9 @@ class Odometry:
             self._trajectory.add_frame(each, newest, self._tracker.last_pose)
         faults = self._tracker.update(frame, tracked)
         is_keyframe = self._needs_keyframe(frame, tracked)
-        if not is_keyframe:
+        if is_keyframe:
+            frame = self._rescue.at_keyframe(frame)
+        else:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
         return FrameResult(frame, tracked, is_keyframe, before, faults=faults)
 
@@ -219,13 +224,10 @@ class Odometry:
     @timed("start")
     def _start(self, frame: PreprocessedFrame) -> FrameResult:
         """Create the first map of a segment, where a frame allows it."""
-        pose = self._tracker.last_pose
-        if self._map.rig.is_stereo:
-            keyframe = self._stereo_initializer.create_map(frame, pose, self._segment)
-        else:
-            keyframe = self._start_mono(frame, pose)
+        keyframe = self._creator.create_map(frame, self._tracker.last_pose, self._segment)
         if isinstance(keyframe, Failure):
             return FrameResult(frame, failure=keyframe)
+        frame = self._rescue.of_map(frame)
         before = self._tracker.last
         self._state, self._lost = State.TRACKING, []
         self._updater.add_keyframe(keyframe)
@@ -233,29 +235,12 @@ class Odometry:
         self._tracker.restart(frame, tracked)
         return FrameResult(frame, tracked, True, before, keyframe=keyframe)
 
-    def _start_mono(self, frame: PreprocessedFrame, pose: Floats) -> Keyframe | Failure:
-        """The second of two keyframes that make a map.
-
-        The frames between them had no map yet; they are tracked now, for the smoothed path.
-        """
-        pair = self._monocular_initializer.attempt(frame)
-        if isinstance(pair, Failure):
-            return pair
-        first, second = self._monocular_initializer.create_map(pair, pose, self._segment)
-        self._updater.optimise_first_pair(first)
-        for waiting in self._monocular_initializer.waiting:
-            tracked = self._tracker.track_anywhere(waiting)
-            if tracked is not None:
-                self._trajectory.add_frame(waiting, first, tracked.world_from_cam)
-        self._monocular_initializer.restart()
-        return second
-
     def _start_segment(self) -> list[PreprocessedFrame]:
         """Give up the map; the lost frames, to be tracked in a new one."""
         self._updater.apply()
         frames, self._lost = self._lost, []
         self._tracker.forget_last_frame()
-        self._monocular_initializer.restart()
+        self._creator.restart()
         self._state = State.STARTING
         self._segment += 1
         return frames

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from subprocess import Popen
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from vo.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.backend.sliding_window import SlidingWindow
 from vo.backend.window_problem import FactorSource
 from vo.config import Config
+from vo.errors import ConfigError
 from vo.frontend.contracts import FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
+from vo.frontend.orb import OrbExtractor
 from vo.frontend.pair_check import PairCheck
 from vo.frontend.pair_matching import PairMatcher
 from vo.frontend.preprocessing import FramePreprocessor
 from vo.frontend.static_masks import StaticMasks, recorded_masks
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.map_creator import Initializers, MapCreator
 from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
 from vo.mapping.local_map import LocalMap
@@ -30,10 +33,14 @@ from vo.tracking.keyframe_forecast import KeyframeForecast
 from vo.tracking.keyframe_policy import KeyframePolicy
 from vo.tracking.monocular_initializer import MonocularInitializer
 from vo.tracking.motion_model import ConstantVelocity, MotionModel
+from vo.tracking.rescue import Kinds, Rescue
 from vo.tracking.stereo_initializer import StereoInitializer
 from vo.tracking.tracker import Tracker
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Rig
+
+if TYPE_CHECKING:
+    from vo.learned.xfeat import XFeatExtractor
 
 
 class Components(NamedTuple):
@@ -63,8 +70,8 @@ class Stages(NamedTuple):
     preprocessor: FramePreprocessor
     tracker: Tracker
     frozen_camera: FrozenCamera
-    stereo_initializer: StereoInitializer
-    monocular_initializer: MonocularInitializer
+    rescue: Rescue
+    creator: MapCreator
     policy: KeyframePolicy
     forecast: KeyframeForecast
     local_map: LocalMap
@@ -96,7 +103,8 @@ def make_stages(
     rectified = rectified_rig(rig)
     masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
     threads = config.threads or available_cores()
-    frontend = _frontend(config, components)
+    second = _second_extractor(config, components)
+    frontend = _frontend(config, components, second)
     local_map = LocalMap(
         rectified,
         config.smoothing.window + config.smoothing.fixed,
@@ -121,17 +129,25 @@ def make_stages(
         components.factor_sources,
     )
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
-    return Stages(
-        _preprocessor(rectified, frontend, masks, config, threads),
-        tracker,
-        FrozenCamera(tracker),
+    updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
+    kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
+    rescue = Rescue(local_map, tracker, frontend.matcher, kinds, start.min_matches)
+    initializers = Initializers(
         StereoInitializer(local_map, mapper, start.min_points),
         _monocular_initializer(local_map, mapper, frontend, config),
+        _monocular_initializer(local_map, mapper, frontend, config),
+    )
+    return Stages(
+        _preprocessor(rectified, frontend, masks, config, threads, second),
+        tracker,
+        FrozenCamera(tracker),
+        rescue,
+        MapCreator(local_map, initializers, rescue, tracker, updater, trajectory),
         policy,
         KeyframeForecast(policy),
         local_map,
         mapper,
-        MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch),
+        updater,
         optimizer,
         trajectory,
     )
@@ -144,7 +160,35 @@ def _monocular_initializer(
     return MonocularInitializer(local_map, mapper, frontend, config.start, ratio, by_flow=by_flow)
 
 
-def _frontend(config: Config, components: Components) -> Frontend:
+def _second_extractor(config: Config, components: Components) -> XFeatExtractor | None:
+    """What `features.rescue` names, beside ORB."""
+    features = config.features
+    if features.rescue == "none":
+        return None
+    is_exchanged = components.extractor is not None or components.matcher is not None
+    if features.detector != "orb" or is_exchanged:
+        raise ConfigError(
+            f"features.rescue is {features.rescue}, which helps features.detector=orb alone; "
+            "leave one of them out"
+        )
+    from vo.features.extractor import make_rescuer
+
+    return make_rescuer(features)
+
+
+def _frontend(config: Config, components: Components, second: FeatureExtractor | None) -> Frontend:
+    """Features and matching; with a matcher for both kinds where there are two."""
+    if second is None:
+        return _usual_frontend(config, components)
+    from vo.features.kinds import MatcherOfKinds
+    from vo.features.matching import make_matcher
+
+    usual = _usual_frontend(config, components)
+    matcher = MatcherOfKinds(usual.matcher, make_matcher(config.matching, second))
+    return make_frontend(config, usual.extractor, matcher)
+
+
+def _usual_frontend(config: Config, components: Components) -> Frontend:
     features, matching = config.features, config.matching
     is_default = features.detector == "orb" and features.descriptor in ("auto", "rbrief")
     is_default &= matching.method == "auto" and matching.cross_check
@@ -161,7 +205,12 @@ def _frontend(config: Config, components: Components) -> Frontend:
 
 
 def _preprocessor(
-    rig: RectifiedRig, frontend: Frontend, masks: StaticMasks, config: Config, threads: int
+    rig: RectifiedRig,
+    frontend: Frontend,
+    masks: StaticMasks,
+    config: Config,
+    threads: int,
+    second: FeatureExtractor | None,
 ) -> FramePreprocessor:
     vertical_disparity = VerticalDisparityCorrection(
         rig, frontend.matcher, frontend.patches, config.stereo
@@ -169,5 +218,5 @@ def _preprocessor(
     matcher = PairMatcher(frontend.matcher, frontend.patches, config.stereo.max_disparity_ratio)
     pair_check = PairCheck(rig, frontend.extractor, matcher)
     return FramePreprocessor(
-        rig, frontend.extractor, vertical_disparity, pair_check, masks, threads=threads
+        rig, frontend.extractor, vertical_disparity, pair_check, masks, second, threads=threads
     )

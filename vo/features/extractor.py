@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,6 +20,9 @@ from vo.features.selection import Selection, select
 from vo.frontend.contracts import DescriptorFormat, FeatureExtractor
 from vo.frontend.orb import OrbExtractor
 from vo.types import Bytes, Floats32, Keypoints
+
+if TYPE_CHECKING:
+    from vo.learned.xfeat import XFeatExtractor
 
 BUILT_IN = "orb"
 LEARNED = ("xfeat",)
@@ -116,7 +120,12 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
     return ComposedExtractor(detector, make_descriptor(name, detector.base_size), config)
 
 
-def _learned(config: FeaturesConfig) -> FeatureExtractor:
+def make_rescuer(config: FeaturesConfig) -> XFeatExtractor:
+    """The extractor that `features.rescue` names."""
+    return _learned(config.model_copy(update={"detector": config.rescue}))
+
+
+def _learned(config: FeaturesConfig) -> XFeatExtractor:
     from vo.learned.catalog import find_model
     from vo.learned.files import require_model
     from vo.learned.inference import load

@@ -71,6 +71,24 @@ class OrbExtractor:
         )
         return keypoints if mask is None else _outside_mask(keypoints, mask)
 
+    def extract_and_describe(
+        self, image: Bytes, xy: Floats, mask: Bytes | None = None
+    ) -> tuple[Keypoints, Keypoints]:
+        """Features of an image, and given pixels (N, 2) of it as features of its largest level."""
+        size = np.array(image.shape[::-1])
+        framed = cv2.copyMakeBorder(image, *(BORDER_PX,) * 4, cv2.BORDER_REFLECT_101)
+        at = np.rint(xy).clip(0, size - 1).astype(np.int32) + BORDER_PX
+        angle, descriptor = describe_corners(np.asarray(framed, np.uint8), at)
+        count = len(xy)
+        given = Keypoints(
+            xy.astype(np.float32),
+            np.zeros(count, np.int32),
+            angle,
+            np.zeros(count, np.float32),
+            descriptor,
+        )
+        return self.extract(image, mask), given
+
     def _pyramid(self, image: Bytes) -> list[tuple[Bytes, int]]:
         factor = self._config.scale_factor
         shares = factor ** (-2.0 * np.arange(self._config.levels))

@@ -50,6 +50,8 @@ class PreprocessedFrame:
         image_fixed: what stands still in images[0] while the scene moves.
         masks: (H, W) uint8 by camera, 0 where that image is not to be used, or None.
         misled: frames before this one, to be tracked anew without such content, found just now.
+        second_features: features of a second kind, of each image, where there is one.
+        is_second: whether `features` and `second_features` have changed places.
     """
 
     index: int
@@ -66,6 +68,19 @@ class PreprocessedFrame:
     image_fixed: ImageFixed = ImageFixed()
     masks: tuple[Bytes | None, Bytes | None] = (None, None)
     misled: tuple[PreprocessedFrame, ...] = ()
+    second_features: tuple[LazyFuture[Keypoints] | None, ...] = ()
+    is_second: bool = False
+
+    def of_kind(self, *, is_second: bool) -> PreprocessedFrame:
+        """The frame with features of the second kind, or of the first."""
+        if is_second == self.is_second:
+            return self
+        return replace(
+            self,
+            features=self.second_features,
+            second_features=self.features,
+            is_second=is_second,
+        )
 
     @property
     def image0(self) -> Bytes:
@@ -123,6 +138,7 @@ class FramePreprocessor:
         vertical_disparity: estimates and corrects vertical disparities of pairs.
         pair_check: refuses pairs whose images are exchanged; None for no check.
         masks: parts of all images that are not used; None for none.
+        second: extracts features of a second kind; None if there is none.
         threads: cores to use.
     """
 
@@ -133,6 +149,7 @@ class FramePreprocessor:
         vertical_disparity: VerticalDisparityCorrection,
         pair_check: PairCheck | None = None,
         masks: StaticMasks | None = None,
+        second: FeatureExtractor | None = None,
         *,
         threads: int,
     ) -> None:
@@ -142,6 +159,7 @@ class FramePreprocessor:
         self._vertical_disparity = vertical_disparity
         self._pair_check = pair_check
         self._masks = masks or StaticMasks(rig)
+        self._second = second
         self._repetition = RepetitionDetector()
         self._interlacing = InterlacingDetector()
         self._blur = BlurDetector()
@@ -231,6 +249,7 @@ class FramePreprocessor:
     ) -> PreprocessedFrame:
         frame = recorded.frame
         images, features = self._images_and_features(frame, image0, mask, pair_check)
+        masks = mask, self._right_mask()
         return PreprocessedFrame(
             frame.index,
             frame.stamp_ns,
@@ -247,7 +266,8 @@ class FramePreprocessor:
             + recorded.faults,
             recorded.repetition,
             fixed,
-            (mask, self._right_mask()),
+            masks,
+            second_features=self._second_features(images, masks),
         )
 
     def _right_mask(self) -> Bytes | None:
@@ -279,6 +299,21 @@ class FramePreprocessor:
                 right = self._extract_right(image1)
         return (image0, image1), (left, right)
 
+    def _second_features(
+        self, images: tuple[Bytes | None, ...], masks: tuple[Bytes | None, Bytes | None]
+    ) -> tuple[LazyFuture[Keypoints] | None, ...]:
+        """Features of the second kind, extracted only where they are needed."""
+        second = self._second
+        if second is None:
+            return ()
+        image0, mask0 = images[0], masks[0]
+        assert image0 is not None
+        left = LazyFuture(lambda: self._inside_lens(second.extract(image0, mask0)), None)
+        if len(images) < 2 or images[1] is None:
+            return (left,)
+        image1, mask1 = images[1], masks[1]
+        return left, LazyFuture(lambda: second.extract(image1, mask1), None)
+
     def _pool_of_left(self) -> ThreadPoolExecutor | None:
         """The thread for features of camera 0; with a single camera the second, idle one."""
         if not self._pools:
@@ -289,7 +324,10 @@ class FramePreprocessor:
         # With a single camera nothing in the first thread waits for features, so that extraction,
         # in the second, may wait for the first.
         helper = self._pools[0] if self._pools and not self._rig.is_stereo else None
-        keypoints = self._extractor.extract(image, mask, helper)
+        return self._inside_lens(self._extractor.extract(image, mask, helper))
+
+    def _inside_lens(self, keypoints: Keypoints) -> Keypoints:
+        """The features inside the pinhole camera's field of view."""
         inside = np.asarray(np.isfinite(self._rig.undistort(keypoints.xy)).all(axis=1))
         return keypoints if inside.all() else keypoints.select(inside)
 

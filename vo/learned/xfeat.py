@@ -42,8 +42,16 @@ class XFeatExtractor:
         self, image: Bytes, mask: Bytes | None = None, helper: Executor | None = None
     ) -> Keypoints:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
+        return self.extract_and_describe(image, np.empty((0, 2)), mask)[0]
+
+    def extract_and_describe(
+        self, image: Bytes, xy: Floats, mask: Bytes | None = None
+    ) -> tuple[Keypoints, Keypoints]:
+        """Features of an image, and given pixels (N, 2) of it as features."""
         if min(image.shape) < _MULTIPLE:
-            return self._keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
+            nothing = self._keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
+            unknown = self._keypoints(xy, np.zeros(len(xy)), np.zeros((len(xy), _WIDTH)))
+            return nothing, unknown
         given = _padded(image).astype(np.float32)[None, None] / np.float32(255.0)
         features, heat, reliability = self._inference.run(
             {"image": given}, ["feats", "heat", "rel"]
@@ -53,11 +61,14 @@ class XFeatExtractor:
         if mask is not None:
             heat = np.where(mask > 0, heat, np.float32(0.0))
         v, u = maxima(heat)
-        xy = np.stack([u, v], axis=1) + peak_offsets(heat, v, u)
-        score = heat[v, u] * bilinear(reliability[0, 0], to_cells(xy))
+        found = np.stack([u, v], axis=1) + peak_offsets(heat, v, u)
+        score = heat[v, u] * bilinear(reliability[0, 0], to_cells(found))
         order = np.lexsort((u, v, -score))[: self._count]
-        xy, score = xy[order], score[order]
-        return self._keypoints(xy, score, bicubic(features[0], to_cells(xy)))
+        found, score = found[order], score[order]
+        return (
+            self._keypoints(found, score, bicubic(features[0], to_cells(found))),
+            self._keypoints(xy, np.zeros(len(xy)), bicubic(features[0], to_cells(xy))),
+        )
 
     def _keypoints(self, xy: Floats, score: Floats | Floats32, descriptor: Floats) -> Keypoints:
         length = np.maximum(np.linalg.norm(descriptor, axis=1, keepdims=True), 1e-12)

@@ -31,7 +31,7 @@ class LocalMap:
         id: (M,) ids of the landmarks.
         xyz: (M, 3) in the world.
         normal: (M, 3) of the surface, in the world, of any length.
-        descriptor: (M, width).
+        descriptor: (M, width), of the layout that the first landmarks had.
         octave: (M,) pyramid level of the patch.
         angle: (M,) orientation of the feature, radians.
         reference: (M,) id of the keyframe whose image holds the patch.
@@ -43,7 +43,7 @@ class LocalMap:
     Args:
         rig: the rectified cameras.
         capacity: maximum number of keyframes.
-        descriptors: layout of the descriptors.
+        descriptors: layout of the descriptors of the first kind.
         store: receives the keyframes that leave the map.
         sigma_disparity_px: standard deviation of a disparity.
     """
@@ -60,6 +60,7 @@ class LocalMap:
         self.keyframes: list[Keyframe] = []
         self.images: Bytes = np.zeros((capacity, rig.height, rig.width), dtype=np.uint8)
         self._capacity = capacity
+        self._descriptors = descriptors
         self._store = store
         self._sigma_disparity_px = sigma_disparity_px
         self._next_landmark = 0
@@ -97,6 +98,11 @@ class LocalMap:
     def poses(self) -> Floats:
         """(K, 4, 4) world_from_cam of the keyframes."""
         return np.stack([k.world_from_cam for k in self.keyframes])
+
+    @property
+    def has_second_kind(self) -> bool:
+        """Whether its features are of the second kind, see `vo.tracking.rescue`."""
+        return (self.descriptor.shape[1], self.descriptor.dtype) != self._descriptors
 
     def clear(self) -> None:
         """Remove all keyframes and landmarks; ids go on."""
@@ -170,6 +176,8 @@ class LocalMap:
             "visible": np.ones(n, np.int64),
             "found": np.ones(n, np.int64),
         }
+        if len(self) == 0:
+            self.descriptor = keypoints.descriptor[:0]
         for name, values in new.items():
             setattr(self, name, np.concatenate([getattr(self, name), values]))
         return ids

@@ -87,6 +87,11 @@ class MonocularInitializer:
         # Features of the reference frame that each waiting frame shows, and their ideal pixels.
         self._seen: list[tuple[Ints, Floats]] = []
 
+    @property
+    def has_reference(self) -> bool:
+        """Whether there is a reference frame."""
+        return self._reference is not None
+
     def restart(self) -> None:
         """Forget the reference frame."""
         self._reference = None
