@@ -19,12 +19,18 @@ from vo.frontend.contracts import Circles, FeatureSet
 from vo.frontend.orb import OrbExtractor
 from vo.learned.catalog import find_model
 from vo.learned.files import require_model
-from vo.learned.inference import load
-from vo.learned.lightglue import LightGlueMatcher, matches_of, normalised
+from vo.learned.inference import Inference, load
+from vo.learned.lightglue import AssignmentMatcher, LightGlue, matches_of, normalised
 from vo.learned.xfeat import XFeatExtractor
 from vo.types import Floats32
 
 NEAR = DescriptorMatcher(MatchingConfig(method="mnn"))
+
+
+def light_glue(network: Inference) -> AssignmentMatcher:
+    return AssignmentMatcher(LightGlue(network), NEAR, 0.1)
+
+
 WIDE, HIGH = (640, 480), (300, 400)
 
 
@@ -92,7 +98,7 @@ def test_the_network_is_given_each_image_in_its_own_size() -> None:
     network = Nearest()
     query = features([[320.0, 240.0], [640.0, 240.0]], WIDE)
     train = features([[300.0, 200.0], [150.0, 200.0]], HIGH)
-    found = LightGlueMatcher(network, NEAR).match(query, train)
+    found = light_glue(network).match(query, train)
     assert (found.query.tolist(), found.train.tolist()) == ([0], [1])
     np.testing.assert_array_equal(network.calls[0]["kpts0"], [[[0, 0], [1, 0]]])
     np.testing.assert_array_equal(network.calls[0]["kpts1"], [[[0.75, 0], [0, 0]]])
@@ -102,14 +108,14 @@ def test_features_without_a_position_are_left_out() -> None:
     network = Nearest()
     query = features([[np.nan, np.nan], [100.0, 100.0], [np.nan, 5.0], [300.0, 100.0]])
     train = features([[301.0, 100.0], [np.nan, np.nan], [99.0, 100.0]])
-    found = LightGlueMatcher(network, NEAR).match(query, train)
+    found = light_glue(network).match(query, train)
     assert network.calls[0]["kpts0"].shape == (1, 2, 2)
     assert (found.query.tolist(), found.train.tolist()) == ([1, 3], [2, 0])
 
 
 def test_where_positions_are_unknown_or_predicted_descriptors_decide() -> None:
     network = Nearest()
-    matcher = LightGlueMatcher(network, NEAR)
+    matcher = light_glue(network)
     descriptor = np.eye(4, dtype=np.float32)
     xy = np.array([[10.0, 10], [100, 10], [10, 100], [100, 100]])
     query, train = features(xy, descriptor=descriptor), features(xy[::-1], descriptor=descriptor)
@@ -125,7 +131,7 @@ def test_where_positions_are_unknown_or_predicted_descriptors_decide() -> None:
 
 
 def test_no_features_are_no_error() -> None:
-    matcher = LightGlueMatcher(Nearest(), NEAR)
+    matcher = light_glue(Nearest())
     some, none = (
         features([[1.0, 2.0]]),
         features(np.empty((0, 2)), descriptor=np.empty((0, 4), np.float32)),
@@ -136,9 +142,7 @@ def test_no_features_are_no_error() -> None:
 
 def test_images_without_a_size_are_refused() -> None:
     with pytest.raises(ValueError, match="no image size"):
-        LightGlueMatcher(Nearest(), NEAR).match(
-            features([[1.0, 1.0]], None), features([[1.0, 1.0]])
-        )
+        light_glue(Nearest()).match(features([[1.0, 1.0]], None), features([[1.0, 1.0]]))
 
 
 def test_a_matcher_needs_the_features_that_it_was_trained_with(synthetic_stereo: Path) -> None:
@@ -178,11 +182,11 @@ def test_an_image_matches_itself_feature_by_feature(
     found = XFeatExtractor(load(require_model(find_model("xfeat"))), 400).extract(image)
     size = (image.shape[1], image.shape[0])
     every = features(found.xy, size, found.descriptor)
-    matches = LightGlueMatcher(load(lighterglue), NEAR).match(every, every)
+    matches = light_glue(load(lighterglue)).match(every, every)
     np.testing.assert_array_equal(matches.query, matches.train)
     assert len(matches.query) > 0.95 * len(found)
     one = features(found.xy[:1], size, found.descriptor[:1])
-    alone = LightGlueMatcher(load(lighterglue), NEAR).match(one, one)
+    alone = light_glue(load(lighterglue)).match(one, one)
     assert (alone.query.tolist(), alone.train.tolist()) == ([0], [0])
 
 
@@ -196,9 +200,9 @@ def test_the_number_of_threads_changes_no_bit(lighterglue: Path, threads: int) -
     before = cv2.getNumThreads()
     try:
         cv2.setNumThreads(threads)
-        found = LightGlueMatcher(load(lighterglue), NEAR).match(query, train)
+        found = light_glue(load(lighterglue)).match(query, train)
         cv2.setNumThreads(4)
-        again = LightGlueMatcher(load(lighterglue), NEAR).match(query, train)
+        again = light_glue(load(lighterglue)).match(query, train)
     finally:
         cv2.setNumThreads(before)
     assert len(found.query) > 150

@@ -101,6 +101,13 @@ class FeatureSet:
     def __len__(self) -> int:
         return len(self.octave)
 
+    def select(self, rows: Ints) -> FeatureSet:
+        """Some of them."""
+        xy = None if self.xy is None else self.xy[rows]
+        response = None if self.response is None else self.response[rows]
+        octave, angle, descriptor = self.octave[rows], self.angle[rows], self.descriptor[rows]
+        return FeatureSet(xy, octave, angle, descriptor, self.size, response)
+
 
 def feature_set(
     keypoints: Keypoints,

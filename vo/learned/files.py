@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vo.errors import ModelError, OutputError
-from vo.learned.catalog import Model
+from vo.learned.catalog import ANY, Model
 
 _FOLDER_VARIABLE = "VO_MODELS"
 _MAX_BYTES = 2**30
@@ -55,15 +55,20 @@ def verify(model: Model) -> Path:
     path = require_model(model)
     record = _record_of(path)
     again = f"; make it again: vo models fetch {model.name}"
-    if record.get("weights_sha256") != model.weights_sha256:
+    if model.weights_sha256 not in (record.get("weights_sha256"), ANY):
         raise ModelError(f"{path} was made from other weights than this version knows{again}")
     if record.get("sha256") != sha256_of(path.read_bytes()):
         raise ModelError(f"{path} is damaged or was changed: its SHA-256 differs{again}")
     return path
 
 
-def write(model: Model, content: bytes) -> Path:
+def write(model: Model, content: bytes, weights_sha256: str) -> Path:
     """Write the ONNX file of a model, and beside it what `verify` compares it with.
+
+    Args:
+        model: the model.
+        content: of the ONNX file.
+        weights_sha256: of the weights that it was made from.
 
     Raises:
         OutputError: it cannot be written; nothing is left then.
@@ -72,7 +77,7 @@ def write(model: Model, content: bytes) -> Path:
     record = {
         "model": model.name,
         "sha256": sha256_of(content),
-        "weights_sha256": model.weights_sha256,
+        "weights_sha256": weights_sha256,
         "weights_licence": model.weights_licence,
     }
     try:

@@ -53,6 +53,10 @@ class GraphBuilder:
         self.used.add(name)
         return self._weights[name]
 
+    def has_weight(self, name: str) -> bool:
+        """Whether the weights have a tensor of this name."""
+        return name in self._weights
+
     def convolution(
         self, x: str, weight: Tensor, bias: Tensor | None, stride: int = 1, padding: int = 0
     ) -> str:

@@ -1,9 +1,11 @@
-"""Matches of two sets of features by a network: LightGlue, LighterGlue.
+"""Matches of two sets of features by a network: LightGlue, LighterGlue, SuperGlue.
 
 Source: Lindenberger et al., "LightGlue: local feature matching at light speed", ICCV 2023.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,13 +15,19 @@ from vo.types import Floats, Floats32, Ints
 
 MIN_PROBABILITY = 0.1  # the authors' threshold
 
+Assignment = Callable[[FeatureSet, FeatureSet], Floats | Floats32]
+"""Logarithms (N, M) of the probability that two features, all with positions, belong together.
+
+Raises ValueError where it is not given what it needs.
+"""
+
 
 def normalised(xy: Floats | Floats32, size: tuple[int, int]) -> Floats32:
     """Positions (N, 2), 0 in the middle of an image (width, height), 1 at half its longer side."""
     return ((xy - np.divide(size, 2.0)) / (max(size) / 2.0)).astype(np.float32)
 
 
-def matches_of(log_assignment: Floats32, min_probability: float) -> Matches:
+def matches_of(log_assignment: Floats | Floats32, min_probability: float) -> Matches:
     """Pairs that are the most probable ones of both features; scores are 1 - probability.
 
     Args:
@@ -35,7 +43,20 @@ def matches_of(log_assignment: Floats32, min_probability: float) -> Matches:
     return Matches(good, train[good], 1.0 - probability[good])
 
 
-class LightGlueMatcher:
+class LightGlue:
+    """The assignment of LightGlue and LighterGlue, see `Assignment`."""
+
+    def __init__(self, network: Inference) -> None:
+        self._network = network
+
+    def __call__(self, query: FeatureSet, train: FeatureSet) -> Floats32:
+        """See `Assignment`."""
+        given = _inputs(query, 0) | _inputs(train, 1)
+        (log_assignment,) = self._network.run(given, ["log_assignment"])
+        return np.asarray(log_assignment[0])
+
+
+class AssignmentMatcher:
     """Matches two images by a network; see `vo.frontend.contracts.Matcher`.
 
     Within a search region, and where positions are not known, `near` matches by descriptors alone:
@@ -43,13 +64,15 @@ class LightGlueMatcher:
     are not used.
 
     Args:
-        network: the loaded model.
+        assignment: by the network.
         near: matches by descriptors.
+        min_probability: of a match.
     """
 
-    def __init__(self, network: Inference, near: Matcher) -> None:
-        self._network = network
+    def __init__(self, assignment: Assignment, near: Matcher, min_probability: float) -> None:
+        self._assignment = assignment
         self._near = near
+        self._min_probability = min_probability
 
     def match(
         self,
@@ -70,9 +93,8 @@ class LightGlueMatcher:
             return self._near.match(
                 query, train, region, ratio=ratio, check_rotation=check_rotation
             )
-        given = _inputs(query, q, 0) | _inputs(train, t, 1)
-        (log_assignment,) = self._network.run(given, ["log_assignment"])
-        matches = matches_of(log_assignment[0], MIN_PROBABILITY)
+        found = self._assignment(query.select(q), train.select(t))
+        matches = matches_of(found, self._min_probability)
         return Matches(q[matches.query], t[matches.train], matches.score)
 
 
@@ -83,11 +105,11 @@ def _placed(features: FeatureSet) -> Ints:
     return np.flatnonzero(np.isfinite(features.xy).all(axis=1))
 
 
-def _inputs(features: FeatureSet, rows: Ints, side: int) -> dict[str, Floats32]:
+def _inputs(features: FeatureSet, side: int) -> dict[str, Floats32]:
     """Inputs of the network for one of the two images."""
     if features.size is None or features.xy is None:
-        raise ValueError("features have no image size; LightGlue needs it")
+        raise ValueError("features have no image size; matching by a network needs it")
     return {
-        f"kpts{side}": normalised(features.xy[rows], features.size)[None],
-        f"desc{side}": np.ascontiguousarray(features.descriptor[rows], np.float32)[None],
+        f"kpts{side}": normalised(features.xy, features.size)[None],
+        f"desc{side}": np.ascontiguousarray(features.descriptor, np.float32)[None],
     }

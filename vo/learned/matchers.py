@@ -7,14 +7,20 @@ import logging
 from vo.config import FeaturesConfig
 from vo.errors import ConfigError
 from vo.frontend.contracts import Matcher
+from vo.learned import superglue
 from vo.learned.catalog import find_model
 from vo.learned.files import require_model
 from vo.learned.inference import load
-from vo.learned.lightglue import LightGlueMatcher
+from vo.learned.lightglue import MIN_PROBABILITY, AssignmentMatcher, LightGlue
 
 _MODELS = {
     "lighterglue": {"xfeat": "lighterglue"},
-    "lightglue": {"aliked-n16": "lightglue-aliked", "disk": "lightglue-disk"},
+    "lightglue": {
+        "aliked-n16": "lightglue-aliked",
+        "disk": "lightglue-disk",
+        "superpoint": "lightglue-superpoint",
+    },
+    "superglue": {"superpoint": "superglue"},
 }
 """For each matcher, its models by detector."""
 _log = logging.getLogger(__name__)
@@ -41,4 +47,6 @@ def make_learned_matcher(name: str, features: FeaturesConfig | None, near: Match
     model = find_model(models[detector])
     network = load(require_model(model), features.backend)
     _log.info("%s runs in %s", model.name, network.description)
-    return LightGlueMatcher(network, near)
+    if name == "superglue":
+        return AssignmentMatcher(superglue.SuperGlue(network), near, superglue.MIN_PROBABILITY)
+    return AssignmentMatcher(LightGlue(network), near, MIN_PROBABILITY)
