@@ -72,6 +72,9 @@ class FeaturesConfig(Section):
     descriptor: DescriptorName = Field(
         "auto", description="what describes them; auto for the one that suits the detector"
     )
+    rescue: Literal["none", "xfeat"] = Field(
+        "none", description="learned features where orb fails, and only there (docs/learned.md)"
+    )
     selection: Literal["grid", "ssc", "strongest"] = expert(
         "grid", description="which are kept where a detector other than orb finds more than count"
     )
@@ -79,13 +82,11 @@ class FeaturesConfig(Section):
     subpixel: bool = expert(
         False, description="refine corners to sub-pixel by their gradients, not for orb"
     )
-    rescue: Literal["none", "xfeat"] = Field(
-        "none",
-        description="learned features where tracking would be lost, or no map can be made, with "
-        "detector orb",
-    )
     backend: Literal["auto", "opencv", "onnxruntime"] = expert(
         "auto", description="what computes learned features; auto is opencv"
+    )
+    device: Literal["auto", "cpu", "cuda", "tensorrt", "coreml"] = expert(
+        "auto", description="where learned features are computed; auto takes what works"
     )
     levels: int = expert(4, ge=1, le=16, description="pyramid levels")
     scale_factor: float = expert(1.44, gt=1.0, le=2.0, description="size ratio of two levels")

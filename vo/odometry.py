@@ -18,6 +18,7 @@ from vo.config import Config
 from vo.failures import Failure, FailureReason
 from vo.frontend.lazy_future import LazyFuture
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.learned.inference import networks_used
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.tracked_frame import TrackedFrame, as_tracked_frame
 from vo.refinement.corrected_errors import corrected_errors
@@ -37,6 +38,7 @@ class Odometry:
     Attributes:
         stopwatch: measures the stages.
         hidden: ratio of the recorded images that masks of the whole run hide, by camera.
+        networks: model, device and SHA-256 of each network in use.
 
     Args:
         rig: the cameras, as recorded.
@@ -58,7 +60,9 @@ class Odometry:
         warm_up(Odometry)
         cv2.setRNGSeed(config.seed)
         self.stopwatch = Stopwatch()
-        stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
+        with networks_used() as networks:
+            stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
+        self.networks = tuple(network._asdict() for network in networks)
         self._preprocessor = stages.preprocessor
         self.hidden = stages.preprocessor.hidden
         self._window_optimizer = stages.window_optimizer

@@ -302,6 +302,7 @@ class RunSession:
             profile=self._profile(),
             live=self._live_state(),
             hidden=self._odometry.hidden,
+            networks=self._odometry.networks,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())

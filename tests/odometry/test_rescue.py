@@ -202,6 +202,8 @@ def test_xfeat_tracks_the_cabinet_where_orb_cannot(tmp_path: Path) -> None:
         )
         summary = json.loads((out / "summary.json").read_text())
         posed[rescue] = summary["tracked"], len(summary["segments"])
+        models = [network["model"] for network in summary["networks"]]
+        assert models == ([] if rescue == "none" else ["xfeat"])
     assert posed["none"][0] <= 5
     assert posed["xfeat"][0] >= 13 and posed["xfeat"][1] <= 2
     inputs = load_inputs(tmp_path / "xfeat" / "trajectory.tum", CABINET)

@@ -179,7 +179,7 @@ def warnings_on(console: Console, *, quiet: bool = False) -> Iterator[None]:
     """
     handler = _LineHandler(console)
     logger = logging.getLogger("vo")
-    talkative = [logging.getLogger(name) for name in ("vo.compiling", "vo.streaming")]
+    talkative = [logging.getLogger(name) for name in ("vo.compiling", "vo.streaming", "vo.learned")]
     logger.addHandler(handler)
     if not quiet:
         for each in talkative:

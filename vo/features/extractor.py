@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 BUILT_IN = "orb"
 LEARNED = ("xfeat",)
-_log = logging.getLogger(__name__)
 _CLAHE_CLIP, _CLAHE_TILES = 3.0, (8, 8)
 _MAX_OCTAVE = 24
 _REFINE_HALF_PX = 3
@@ -136,8 +134,8 @@ def _learned(config: FeaturesConfig) -> XFeatExtractor:
             f"features.detector '{config.detector}' has its own descriptor, not "
             f"'{config.descriptor}'"
         )
-    inference = load(require_model(find_model(config.detector)), config.backend)
-    _log.info("%s runs in %s", config.detector, inference.description)
+    path = require_model(find_model(config.detector))
+    inference = load(path, config.backend, config.device)
     return XFeatExtractor(inference, config.count)
 
 

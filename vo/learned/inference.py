@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import logging
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -15,6 +19,36 @@ from vo.errors import ConfigError, ModelError
 from vo.types import Floats32
 
 Backend = Literal["auto", "opencv", "onnxruntime"]
+Device = Literal["auto", "cpu", "cuda", "tensorrt", "coreml"]
+
+_log = logging.getLogger(__name__)
+_PROVIDERS = {
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+    "coreml": "CoreMLExecutionProvider",
+    "cpu": "CPUExecutionProvider",
+}
+# TensorRT compiles a network for minutes: only where it is asked for.
+_AUTOMATIC = ("cuda", "coreml", "cpu")
+
+
+class Network(NamedTuple):
+    """A network in use, as `summary.json` names it.
+
+    Attributes:
+        model: its name.
+        runs_in: what computes it, and where.
+        device: `cpu`, `cuda`, `tensorrt` or `coreml`.
+        sha256: of its file.
+    """
+
+    model: str
+    runs_in: str
+    device: str
+    sha256: str
+
+
+_used: ContextVar[list[Network] | None] = ContextVar("networks_used", default=None)
 
 
 class Inference(Protocol):
@@ -34,6 +68,7 @@ class OpenCvInference:
     """OpenCV's dnn module, on the CPU."""
 
     description = f"OpenCV {cv2.__version__} on the CPU"
+    device = "cpu"
 
     def __init__(self, path: Path) -> None:
         try:
@@ -51,21 +86,43 @@ class OpenCvInference:
 
 
 class OnnxRuntimeInference:
-    """ONNX Runtime, with the providers that it has."""
+    """ONNX Runtime, on the first device that works.
 
-    def __init__(self, path: Path, threads: int) -> None:
+    Args:
+        path: the ONNX file.
+        device: where to compute.
+        threads: of the CPU, 0 for all cores.
+
+    Raises:
+        ConfigError: this device is not there, or not usable.
+        ModelError: the file cannot be loaded.
+    """
+
+    def __init__(self, path: Path, device: Device = "auto", threads: int = 0) -> None:
         import onnxruntime
 
+        available = onnxruntime.get_available_providers()
+        wanted = _AUTOMATIC if device == "auto" else (device,)
+        providers = [_PROVIDERS[name] for name in wanted if _PROVIDERS[name] in available]
+        if not providers:
+            raise ConfigError(_no_device(device, available))
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        providers = onnxruntime.get_available_providers()
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=providers)
         except Exception as error:  # of several kinds, none of them exported
             raise ModelError(f"{path} cannot be loaded by ONNX Runtime: {error}") from error
-        used = self._session.get_providers()[0].removesuffix("ExecutionProvider")
-        self.description = f"ONNX Runtime {onnxruntime.__version__} on {used}"
+        # A provider whose libraries are missing is left out without an error.
+        used = self._session.get_providers()[0]
+        if device != "auto" and used != _PROVIDERS[device]:
+            raise ConfigError(
+                f"features.device is {device}, which ONNX Runtime offers but cannot use: are its "
+                "driver and libraries installed? features.device=auto takes what works"
+            )
+        self.provider = used.removesuffix("ExecutionProvider")
+        self.device = next((d for d, name in _PROVIDERS.items() if name == used), "cpu")
+        self.description = f"ONNX Runtime {onnxruntime.__version__} on {self.provider}"
 
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
         """See `Inference.run`."""
@@ -73,23 +130,62 @@ class OnnxRuntimeInference:
         return [np.asarray(each) for each in results]
 
 
-def load(path: Path, backend: Backend = "auto", threads: int = 0) -> Inference:
+def load(
+    path: Path, backend: Backend = "auto", device: Device = "auto", threads: int = 0
+) -> Inference:
     """Load a model.
 
     Args:
         path: the ONNX file.
-        backend: `auto` is OpenCV, which needs no further package.
+        backend: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
+            every other device.
+        device: where to compute.
         threads: of ONNX Runtime, 0 for all cores.
 
     Raises:
-        ConfigError: ONNX Runtime is asked for and not installed.
+        ConfigError: ONNX Runtime is asked for and not installed, or the device is not there.
         ModelError: the file cannot be loaded.
     """
-    if backend != "onnxruntime":
-        return OpenCvInference(path)
-    if importlib.util.find_spec("onnxruntime") is None:
+    on_cpu = device in ("auto", "cpu")
+    if backend == "opencv" and not on_cpu:
         raise ConfigError(
-            "features.backend is onnxruntime, which is not installed: pip install "
-            "'visual-odometry[onnxruntime]'"
+            f"features.device is {device}, and OpenCV computes on the CPU: "
+            "features.backend=onnxruntime"
         )
-    return OnnxRuntimeInference(path, threads)
+    inference: OpenCvInference | OnnxRuntimeInference
+    if backend == "opencv" or (backend == "auto" and on_cpu):
+        inference = OpenCvInference(path)
+    else:
+        if importlib.util.find_spec("onnxruntime") is None:
+            setting = f"backend is {backend}" if on_cpu else f"device is {device}"
+            raise ConfigError(
+                f"features.{setting}, which needs ONNX Runtime, and that is not installed: "
+                "pip install 'visual-odometry[onnxruntime]'"
+            )
+        inference = OnnxRuntimeInference(path, device, threads)
+    _log.info("%s runs in %s", path.stem, inference.description)
+    used = _used.get()
+    if used is not None:
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        used.append(Network(path.stem, inference.description, inference.device, sha256))
+    return inference
+
+
+@contextmanager
+def networks_used() -> Iterator[list[Network]]:
+    """The networks that are loaded in this context, by whatever needs them."""
+    networks: list[Network] = []
+    token = _used.set(networks)
+    try:
+        yield networks
+    finally:
+        _used.reset(token)
+
+
+def _no_device(device: Device, available: Sequence[str]) -> str:
+    names = [name for name, provider in _PROVIDERS.items() if provider in available]
+    package = {"cuda": "onnxruntime-gpu", "tensorrt": "onnxruntime-gpu"}.get(device)
+    hint = f"; install {package} in place of onnxruntime" if package else ""
+    return (
+        f"features.device is {device}, and this ONNX Runtime has {', '.join(names) or 'none'}{hint}"
+    )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
 from vo.config import FeaturesConfig
 from vo.errors import ConfigError
 from vo.frontend.contracts import Matcher
@@ -23,7 +21,6 @@ _MODELS = {
     "superglue": {"superpoint": "superglue"},
 }
 """For each matcher, its models by detector."""
-_log = logging.getLogger(__name__)
 
 
 def make_learned_matcher(name: str, features: FeaturesConfig | None, near: Matcher) -> Matcher:
@@ -45,8 +42,7 @@ def make_learned_matcher(name: str, features: FeaturesConfig | None, near: Match
         given = "features of your own" if detector is None else f"'{detector}'"
         raise ConfigError(f"matching.method '{name}' needs {wanted}, not {given}")
     model = find_model(models[detector])
-    network = load(require_model(model), features.backend)
-    _log.info("%s runs in %s", model.name, network.description)
+    network = load(require_model(model), features.backend, features.device)
     if name == "superglue":
         return AssignmentMatcher(superglue.SuperGlue(network), near, superglue.MIN_PROBABILITY)
     return AssignmentMatcher(LightGlue(network), near, MIN_PROBABILITY)

@@ -74,6 +74,7 @@ class RunState:
         profile: None if it was not requested.
         live: None for a recording.
         hidden: ratio of the recorded images that masks hide, by camera.
+        networks: what is known of each network in use.
     """
 
     facts: RunFacts
@@ -89,6 +90,7 @@ class RunState:
     profile: Profile | None = None
     live: LiveState | None = None
     hidden: tuple[float, ...] = ()
+    networks: tuple[Mapping[str, str], ...] = ()
 
 
 class Segment(NamedTuple):
@@ -138,6 +140,7 @@ class Summary:
     profile: Profile | None = None
     live: LiveSummary | None = None
     hidden: tuple[float, ...] = ()
+    networks: tuple[Mapping[str, str], ...] = ()
 
     @property
     def length_unit(self) -> str:
@@ -185,6 +188,7 @@ class Summary:
             "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),
             "hidden": list(self.hidden),
+            "networks": [dict(network) for network in self.networks],
             "skipped": [asdict(s) for s in self.skipped],
             "faults": [record.to_dict() for record in self.faults],
             "without_pose": [_range_fields(r) for r in self.without_pose],
@@ -241,6 +245,7 @@ def summarise(state: RunState) -> Summary:
         main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
         hidden=tuple(round(ratio, 4) for ratio in state.hidden),
+        networks=state.networks,
         profile=state.profile,
         live=None
         if state.live is None
