@@ -1,40 +1,34 @@
-"""Pose graph: places stored keyframes in the map frame, by odometry and loops."""
+"""Pose graph of a run: collects stored keyframes and loops, and has them placed."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from vo.backend.graph_problem import GraphProblem
+from vo.backend.graph_solution import optimise_graph, unplaced
+from vo.backend.process import SolverProcess
+from vo.geometry.transforms import adjoint, inverse
 from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
-from vo.types import Bools, Floats, Ints
+from vo.types import Floats
+
+_log = logging.getLogger(__name__)
+
+__all__ = ["GraphProblem", "PoseGraph", "optimise_graph"]
 
 
-@dataclass(frozen=True, eq=False)
-class GraphProblem:
-    """Stored keyframes and loops between them, as plain arrays for another process.
-
-    Rows are keyframes in order of their keys. Those of a chain follow each other.
-
-    Attributes:
-        keys: (n, 2) session and keyframe.
-        chain: (n,) number of the chain of each: a segment, or a world of a loaded map.
-        is_rigid: (n,) keyframes of a loaded map, which do not move relative to each other.
-        is_metric: (n,) whether lengths of the chain are metres.
-        odom_from_cam: (n, 4, 4), in a loaded map its world_from_cam.
-        covariance: (n, 6, 6) of the motion since the row before, in this camera's frame; ignored
-            in the first row of a chain, and where keyframes are rigid.
-        loops: between them.
-    """
-
-    keys: Ints
-    chain: Ints
-    is_rigid: Bools
-    is_metric: Bools
+@dataclass(eq=False)
+class _Node:
+    key: PlaceKey
+    chain: int
+    is_rigid: bool
+    is_metric: bool
     odom_from_cam: Floats
+    scale: float
     covariance: Floats
-    loops: tuple[Loop, ...]
 
 
 class PoseGraph:
@@ -45,32 +39,85 @@ class PoseGraph:
 
     Args:
         threads: with more than one, graphs are optimised in another process, which is started by
-            the first `submit`.
+            the first `submit` with loops.
     """
 
     def __init__(self, threads: int = 1) -> None:
         self._threads = threads
-        self._places: list[Place] = []
+        self._nodes: dict[PlaceKey, _Node] = {}
         self._loops: list[Loop] = []
+        self._first_segment = 0  # number of the chain of the run's segment 0
+        self._process: SolverProcess[GraphProblem, PlacedKeyframes] | None = None
+        self._submitted: GraphProblem | None = None
+        self._is_in_process = False
 
     def add_keyframe(self, place: Place) -> None:
         """Add a keyframe that was stored, after all before it in its segment."""
-        self._places.append(place)
+        self._nodes[place.key] = _Node(
+            place.key,
+            self._first_segment + place.frame.segment,
+            False,
+            place.is_metric,
+            place.odom_from_cam,
+            1.0,
+            place.covariance,
+        )
 
     def add_map(self, placed: PlacedKeyframes, is_metric: Sequence[bool]) -> None:
         """Add the keyframes of a loaded map, which keep their relative poses.
+
+        To be called before any keyframe of the run is added. Worlds of the map keep their numbers,
+        and segments of the run are numbered after them.
 
         Args:
             placed: where they are in the map.
             is_metric: (n,) whether lengths are metres.
         """
+        for n, key in enumerate(placed.keys):
+            self._nodes[key] = _Node(
+                key,
+                int(placed.world[n]),
+                True,
+                is_metric[n],
+                placed.world_from_cam[n],
+                float(placed.scale[n]),
+                np.zeros((6, 6)),
+            )
+        self._first_segment = int(placed.world.max(initial=-1)) + 1
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified loop between keyframes that were added."""
         self._loops.append(loop)
 
+    def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
+        """Remove culled keyframes; the motions before and after each are joined.
+
+        Keyframes of loops stay, for what the loops measured.
+        """
+        needed = {key for loop in self._loops for key in (loop.earlier, loop.later)}
+        gone = set(keys) - needed
+        carried: _Node | None = None
+        for node in self._ordered():
+            if carried is not None and carried.chain == node.chain:
+                node.covariance = _joined(carried, node)
+            carried = node if node.key in gone else None
+        for key in keys:
+            if key in gone:
+                del self._nodes[key]
+
     def submit(self) -> None:
         """Begin to optimise the graph as it is now."""
+        self._submitted = self._problem()
+        self._is_in_process = self._threads > 1 and len(self._loops) > 0
+        if not self._is_in_process:
+            return
+        try:
+            if self._process is None:
+                self._process = SolverProcess(optimise_graph, unplaced)
+            self._process.submit(self._submitted)
+        except OSError as error:
+            _log.warning("optimising in this process, no other can be started: %s", error)
+            self._threads, self._is_in_process = 1, False
 
     def result(self) -> PlacedKeyframes:
         """Wait for the placed keyframes of the graph that was submitted.
@@ -81,30 +128,36 @@ class PoseGraph:
         Raises:
             RuntimeError: nothing was submitted.
         """
-        return optimise_graph(self._problem())
-
-    def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
-        """Remove culled keyframes; the motions of their neighbours are joined.
-
-        Keyframes of loops stay.
-        """
+        if self._submitted is None:
+            raise RuntimeError("no graph was submitted")
+        problem, self._submitted = self._submitted, None
+        if self._is_in_process and self._process is not None:
+            return self._process.result()
+        return optimise_graph(problem)
 
     def close(self) -> None:
         """End the other process."""
+        if self._process is not None:
+            self._process.close()
+
+    def _ordered(self) -> list[_Node]:
+        return sorted(self._nodes.values(), key=lambda node: (node.chain, node.key))
 
     def _problem(self) -> GraphProblem:
-        raise NotImplementedError
+        nodes = self._ordered()
+        return GraphProblem(
+            keys=np.array([node.key for node in nodes], dtype=np.int64).reshape(-1, 2),
+            chain=np.array([node.chain for node in nodes], dtype=np.int64),
+            is_rigid=np.array([node.is_rigid for node in nodes], dtype=bool),
+            is_metric=np.array([node.is_metric for node in nodes], dtype=bool),
+            odom_from_cam=np.array([node.odom_from_cam for node in nodes]).reshape(-1, 4, 4),
+            scale=np.array([node.scale for node in nodes]),
+            covariance=np.array([node.covariance for node in nodes]).reshape(-1, 6, 6),
+            loops=tuple(self._loops),
+        )
 
 
-def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
-    """Place all keyframes in worlds, in this process."""
-    count = len(problem.keys)
-    keys = tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys)
-    return PlacedKeyframes(
-        keys,
-        problem.chain,
-        problem.odom_from_cam.copy(),
-        np.ones(count),
-        np.full((count, 6, 6), np.nan),
-        (),
-    )
+def _joined(before: _Node, after: _Node) -> Floats:
+    """Covariance of two steps, of which the first ends in `before`, in the frame of `after`."""
+    carried = adjoint(inverse(after.odom_from_cam) @ before.odom_from_cam)
+    return np.asarray(carried @ before.covariance @ carried.T + after.covariance)

@@ -1,6 +1,6 @@
-"""Optimizer in its own process, since GTSAM holds Python's global lock while it works.
+"""Solvers in processes of their own, since GTSAM holds Python's global lock while it works.
 
-The process keeps no state but the current window. When it dies, it is replaced and the window is
+A process keeps no state but the current problem. When it dies, it is replaced and the problem is
 submitted again.
 """
 
@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import logging
 import weakref
+from collections.abc import Callable
 from contextlib import suppress
 from subprocess import Popen
 from types import SimpleNamespace
+from typing import Generic, TypeVar
 
 from vo.backend.launch import end_child, start_child
 from vo.backend.messages import receive, send
-from vo.backend.solution import WindowSolution, unsolved
+from vo.backend.solution import WindowSolution, solve, unsolved
 from vo.backend.window_problem import WindowProblem
 from vo.config import SmoothingConfig
 
@@ -22,37 +24,49 @@ _log = logging.getLogger(__name__)
 
 _ATTEMPTS = 2
 
+Problem = TypeVar("Problem")
+Solution = TypeVar("Solution")
 
-class OptimizerProcess:
-    """Sends windows to another process, which works on them until their results are requested.
+
+class SolverProcess(Generic[Problem, Solution]):
+    """Sends problems to another process, which works on them until their results are requested.
 
     Args:
-        config: settings of the window.
+        solver: function of a module, called there with the problem and the options.
+        left_alone: the solution of a problem that cannot be solved, made in this process.
+        options: further arguments of the solver.
         child: the process, if it was started already.
 
     Raises:
         OSError: the process cannot be started.
     """
 
-    def __init__(self, config: SmoothingConfig, child: Popen[bytes] | None = None) -> None:
-        # Plain numbers: importing the settings' classes would take a quarter of its start-up.
-        self._config = SimpleNamespace(**config.model_dump())
+    def __init__(
+        self,
+        solver: Callable[..., Solution],
+        left_alone: Callable[[Problem], Solution],
+        options: tuple[object, ...] = (),
+        child: Popen[bytes] | None = None,
+    ) -> None:
+        self._solver = solver
+        self._left_alone = left_alone
+        self._options = options
         self._children = [child or start_child()]  # one, until it is ended
         self._end = weakref.finalize(self, _end_all, self._children)
-        self._problem: WindowProblem | None = None
+        self._problem: Problem | None = None
         self._has_result = False
 
-    def submit(self, problem: WindowProblem) -> None:
-        """Submit a window, after the result of the one before."""
+    def submit(self, problem: Problem) -> None:
+        """Submit a problem, after the result of the one before."""
         self._problem = problem
         with suppress(OSError):  # the process is dead: `result` replaces it
             self._send(problem)
 
-    def result(self) -> WindowSolution:
-        """Wait for the solution; the window is left unsolved if the process dies over it twice.
+    def result(self) -> Solution:
+        """Wait for the solution; the problem is left alone if the process dies over it twice.
 
         Raises:
-            RuntimeError: no window was submitted, the process does not start, or it fails.
+            RuntimeError: nothing was submitted, the process does not start, or it fails.
         """
         if self._problem is None:
             raise RuntimeError("no window was submitted")
@@ -67,7 +81,7 @@ class OptimizerProcess:
                 self._replace()
         if not self._has_result:
             raise RuntimeError("the optimizer's process does not start; try `--set threads=1`")
-        return unsolved(problem)
+        return self._left_alone(problem)
 
     def close(self) -> None:
         """Kill the process."""
@@ -79,15 +93,15 @@ class OptimizerProcess:
             raise RuntimeError("the optimizer was closed")
         return self._children[0]
 
-    def _send(self, problem: WindowProblem) -> None:
+    def _send(self, problem: Problem) -> None:
         pipe = self._child.stdin
         assert pipe is not None
-        send(pipe, (problem, self._config))
+        send(pipe, (self._solver, problem, *self._options))
 
-    def _receive(self) -> WindowSolution:
+    def _receive(self) -> Solution:
         pipe = self._child.stdout
         assert pipe is not None
-        received: WindowSolution | str = receive(pipe)
+        received: Solution | str = receive(pipe)
         self._has_result = True
         if isinstance(received, str):
             raise RuntimeError(f"the optimizer failed:\n{received}")
@@ -97,6 +111,23 @@ class OptimizerProcess:
         status = end_child(self._child)
         _log.warning("the optimizer's process died (status %d) and is restarted", status)
         self._children[:] = [start_child()]
+
+
+class OptimizerProcess(SolverProcess[WindowProblem, WindowSolution]):
+    """Optimises windows in another process.
+
+    Args:
+        config: settings of the window.
+        child: the process, if it was started already.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
+
+    def __init__(self, config: SmoothingConfig, child: Popen[bytes] | None = None) -> None:
+        # Plain numbers: importing the settings' classes would take a quarter of its start-up.
+        options = SimpleNamespace(**config.model_dump())
+        super().__init__(solve, unsolved, (options,), child)
 
 
 def _end_all(children: list[Popen[bytes]]) -> None:

@@ -1,4 +1,4 @@
-"""Main loop of the optimizer's process: receives windows, sends their solutions."""
+"""Main loop of a solver's process: receives problems, sends their solutions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import IO, Any
 import numpy as np
 
 from vo.backend.messages import receive, send
-from vo.backend.solution import WindowSolution, solve
+from vo.backend.solution import solve
 from vo.backend.window_problem import WindowProblem
 from vo.geometry.projection import Intrinsics
 from vo.scheduling import give_way
 
 
 def main() -> None:
-    """Read windows from standard input and write solutions to standard output, until it closes."""
-    windows = os.fdopen(os.dup(0), "rb")
+    """Read problems from standard input and write solutions to standard output, until it closes."""
+    problems = os.fdopen(os.dup(0), "rb")
     solutions = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # output of libraries must not get between the solutions
     warm_up()
@@ -27,7 +27,7 @@ def main() -> None:
     gc.freeze()  # loaded modules are no garbage
     gc.enable()
     try:
-        serve(windows, solutions)
+        serve(problems, solutions)
     except (EOFError, BrokenPipeError):
         os._exit(0)  # the reader is gone: buffered output is dropped
 
@@ -61,18 +61,18 @@ def warm_up() -> None:
     solve(problem, options)
 
 
-def serve(windows: IO[bytes], solutions: IO[bytes]) -> None:
-    """Send the solution of each window, or the text of an error.
+def serve(problems: IO[bytes], solutions: IO[bytes]) -> None:
+    """Send the solution of each problem, or the text of an error.
 
     Raises:
-        EOFError: there are no more windows.
+        EOFError: there are no more problems.
         BrokenPipeError: the reader is gone.
     """
     while True:
-        problem, config = receive(windows)
-        solution: WindowSolution | str
+        solver, *arguments = receive(problems)
+        solution: object
         try:
-            solution = solve(problem, config)
+            solution = solver(*arguments)
         except Exception:
             solution = traceback.format_exc()
         send(solutions, solution)

@@ -1,0 +1,54 @@
+"""A pose graph to be optimised: stored keyframes, the motions between them, and loops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from vo.places.records import Loop
+from vo.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class GraphProblem:
+    """Stored keyframes and loops between them, as plain arrays for another process.
+
+    Rows are keyframes. Those of a chain follow each other, in order of their keys.
+
+    Attributes:
+        keys: (n, 2) session and keyframe.
+        chain: (n,) number of the chain of each: a segment, or a world of a loaded map.
+        is_rigid: (n,) keyframes of a loaded map, which do not move relative to each other.
+        is_metric: (n,) whether lengths of the chain are metres.
+        odom_from_cam: (n, 4, 4) in the frame of the chain.
+        scale: (n,) length in that frame of one unit of the keyframe's own segment; 1 except in
+            loaded maps.
+        covariance: (n, 6, 6) of the motion since the row before, in this camera's frame, NaN if
+            unknown; ignored in the first row of a chain, and where keyframes are rigid.
+        loops: between them.
+    """
+
+    keys: Ints
+    chain: Ints
+    is_rigid: Bools
+    is_metric: Bools
+    odom_from_cam: Floats
+    scale: Floats
+    covariance: Floats
+    loops: tuple[Loop, ...]
+
+
+class Edges(NamedTuple):
+    """Relations between E pairs of poses.
+
+    Attributes:
+        a: (E,) poses.
+        b: (E,) poses.
+        a_from_b: (E, 4, 4) similarities.
+        covariance: (E, 7, 7) in the frame of b.
+    """
+
+    a: Ints
+    b: Ints
+    a_from_b: Floats
+    covariance: Floats

@@ -1,0 +1,114 @@
+"""Solution of a pose graph: true loops, worlds, poses and covariances of all keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.backend.chain_motion import ChainMotions
+from vo.backend.chain_reduction import ReducedGraph, expand, reduce_graph
+from vo.backend.chain_worlds import (
+    place_chains,
+    plausible_loops,
+    without_weak_merges,
+    worlds_of,
+)
+from vo.backend.graph_problem import GraphProblem
+from vo.backend.loop_edges import LoopEdges, loop_edges
+from vo.geometry import sim3
+from vo.places.records import PlacedKeyframes, PlaceKey
+from vo.types import Bools, Floats, Ints
+
+
+def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
+    """Place all keyframes in worlds, in this process.
+
+    Loops must agree with odometry, or, between chains, with each other. Of those that do the true
+    ones are found by graduated non-convexity, and all poses by least squares. The first keyframe of
+    the first chain of each world stays where it is.
+
+    Raises:
+        ValueError: a loop is between keyframes that are not in the graph.
+    """
+    motions = ChainMotions(problem)
+    loops = loop_edges(problem)
+    kept = _true_loops(problem, loops, motions)
+    chosen = loops.select(kept)
+    world = worlds_of(problem, chosen)
+    poses, covariance = _optimised(problem, chosen, motions, world)
+    scale = np.where(problem.is_metric, problem.scale, sim3.scale_of(poses))
+    rigid = sim3.rigid_part(poses)
+    met = problem.chain[np.concatenate([chosen.earlier, chosen.later])]
+    alone = ~np.isin(problem.chain, met)  # to the last bit
+    scale[alone], rigid[alone] = problem.scale[alone], problem.odom_from_cam[alone]
+    in_world = covariance[:, :6, :6]
+    in_world[:, 3:] *= scale[:, None, None]
+    in_world[:, :, 3:] *= scale[:, None, None]
+    return PlacedKeyframes(
+        tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),
+        world,
+        rigid,
+        scale,
+        in_world,
+        tuple(loop for loop, is_kept in zip(problem.loops, kept, strict=True) if not is_kept),
+    )
+
+
+def _true_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
+    """(L,) loops that are believed."""
+    kept = plausible_loops(problem, loops, motions)
+    while kept.any():
+        chosen = loops.select(kept)
+        reduced = reduce_graph(problem, motions, chosen)
+        start = place_chains(problem, chosen, motions)[reduced.knots]
+        gauge = _gauge(problem, worlds_of(problem, chosen), reduced)
+        from vo.backend.robust_graph import keep_true_loops  # importing GTSAM takes long
+
+        kept[kept] = keep_true_loops(start, gauge, reduced.odometry, reduced.loops)
+        strong = without_weak_merges(problem, loops, kept)
+        if (strong == kept).all():
+            break
+        kept = strong
+    return kept
+
+
+def _optimised(
+    problem: GraphProblem, loops: LoopEdges, motions: ChainMotions, world: Ints
+) -> tuple[Floats, Floats]:
+    """Poses (n, 4, 4) and covariances (n, 7, 7) of all rows in their worlds."""
+    if len(loops) == 0:
+        first = np.flatnonzero(np.r_[True, world[1:] != world[:-1]])
+        start_of = np.repeat(first, np.diff(np.r_[first, len(world)]))
+        return motions.odom_from_cam.copy(), motions.covariance(start_of, np.arange(len(world)))
+    from vo.backend.robust_graph import optimise
+
+    reduced = reduce_graph(problem, motions, loops)
+    start = place_chains(problem, loops, motions)[reduced.knots]
+    gauge = _gauge(problem, world, reduced)
+    found = optimise(start, gauge, reduced.odometry, reduced.loops)
+    poses, covariance = expand(reduced, motions, found.world_from, found.single, found.joint)
+    for n in gauge:  # exactly
+        first = reduced.knots[n]
+        exact = motions.odom_from_cam[first] @ sim3.inverse(poses[first])
+        rows = world == world[first]
+        poses[rows] = exact @ poses[rows]
+    return poses, covariance
+
+
+def _gauge(problem: GraphProblem, world: Ints, reduced: ReducedGraph) -> Ints:
+    """The first pose of the first chain of each world."""
+    of_first = problem.chain[reduced.knots] == world[reduced.knots]
+    _, first = np.unique(world[reduced.knots][of_first], return_index=True)
+    return np.asarray(np.flatnonzero(of_first)[first])
+
+
+def unplaced(problem: GraphProblem) -> PlacedKeyframes:
+    """All keyframes where odometry has them, and no loop believed."""
+    count = len(problem.keys)
+    return PlacedKeyframes(
+        tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),
+        problem.chain,
+        problem.odom_from_cam,
+        problem.scale,
+        np.full((count, 6, 6), np.nan),
+        problem.loops,
+    )
