@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from vo.backend.chain_motion import ChainMotions
@@ -18,6 +20,8 @@ from vo.geometry import sim3
 from vo.places.records import PlacedKeyframes, PlaceKey
 from vo.types import Bools, Floats, Ints
 
+_log = logging.getLogger(__name__)
+
 
 def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
     """Place all keyframes in worlds, in this process.
@@ -29,8 +33,16 @@ def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
     Raises:
         ValueError: a loop is between keyframes that are not in the graph.
     """
-    motions = ChainMotions(problem)
     loops = loop_edges(problem)
+    try:
+        return _solved(problem, loops)
+    except RuntimeError as error:  # GTSAM's, of a system without a solution
+        _log.warning("the pose graph has no solution, loops are left out: %s", error)
+        return unplaced(problem)
+
+
+def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
+    motions = ChainMotions(problem)
     kept = _true_loops(problem, loops, motions)
     chosen = loops.select(kept)
     world = worlds_of(problem, chosen)

@@ -14,6 +14,7 @@ from vo.types import Bools, Floats, Ints
 
 # Squared Mahalanobis distance of seven numbers that errors exceed once in 10,000 times.
 GATE = 29.9
+_MIN_LOG_SCALE = 1e-4  # standard deviation that a measured scale has at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +65,9 @@ def loop_edges(problem: GraphProblem) -> LoopEdges:
         covariance[n] = loop.covariance
     later = np.array([row[loop.later] for loop in loops], dtype=np.int64)
     # The scale of metric loops is known; a matrix must have an inverse all the same.
+    floor = np.where(problem.is_metric[later], FIXED_LOG_SCALE, _MIN_LOG_SCALE) ** 2
     covariance[problem.is_metric[later], 6, 6] = 0.0
-    covariance[:, 6, 6] = np.maximum(covariance[:, 6, 6], FIXED_LOG_SCALE**2)
+    covariance[:, 6, 6] = np.maximum(covariance[:, 6, 6], floor)
     return LoopEdges(
         np.array([row[loop.earlier] for loop in loops], dtype=np.int64),
         later,

@@ -16,7 +16,7 @@ _INLIER = 24.3
 _GNC_STEPS, _GNC_FACTOR = 40, 1.4  # rounds, and the growth of the control parameter
 _STEPS_EACH = 4  # steps of Levenberg-Marquardt in a round
 _ITERATIONS = 50
-_GAUGE_SIGMA = 1e-7  # of the first pose, which stays where it is
+_GAUGE_SIGMA = 1e-5  # of the first pose, which stays where it is
 
 
 class OptimisedPoses(NamedTuple):
