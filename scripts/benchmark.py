@@ -21,6 +21,7 @@ from benchmark_table import document, generator_document, reading_document, suit
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
 FEATURES_PAGE = ROOT / "docs" / "features.md"
+LEARNED_PAGE = ROOT / "docs" / "learned.md"
 FEATURES_PLOT = ROOT / "docs" / "images" / "features.png"
 TUM_CALIBRATION = """\
 cam0:
@@ -43,7 +44,7 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        page = FEATURES_PAGE if options.features else PAGE
+        page = FEATURES_PAGE if options.features else LEARNED_PAGE if options.learned else PAGE
         page.write_text(replaced(page.read_text("utf-8"), section, text), encoding="utf-8")
         if options.features:
             from benchmark_features import plot_features
@@ -71,6 +72,13 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
 
         report = {**_conditions(options), **measure_features(options, _say)}
         return "comparison", features_document(report), report
+    if options.learned:
+        from benchmark_learned import learned_document, measure_learned
+
+        every = [*((c, options.data / c.folder) for c in CASES), *_suite(options)]
+        results = measure_learned(_chosen(every, options), options, work, _say)
+        report = {**_conditions(options), "results": results}
+        return "learned", learned_document(report), report
     cases = _suite(options) if options.synth else [(c, options.data / c.folder) for c in CASES]
     report = _measure(_chosen(cases, options), options, work)
     known = {case.name: case for case, _ in cases}
@@ -95,6 +103,7 @@ def _options() -> argparse.Namespace:
     add("--generator", action="store_true", help="the speed of the generator of recordings")
     add("--reading", action="store_true", help="the speed of reading, and the cost of an .rrd")
     add("--features", action="store_true", help="detectors, descriptors and matchers, on pairs")
+    add("--learned", action="store_true", help="learned features, and as a rescue of ORB")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the made recordings")
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
     add(
@@ -142,7 +151,7 @@ def _suite(options: argparse.Namespace) -> list[tuple[Case, Path]]:
     folders: dict[str, Path] = {}
     cases = []
     for case in suite_cases(list(recipes)):
-        if options.only not in case.name:
+        if options.only not in case.name or (options.learned and not case.hard):
             continue
         if case.folder not in folders:
             recipe = load_recipe(recipes[case.folder])

@@ -41,16 +41,16 @@ def measure_case(
     scratch = work / "out"
     result: Result = {"name": case.name, "folder": case.folder, "mode": case.mode, "failed": ""}
     for _ in range(2):  # the first one compiles if this machine has not compiled before
-        _, result["start_up_s"] = _run(case, folder, scratch, options, "--end", "2")
+        _, result["start_up_s"] = run_case(case, folder, scratch, options, "--end", "2")
     runs, digests = [], set()
     for number in range(options.runs):
         out = options.keep / case.name.replace(" ", "_") if options.keep and not number else scratch
-        failed, wall_s = _run(case, folder, out, options)
+        failed, wall_s = run_case(case, folder, out, options)
         if failed:
             say(f"failed: {failed}")
             return {**result, "failed": failed}
         digests.add(hashlib.sha256((out / "trajectory.tum").read_bytes()).hexdigest())
-        runs.append({**_summary(out, wall_s), **_errors(case, out, folder)})
+        runs.append({**summary_of(out, wall_s), **errors_of(case, out, folder)})
     runs.sort(key=lambda run: run["wall_ms"])
     result |= runs[(len(runs) - 1) // 2]
     result["same_bits"] = len(digests) == 1 if options.runs > 1 else None
@@ -80,7 +80,7 @@ def limit_ms(folder: Path, patterns: tuple[str, ...], frames: int) -> float:
     return 1e3 * min(spent_s) / frames
 
 
-def _run(
+def run_case(
     case: Case, folder: Path, out: Path, options: argparse.Namespace, *more: str
 ) -> tuple[str, float]:
     """`vo run` on a sequence: the reason of a failure, else an empty string; wall time in s."""
@@ -99,7 +99,7 @@ def _run(
     return lines[-1] if is_error else f"a warning: {lines[0]}", wall_s
 
 
-def _summary(out: Path, wall_s: float) -> Result:
+def summary_of(out: Path, wall_s: float) -> Result:
     """Figures of the run's summary.json, and the wall time of the whole command."""
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     return {
@@ -116,7 +116,7 @@ def _summary(out: Path, wall_s: float) -> Result:
     }
 
 
-def _errors(case: Case, out: Path, folder: Path) -> Result:
+def errors_of(case: Case, out: Path, folder: Path) -> Result:
     """Errors of the longest segment against the ground truth; None where not available."""
     smoothed = _evaluated(out / "trajectory.tum", folder, case)
     causal = _evaluated(out / "causal.tum", folder, case)

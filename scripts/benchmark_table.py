@@ -33,19 +33,19 @@ def document(report: Result, cases: dict[str, Case]) -> str:
     """The section on real recordings."""
     results = report["results"]
     return "\n".join([
-        *_made_by(f"--runs {report['runs']} --write", _run_conditions(report)),
+        *made_by(f"--runs {report['runs']} --write", run_conditions(report)),
         "",
         "### Accuracy",
         "",
-        *_paragraph(ACCURACY_NOTE),
+        *paragraph(ACCURACY_NOTE),
         "",
         *_accuracy(results, cases),
         "",
-        *_paragraph(PEERS_NOTE),
+        *paragraph(PEERS_NOTE),
         "",
         "### Speed",
         "",
-        *_paragraph(SPEED_NOTE),
+        *paragraph(SPEED_NOTE),
         "",
         *_speed(results),
         "",
@@ -72,9 +72,9 @@ def suite_document(report: Result, cases: dict[str, Case]) -> str:
     )
     made = f"--synth --runs {report['runs']} --write"
     return "\n".join([
-        *_made_by(made, _run_conditions(report), " from the recipes in `configs/synth/suite`"),
+        *made_by(made, run_conditions(report), " from the recipes in `configs/synth/suite`"),
         "",
-        *_paragraph(note),
+        *paragraph(note),
         "",
         *_suite_rows(results),
     ])  # fmt: skip
@@ -92,7 +92,7 @@ def generator_document(report: Result) -> str:
         f"{_machine(report)}. Stereo at 752 x 480 with motion blur, noise, auto-exposure and PNG "
         "files written, after everything was compiled."
     )
-    return "\n".join([*_made_by("--generator --write", conditions), "", *table(head, rows)])
+    return "\n".join([*made_by("--generator --write", conditions), "", *table(head, rows)])
 
 
 def reading_document(report: Result) -> str:
@@ -108,7 +108,7 @@ def reading_document(report: Result) -> str:
     )
     cost_head = ["sequence", "recording", "wall, ms/frame", "cost, %", "kB/frame"]
     return "\n".join([
-        *_made_by("--reading --write", conditions),
+        *made_by("--reading --write", conditions),
         "",
         *table(head, rows),
         "",
@@ -132,20 +132,22 @@ def number(value: float | None, digits: int, sign: str = "") -> str:
 _TEXTS = ("sequence", "mode", "system", "world", "recording")
 
 
-def _paragraph(text: str) -> list[str]:
+def paragraph(text: str) -> list[str]:
+    """Lines of a paragraph."""
     return textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-def _made_by(arguments: str, conditions: str, source: str = "") -> list[str]:
+def made_by(arguments: str, conditions: str, source: str = "") -> list[str]:
     """The paragraph with the command that makes a section, and the conditions of its last run."""
-    return _paragraph(f"Made by `scripts/benchmark {arguments}`{source}. {conditions}")
+    return paragraph(f"Made by `scripts/benchmark {arguments}`{source}. {conditions}")
 
 
 def _machine(report: Result) -> str:
     return f"{report['date']}, {report['machine']}; {report['versions']}"
 
 
-def _run_conditions(report: Result) -> str:
+def run_conditions(report: Result) -> str:
+    """When, where and how `vo run` was measured."""
     runs = report["runs"]
     chosen = "one run each" if runs == 1 else f"the run of median wall time of {runs}"
     setting = f"preset `{report['config']}`" + "".join(f", `{s}`" for s in report["set"])
