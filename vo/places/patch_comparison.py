@@ -1,0 +1,54 @@
+"""Similarity of stored patches, as one of them should look from the other keyframe."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.places.records import PATCH_PX
+from vo.types import Bytes, Floats
+
+_SIDE = 9  # of the compared part
+_SHIFTS = (-1, 0, 1)  # a corner is detected to about a pixel of its level
+
+
+def patch_correlation(earlier: Bytes, later: Bytes, earlier_from_later: Floats) -> Floats:
+    """(N,) largest zero-mean normalised cross-correlation of patches over shifts of a pixel.
+
+    Args:
+        earlier: (N, PATCH_PX, PATCH_PX).
+        later: (N, PATCH_PX, PATCH_PX).
+        earlier_from_later: (N, 2, 2) how steps in the later patch map to the earlier one.
+    """
+    if len(earlier) == 0:
+        return np.empty(0)
+    template = _normalised(_warped(earlier, earlier_from_later))
+    first = (PATCH_PX - _SIDE) // 2
+    best = np.full(len(later), -1.0)
+    for dy in _SHIFTS:
+        for dx in _SHIFTS:
+            top, left = first + dy, first + dx
+            part = later[:, top : top + _SIDE, left : left + _SIDE]
+            window = _normalised(part.reshape(len(later), -1).astype(np.float64))
+            best = np.maximum(best, (template * window).sum(axis=1))
+    return best
+
+
+def _warped(patches: Bytes, warp: Floats) -> Floats:
+    """(N, 81) grey levels of warped patches, bilinear, with their edges repeated."""
+    across = np.arange(_SIDE) - _SIDE // 2
+    steps = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2).astype(np.float64)
+    at = np.clip(steps @ np.swapaxes(warp, 1, 2) + PATCH_PX // 2, 0.0, PATCH_PX - 1.001)
+    whole = at.astype(np.int64)
+    part = at - whole
+    row = np.arange(len(patches))[:, None]
+    x, y, fx, fy = whole[..., 0], whole[..., 1], part[..., 0], part[..., 1]
+    upper = patches[row, y, x] * (1.0 - fx) + patches[row, y, x + 1] * fx
+    lower = patches[row, y + 1, x] * (1.0 - fx) + patches[row, y + 1, x + 1] * fx
+    return np.asarray(upper * (1.0 - fy) + lower * fy)
+
+
+def _normalised(values: Floats) -> Floats:
+    """Rows with mean 0 and length 1; blank ones become 0."""
+    centred = values - values.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(centred, axis=1, keepdims=True)
+    return np.asarray(np.where(length > 1.0, centred / np.maximum(length, 1.0), 0.0))

@@ -1,0 +1,271 @@
+"""Relation of two keyframes from pairs of their landmarks: by samples, then by least squares."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.geometry import sim3
+from vo.geometry.projection import MIN_DEPTH, Intrinsics
+from vo.types import Bools, Floats
+
+_SAMPLES = 500
+_MIN_AREA = 1e-3  # of the triangle of a sample, relative to its longest side squared
+_HUBER = 2.0
+_ITERATIONS = 10
+
+
+class LandmarkPairs(NamedTuple):
+    """N landmarks of an earlier keyframe and the same ones as a later one knows them.
+
+    Attributes:
+        earlier: (N, 3) in the frame of the earlier keyframe.
+        later: (N, 3) in the frame of the later one.
+        earlier_xy: (N, 2) pixels in the earlier image.
+        later_xy: (N, 2) pixels in the later image.
+        earlier_sigma: (N,) standard deviations of the depths of `earlier`, relative.
+        later_sigma: (N,) those of `later`.
+        sigma_px: (N,) standard deviations of the pixels.
+    """
+
+    earlier: Floats
+    later: Floats
+    earlier_xy: Floats
+    later_xy: Floats
+    earlier_sigma: Floats
+    later_sigma: Floats
+    sigma_px: Floats
+
+    def select(self, chosen: Bools) -> LandmarkPairs:
+        """Some of the pairs."""
+        return LandmarkPairs(*(field[chosen] for field in self))
+
+
+class Relation(NamedTuple):
+    """Relation of two keyframes.
+
+    Attributes:
+        earlier_from_later: (4, 4) similarity.
+        squared: (N,) squared errors of the pairs in standard deviations, the larger of both images.
+        information: (7, 7) of the tangent in the frame of the later keyframe.
+    """
+
+    earlier_from_later: Floats
+    squared: Floats
+    information: Floats
+
+
+def sample_relation(
+    pairs: LandmarkPairs,
+    cameras: tuple[Intrinsics, Intrinsics],
+    threshold_px: float,
+    *,
+    with_scale: bool,
+    seed: int,
+) -> tuple[Floats, Bools]:
+    """The relation, of random triples of pairs, that most pairs agree with in both images.
+
+    Args:
+        pairs: the pairs, some of which are wrong.
+        cameras: of the earlier and the later keyframe.
+        threshold_px: maximum error in each image.
+        with_scale: whether the scales may differ.
+        seed: of the samples.
+
+    Returns:
+        earlier_from_later (4, 4), and the pairs (N,) that agree.
+    """
+    count = len(pairs.earlier)
+    rng = np.random.default_rng(seed)
+    triples = (
+        np.argsort(rng.random((_SAMPLES, count)), axis=1)[:, :3]
+        if count < 64
+        else (rng.integers(0, count, (_SAMPLES, 3)))
+    )
+    relations = _of_triples(pairs.earlier[triples], pairs.later[triples], with_scale)
+    if len(relations) == 0:
+        return np.eye(4), np.zeros(count, dtype=bool)
+    back = sim3.inverse(relations)
+    close = _close(relations, pairs.later, pairs.earlier_xy, cameras[0], threshold_px)
+    close &= _close(back, pairs.earlier, pairs.later_xy, cameras[1], threshold_px)
+    best = int(np.argmax(close.sum(axis=1)))
+    return relations[best], close[best]
+
+
+def _of_triples(earlier: Floats, later: Floats, with_scale: bool) -> Floats:
+    """(k, 4, 4) similarities of triples of points (K, 3, 3), without degenerate ones."""
+    frame_e, area_e, side_e = _triad(earlier)
+    frame_l, area_l, side_l = _triad(later)
+    good = (area_e > _MIN_AREA * side_e**2) & (area_l > _MIN_AREA * side_l**2)
+    ratio = side_e[good] / side_l[good]
+    if with_scale:
+        scale = ratio
+    else:
+        scale = np.ones(len(ratio))
+        alike = (ratio > 0.7) & (ratio < 1.0 / 0.7)
+        good[good] = alike
+        scale = scale[alike]
+    relations = np.zeros((len(scale), 4, 4))
+    rotation = frame_e[good] @ np.swapaxes(frame_l[good], 1, 2)
+    relations[:, :3, :3] = scale[:, None, None] * rotation
+    centre = later[good].mean(axis=1)
+    relations[:, :3, 3] = (
+        earlier[good].mean(axis=1) - (relations[:, :3, :3] @ centre[:, :, None])[:, :, 0]
+    )
+    relations[:, 3, 3] = 1.0
+    return relations
+
+
+def _triad(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Orthonormal frames (K, 3, 3) of triangles, their areas (doubled) and sizes (K,).
+
+    Source: Black, "A passive system for determining the attitude of a satellite", 1964 (TRIAD).
+    """
+    first, second = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    normal = np.cross(first, second)
+    area = np.linalg.norm(normal, axis=1)
+    length = np.linalg.norm(first, axis=1)
+    x = first / np.maximum(length, 1e-12)[:, None]
+    z = normal / np.maximum(area, 1e-12)[:, None]
+    frame = np.stack([x, np.cross(z, x), z], axis=2)
+    spread = points - points.mean(axis=1, keepdims=True)
+    return frame, area, np.sqrt((spread**2).sum(axis=(1, 2)))
+
+
+def _close(
+    relations: Floats, points: Floats, xy: Floats, camera: Intrinsics, threshold_px: float
+) -> Bools:
+    """(K, N) whether points, moved by each relation, are projected close to pixels (N, 2)."""
+    moved = np.einsum("kij,nj->kni", relations[:, :3, :3], points) + relations[:, None, :3, 3]
+    depth = np.maximum(moved[:, :, 2], MIN_DEPTH)
+    du = camera.fx * moved[:, :, 0] / depth + camera.cx - xy[:, 0]
+    dv = camera.fy * moved[:, :, 1] / depth + camera.cy - xy[:, 1]
+    return np.asarray((du**2 + dv**2 < threshold_px**2) & (moved[:, :, 2] > MIN_DEPTH))
+
+
+def refine_relation(
+    start: Floats,
+    pairs: LandmarkPairs,
+    cameras: tuple[Intrinsics, Intrinsics],
+    *,
+    with_scale: bool,
+) -> Relation:
+    """Minimise Huber-weighted reprojection errors in both images over the relation.
+
+    The uncertainty of each landmark's depth is part of its error.
+
+    Args:
+        start: (4, 4) first guess of earlier_from_later.
+        pairs: pairs that mostly agree with it.
+        cameras: of the earlier and the later keyframe.
+        with_scale: whether the scales may differ.
+    """
+    relation, size = start.copy(), 7 if with_scale else 6
+    for _ in range(_ITERATIONS):
+        normal, right, _ = _normal_equations(relation, pairs, cameras, np.inf)
+        step = np.zeros(7)
+        damped = normal[:size, :size] + 1e-9 * np.diag(np.diag(normal)[:size] + 1e-9)
+        step[:size] = np.linalg.solve(damped, right[:size])
+        relation = relation @ sim3.retract(step)
+        if step[:size] @ damped @ step[:size] < 1e-6:
+            break
+    normal, _, squared = _normal_equations(relation, pairs, cameras, 9.0)
+    return Relation(relation, squared, normal)
+
+
+def pair_errors(
+    relation: Floats, pairs: LandmarkPairs, cameras: tuple[Intrinsics, Intrinsics]
+) -> Floats:
+    """(N,) squared errors of the pairs in standard deviations, the larger of both images."""
+    return _normal_equations(relation, pairs, cameras, np.inf)[2]
+
+
+def _normal_equations(
+    relation: Floats,
+    pairs: LandmarkPairs,
+    cameras: tuple[Intrinsics, Intrinsics],
+    limit: float,
+) -> tuple[Floats, Floats, Floats]:
+    """J^T W J, -J^T W e, and squared errors, of both images.
+
+    Errors of `limit` or more, squared, have no weight.
+    """
+    back = sim3.inverse(relation)
+    # relation @ exp(xi) moves p in the later frame by r x p + t + l p, and back(p) by the opposite.
+    forward = _one_way(
+        *(relation, pairs.later, pairs.later, pairs.earlier_xy, pairs.later_sigma),
+        *(pairs.sigma_px, cameras[0], relation[:3, :3], limit),
+    )
+    at_later = pairs.earlier @ back[:3, :3].T + back[:3, 3]
+    backward = _one_way(
+        *(back, pairs.earlier, at_later, pairs.later_xy, pairs.earlier_sigma),
+        *(pairs.sigma_px, cameras[1], -np.eye(3), limit),
+    )
+    return (
+        forward[0] + backward[0],
+        forward[1] + backward[1],
+        np.maximum(forward[2], backward[2]),
+    )
+
+
+def _one_way(
+    transform: Floats,
+    points: Floats,
+    tangent_at: Floats,
+    xy: Floats,
+    sigma: Floats,
+    sigma_px: Floats,
+    camera: Intrinsics,
+    by_motion: Floats,
+    limit: float,
+) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of the projections of moved points.
+
+    Args:
+        transform: (4, 4) of the points.
+        points: (N, 3).
+        tangent_at: (N, 3) where the tangent acts, in the later frame.
+        xy: (N, 2) observed pixels.
+        sigma: (N,) of the depths of the points, relative.
+        sigma_px: (N,) of the pixels.
+        camera: of the image.
+        by_motion: (3, 3) derivative of a moved point by a motion in the later frame.
+        limit: squared errors without weight.
+    """
+    p = points @ transform[:3, :3].T + transform[:3, 3]
+    ok = p[:, 2] > MIN_DEPTH
+    z = np.where(ok, p[:, 2], 1.0)
+    u, v = p[:, 0] / z, p[:, 1] / z
+    error = np.stack(
+        [camera.fx * u + camera.cx - xy[:, 0], camera.fy * v + camera.cy - xy[:, 1]], 1
+    )
+    by_point = np.zeros((len(p), 2, 3))
+    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * u / z
+    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * v / z
+    # Error of a depth moves the point along its ray, and its projection by `along`.
+    along = np.einsum("nij,nj->ni", by_point, points @ transform[:3, :3].T) * sigma[:, None]
+    variance = sigma_px**2
+    inner = variance + (along**2).sum(axis=1)
+    weight = (np.eye(2) - along[:, :, None] * along[:, None, :] / inner[:, None, None]) / (
+        variance[:, None, None]
+    )
+    squared = np.einsum("ni,nij,nj->n", error, weight, error)
+    squared = np.where(ok, squared, np.inf)
+    robust = np.where(
+        squared < limit, np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squared, 1e-12))), 0.0
+    )
+    robust = np.where(ok, robust, 0.0)
+    moved = np.zeros((len(p), 3, 7))
+    x, y, w = tangent_at[:, 0], tangent_at[:, 1], tangent_at[:, 2]
+    moved[:, 0, 1], moved[:, 0, 2], moved[:, 1, 2] = w, -y, x
+    moved[:, 1, 0], moved[:, 2, 0], moved[:, 2, 1] = -w, y, -x
+    moved[:, 0, 3] = moved[:, 1, 4] = moved[:, 2, 5] = 1.0
+    moved[:, :, 6] = tangent_at
+    jacobian = by_point @ (by_motion @ moved)
+    weighted = np.swapaxes(jacobian, 1, 2) @ weight * robust[:, None, None]
+    return (
+        np.einsum("nij,njk->ik", weighted, jacobian),
+        -np.einsum("nij,nj->i", weighted, error),
+        squared,
+    )
