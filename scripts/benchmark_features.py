@@ -14,7 +14,7 @@ from vo.config import load_config
 from vo.features.comparison import Comparison, compare
 from vo.features.descriptors import available_descriptors
 from vo.features.detectors import available_detectors
-from vo.features.methods import Method, make_method
+from vo.features.methods import Method, fetched_methods, make_method
 from vo.laboratory.pictures import save_comparison
 from vo.laboratory.recording_pairs import plan_pairs
 from vo.sources.registry import open_source
@@ -63,6 +63,7 @@ def benchmark_methods() -> list[Method]:
         and descriptor != _OF_THEMSELVES.get(detector)
     ]
     names += [f"{name}/{matcher}" for name in _VARIED for matcher in ("flann", "ann")]
+    names += [name if "/" in name else f"{name}/mnn" for name in fetched_methods()]
     names += ["fast/klt", "shi_tomasi/klt"]
     plain = _config()
     methods = [make_method(name, plain.features, plain.matching) for name in names]

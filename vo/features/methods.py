@@ -224,16 +224,26 @@ def missing_detectors() -> list[str]:
 
 def all_methods() -> list[str]:
     """Every detector with its own descriptor, optical flow, and ORB and SIFT with each matcher."""
-    detectors = [BUILT_IN, *available_detectors(), *_fetched()]
+    detectors = [BUILT_IN, *available_detectors(), *fetched_methods()]
     return [*detectors, KLT, f"fast/{KLT}", "sift/flann", "sift/ann", "orb/flann", "orb/ann"]
 
 
-def _fetched() -> list[str]:
-    """Learned features whose model is on this machine."""
+def fetched_methods() -> list[str]:
+    """Learned features whose model is on this machine, also with the matchers that are."""
     from vo.learned.catalog import find_model
     from vo.learned.files import path_of
+    from vo.learned.matchers import MATCHER_MODELS
 
-    return [name for name in LEARNED if path_of(find_model(name)).is_file()]
+    def is_here(model: str) -> bool:
+        return path_of(find_model(model)).is_file()
+
+    detectors = [name for name in LEARNED if is_here(name)]
+    return detectors + [
+        f"{name}/{matcher}"
+        for name in detectors
+        for matcher, models in MATCHER_MODELS.items()
+        if name in models and is_here(models[name])
+    ]
 
 
 def _corner_detector(text: str, name: str, features: FeaturesConfig) -> Detector:

@@ -11,7 +11,7 @@ from vo.learned.files import require_model
 from vo.learned.inference import load
 from vo.learned.lightglue import MIN_PROBABILITY, AssignmentMatcher, LightGlue
 
-_MODELS = {
+MATCHER_MODELS = {
     "lighterglue": {"xfeat": "lighterglue"},
     "lightglue": {
         "aliked-n16": "lightglue-aliked",
@@ -35,7 +35,7 @@ def make_learned_matcher(name: str, features: FeaturesConfig | None, near: Match
         ConfigError: the matcher was trained with other features.
         ModelError: its model has not been fetched.
     """
-    models = _MODELS[name]
+    models = MATCHER_MODELS[name]
     detector = None if features is None else features.detector
     if features is None or detector not in models:
         wanted = " or ".join(f"features.detector={each}" for each in models)
