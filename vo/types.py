@@ -184,6 +184,7 @@ class PlacedFrames:
     Attributes:
         frame_index: (N,) numbers of the frames in the source.
         segment: (N,) number of the segment of each.
+        world: (N,) number of the first of the segments that share its world frame.
         is_keyframe: (N,).
         interpolated: (N,) frames that were not tracked but lie between two that were.
         trajectory: their N poses, smoothed.
@@ -191,6 +192,7 @@ class PlacedFrames:
 
     frame_index: Ints
     segment: Ints
+    world: Ints
     is_keyframe: Bools
     interpolated: Bools
     trajectory: Trajectory
@@ -239,9 +241,7 @@ class State(StrEnum):
 class FeatureState:
     """Codes of `View.feature_state`."""
 
-    NEW = 0
-    TRACKED = 1
-    REJECTED = 2
+    NEW, TRACKED, REJECTED = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)

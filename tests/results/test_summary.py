@@ -64,7 +64,7 @@ def path_of(frames: Sequence[int], segments: Sequence[int] | None = None) -> Pla
     stamps_ns = np.array(frames, np.int64) * 10**8
     no = np.zeros(len(frames), dtype=bool)
     trajectory = Trajectory(stamps_ns, poses)
-    return PlacedFrames(np.array(frames, np.int64), segment, no, no, trajectory)
+    return PlacedFrames(np.array(frames, np.int64), segment, segment, no, no, trajectory)
 
 
 def summary_of(

@@ -19,7 +19,7 @@ def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterato
     columns = (
         placed.frame_index.tolist(),
         placed.trajectory.stamps_ns.tolist(),
-        placed.segment.tolist(),
+        placed.world.tolist(),
         placed.is_keyframe.astype(int).tolist(),
         placed.interpolated.astype(int).tolist(),
     )

@@ -94,7 +94,10 @@ class RunState:
 
 
 class Segment(NamedTuple):
-    """A connected part of the path, in its own world frame; lengths in the summary's unit."""
+    """A part of the path with its own world frame; lengths in the summary's unit.
+
+    Segments that were connected later are one, with the number of the first.
+    """
 
     segment: int
     first_frame: int
@@ -270,9 +273,10 @@ def _range_fields(range_: FrameRange) -> dict[str, Any]:
 
 def _segments(path: PlacedFrames) -> list[Segment]:
     steps = np.linalg.norm(np.diff(path.trajectory.positions, axis=0), axis=1)
+    steps[np.diff(path.segment) != 0] = 0.0  # the way between segments is unknown
     segments = []
-    for number in sorted(set(path.segment.tolist())):
-        rows = np.flatnonzero(path.segment == number)
+    for number in sorted(set(path.world.tolist())):
+        rows = np.flatnonzero(path.world == number)
         first, last = int(rows[0]), int(rows[-1])
         segments.append(
             Segment(
@@ -282,7 +286,7 @@ def _segments(path: PlacedFrames) -> list[Segment]:
                 int(path.trajectory.stamps_ns[first]),
                 int(path.trajectory.stamps_ns[last]),
                 len(rows),
-                round(float(steps[first:last].sum()), 6),  # without the step to the next segment
+                round(float(steps[rows[:-1]].sum()), 6),
             )
         )
     return segments

@@ -9,6 +9,7 @@ import numpy as np
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.keyframe import FrameId, Keyframe
+from vo.places.records import PlacedKeyframes
 from vo.trajectory.store import TrajectoryStore
 from vo.types import Floats, KeyframePose
 
@@ -16,7 +17,8 @@ from vo.types import Floats, KeyframePose
 class TrajectoryBuilder:
     """Converts poses of the rectified camera to poses of the recorded cam0 and stores them.
 
-    The world frame of the result is cam0 at its first pose.
+    The world frame of the result is cam0 at its first pose: the odometry frame, until the pose
+    graph has placed keyframes of the segment in the map frame.
 
     Attributes:
         store: the trajectory so far.
@@ -69,6 +71,28 @@ class TrajectoryBuilder:
     def take_moved(self) -> tuple[KeyframePose, ...]:
         """Keyframes that were added or moved since the last call."""
         return self.store.take_moved()
+
+    def map_from_cam0(self, odom_from_rectified: Floats, segment: int) -> Floats:
+        """The pose (4, 4) of the recorded cam0 in the map frame, as far as it is known now."""
+        pose = self.world_from_cam0(odom_from_rectified)
+        anchor = self.store.anchor(segment)
+        return pose if anchor is None else anchor.place(pose)
+
+    def place(self, placed: PlacedKeyframes, session: int) -> None:
+        """Place the keyframes of a session in the map frame; the frames relative to them follow."""
+        rows = [n for n, key in enumerate(placed.keys) if key.session == session]
+        if not rows:
+            return
+        rows.sort(key=lambda n: placed.keys[n].keyframe)
+        # The map frame is that of a rectified camera, as the odometry frame is.
+        covariance = self._adjoint @ placed.covariance[rows] @ self._adjoint.T
+        self.store.place(
+            np.array([placed.keys[n].keyframe for n in rows], np.int64),
+            placed.world[rows],
+            self.world_from_cam0(placed.world_from_cam[rows]),
+            placed.scale[rows],
+            covariance,
+        )
 
     def world_from_cam0(self, world_from_rectified: Floats) -> Floats:
         """Poses (..., 4, 4) of the recorded cam0."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.geometry.transforms import interpolate, inverse, whole_transforms
+from vo.trajectory.map_frame import Anchor, make_anchor
 from vo.trajectory.table import Table
 from vo.types import Floats, Ints, KeyframePose, PlacedFrames, Trajectory
 
@@ -30,8 +31,11 @@ _KEYFRAME = np.dtype(
         ("frame_index", np.int64),
         ("stamp_ns", np.int64),
         ("segment", np.int32),
-        ("world_from_cam0", np.float64, (3, 4)),
-        ("covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
+        ("odom_from_cam0", np.float64, (3, 4)),  # in the odometry frame
+        ("world_from_cam0", np.float64, (3, 4)),  # in the map frame
+        ("scale", np.float64),  # length in the map frame of one unit of the odometry frame
+        ("odom_covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
+        ("covariance", np.float64, (21,)),
     ]
 )
 _TRIANGLE = np.triu_indices(6)
@@ -62,6 +66,9 @@ class TrajectoryStore:
     """Frames with a pose in time order, and the newest pose of every keyframe.
 
     Any keyframe, old ones too, can get a new pose at any time; the frames relative to it follow.
+    Poses are stored in the odometry frame of their segment; once the pose graph has placed
+    keyframes (`place`), those come out in the map frame, and the others follow the last placed one
+    before them.
 
     Attributes:
         interpolated: frames to be interpolated, None for no interpolation.
@@ -73,6 +80,8 @@ class TrajectoryStore:
         self._keyframes = Table(_KEYFRAME)
         self._changed = self._changed_keyframe = 0
         self._moved: set[int] = set()  # ids of keyframes
+        self._anchors: dict[int, Anchor] = {}  # newest keyframe that was placed, by segment
+        self._worlds: dict[int, int] = {}  # of segments that were connected to another one
 
     @property
     def frames(self) -> NDArray[Any]:
@@ -85,21 +94,21 @@ class TrajectoryStore:
         return len(self._keyframes)
 
     def add(
-        self, frame_index: int, stamp_ns: int, segment: int, keyframe: int, world_from_cam0: Floats
+        self, frame_index: int, stamp_ns: int, segment: int, keyframe: int, odom_from_cam0: Floats
     ) -> None:
         """Append a frame with a pose (4, 4), and the frames to be interpolated before it."""
         self._add_interpolated(frame_index, segment)
         row = self._keyframe_row(keyframe)
-        reference = whole_transforms(self._keyframes.rows["world_from_cam0"][row : row + 1])[0]
-        relative = inverse(reference) @ world_from_cam0
+        reference = whole_transforms(self._keyframes.rows["odom_from_cam0"][row : row + 1])[0]
+        relative = inverse(reference) @ odom_from_cam0
         self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
 
     def store(self, keyframe: int, pose: KeyframePose) -> None:
-        """Add a keyframe by its id, or replace its pose and covariance."""
+        """Add a keyframe by its id, or replace its pose and covariance in the odometry frame."""
         self._moved.add(keyframe)
         place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
         triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
-        fields = (*place, pose.world_from_cam0[:3], triangle)
+        fields = _keyframe_fields(place, pose, triangle, self._anchors.get(pose.segment))
         row = self._keyframe_row(keyframe)
         if row == len(self._keyframes):
             self._keyframes.append(*fields)
@@ -109,10 +118,76 @@ class TrajectoryStore:
         self._changed = min(self._changed, self._first_after_tracked(first))
         self._changed_keyframe = min(self._changed_keyframe, row)
 
+    def anchor(self, segment: int) -> Anchor | None:
+        """The newest keyframe of a segment that was placed, which its newer poses follow."""
+        return self._anchors.get(segment)
+
+    def world(self, segment: int) -> int:
+        """Number of the connected world that a segment belongs to: that of its first segment."""
+        return self._worlds.get(segment, segment)
+
+    def place(
+        self,
+        keyframes: Ints,
+        worlds: Ints,
+        map_from_cam0: Floats,
+        scale: Floats,
+        covariance: Floats,
+    ) -> None:
+        """Place keyframes in the map frame; all others of their segments follow.
+
+        Args:
+            keyframes: (n,) increasing ids.
+            worlds: (n,) number of the world of each.
+            map_from_cam0: (n, 4, 4).
+            scale: (n,) length in the map of one unit of the odometry frame.
+            covariance: (n, 6, 6), NaN if unknown.
+        """
+        rows = self._keyframes.rows
+        placed = np.searchsorted(rows["id"], keyframes)
+        segments = rows["segment"][placed]
+        odom_covariance = _symmetric(rows["odom_covariance"][placed])
+        odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][placed])
+        for segment in np.unique(segments).tolist():
+            chosen = np.flatnonzero(segments == segment)
+            self._worlds[segment] = int(worlds[chosen[0]])
+            of_segment = np.flatnonzero(rows["segment"] == segment)
+            # Each follows the last placed one before it, and the first ones the first placed one.
+            ends = np.append(np.searchsorted(of_segment, placed[chosen[1:]]), len(of_segment))
+            begin = 0
+            for row, end in zip(chosen.tolist(), ends.tolist(), strict=True):
+                anchor = make_anchor(
+                    odom_from_cam0[row],
+                    map_from_cam0[row],
+                    float(scale[row]),
+                    odom_covariance[row],
+                    covariance[row],
+                )
+                self._follow(of_segment[begin:end], anchor)
+                self._anchors[segment], begin = anchor, end
+        self._moved |= set(rows["id"][np.isin(rows["segment"], segments)].tolist())
+        self._changed = self._changed_keyframe = 0
+
+    def _follow(self, rows: Ints, anchor: Anchor) -> None:
+        """Set the poses of rows of keyframes that follow a placed one."""
+        table = self._keyframes.rows
+        odom_from_cam0 = whole_transforms(table["odom_from_cam0"][rows])
+        table["world_from_cam0"][rows] = anchor.place(odom_from_cam0)[:, :3]
+        table["scale"][rows] = anchor.scale
+        covariance = _symmetric(table["odom_covariance"][rows])
+        known = np.isfinite(covariance).all(axis=(1, 2))
+        i, j = _TRIANGLE
+        moved = anchor.covariance(odom_from_cam0[known], covariance[known])
+        table["covariance"][rows[known]] = moved[:, i, j]
+
     def remove_from(self, frame_index: int) -> Floats | None:
-        """Remove a frame and all after it; the pose (4, 4) of the first, None without any."""
+        """Remove a frame and all after it.
+
+        Returns:
+            The pose (4, 4) of the first in the odometry frame, None without any.
+        """
         row = self._first_after_tracked(bisect_left(self.frames["frame_index"], frame_index))
-        pose = None if row == len(self._frames) else self.trajectory(row).world_from_cam[0]
+        pose = None if row == len(self._frames) else self._poses(row, "odom_from_cam0")[0]
         keyframe_row = bisect_left(self._keyframes.rows["frame_index"], frame_index)
         self._moved -= set(self._keyframes.rows["id"][keyframe_row:].tolist())
         self._frames.truncate(row)
@@ -153,19 +228,28 @@ class TrajectoryStore:
         frame_index = frames["frame_index"].copy()
         is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
         segment = frames["segment"].astype(np.int64)
-        return PlacedFrames(frame_index, segment, is_keyframe, interpolated, self.trajectory(row))
+        numbers, inverted = np.unique(segment, return_inverse=True)
+        world = np.array([self.world(n) for n in numbers.tolist()], np.int64)[inverted]
+        trajectory = self.trajectory(row)
+        return PlacedFrames(frame_index, segment, world, is_keyframe, interpolated, trajectory)
 
     def trajectory(self, row: int = 0) -> Trajectory:
         """The poses of `path` alone."""
+        return Trajectory(self.frames["stamp_ns"][row:].copy(), self._poses(row, "world_from_cam0"))
+
+    def _poses(self, row: int, frame: str) -> Floats:
+        """Poses (n, 4, 4) of all frames from a row on, by the name of the keyframes' poses."""
         first = row
         while first < len(self._frames) and self.frames["fraction"][first] > 0:
             first -= 1
         frames = self.frames[first:]
         rows = self._keyframe_rows(frames["keyframe"])
-        poses = whole_transforms(self._keyframes.rows["world_from_cam0"][rows])
-        poses = poses @ whole_transforms(frames["keyframe_from_cam"])
+        moved = whole_transforms(frames["keyframe_from_cam"])
+        if frame == "world_from_cam0":
+            moved[:, :3, 3] *= self._keyframes.rows["scale"][rows, None]
+        poses = whole_transforms(self._keyframes.rows[frame][rows]) @ moved
         _fill(poses, frames["fraction"])
-        return Trajectory(frames["stamp_ns"][row - first :].copy(), poses[row - first :])
+        return np.asarray(poses[row - first :])
 
     def _add_interpolated(self, frame_index: int, segment: int) -> None:
         if self.interpolated is None or len(self._frames) == 0:
@@ -207,13 +291,32 @@ def _fill(poses: Floats, fraction: Floats) -> None:
         poses[row] = interpolate(first, last, float(fraction[row]))
 
 
+def _keyframe_fields(
+    place: tuple[int, int, int, int], pose: KeyframePose, triangle: Floats, anchor: Anchor | None
+) -> tuple[Any, ...]:
+    """Fields of a row of a keyframe, which follows the anchor of its segment."""
+    odom_from_cam0 = pose.world_from_cam0
+    if anchor is None:
+        return (*place, odom_from_cam0[:3], odom_from_cam0[:3], 1.0, triangle, triangle)
+    in_map = triangle
+    if pose.covariance is not None:
+        in_map = anchor.covariance(odom_from_cam0[None], pose.covariance[None])[0][_TRIANGLE]
+    map_from_cam0 = anchor.place(odom_from_cam0)
+    return (*place, odom_from_cam0[:3], map_from_cam0[:3], anchor.scale, triangle, in_map)
+
+
+def _symmetric(triangles: Floats) -> Floats:
+    """(n, 6, 6) matrices of their upper triangles (n, 21)."""
+    result = np.zeros((len(triangles), 6, 6))
+    i, j = _TRIANGLE
+    result[:, i, j] = result[:, j, i] = triangles
+    return result
+
+
 def _keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
     world_from_cam0 = whole_transforms(rows["world_from_cam0"])
-    triangles = rows["covariance"]
-    covariance = np.zeros((len(rows), 6, 6))
-    i, j = _TRIANGLE
-    covariance[:, i, j] = covariance[:, j, i] = triangles
-    known = np.isfinite(triangles[:, 0])
+    covariance = _symmetric(rows["covariance"])
+    known = np.isfinite(rows["covariance"][:, 0])
     return [
         KeyframePose(
             int(row["frame_index"]),

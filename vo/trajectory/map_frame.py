@@ -1,0 +1,88 @@
+"""From the odometry frame to the map frame: keyframes that follow one that was placed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.geometry.transforms import inverse
+from vo.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A keyframe that the pose graph has placed; others of its segment follow it.
+
+    Attributes:
+        odom_from_cam: (4, 4).
+        map_from_cam: (4, 4).
+        scale: length in the map of one unit of the odometry frame.
+        added_covariance: (6, 6) that of the placed pose less that of the odometry, in the frame of
+            the camera and in units of the map; 0 if it is unknown.
+    """
+
+    odom_from_cam: Floats
+    map_from_cam: Floats
+    scale: float
+    added_covariance: Floats
+
+    def place(self, odom_from_cam: Floats) -> Floats:
+        """Poses (..., 4, 4) in the map frame."""
+        moved = inverse(self.odom_from_cam) @ odom_from_cam
+        moved[..., :3, 3] *= self.scale
+        return np.asarray(self.map_from_cam @ moved)
+
+    def transform_points(self, points: Floats) -> Floats:
+        """Points (N, 3) of the odometry frame in the map frame."""
+        in_cam = (points - self.odom_from_cam[:3, 3]) @ self.odom_from_cam[:3, :3]
+        return np.asarray(
+            self.scale * in_cam @ self.map_from_cam[:3, :3].T + self.map_from_cam[:3, 3]
+        )
+
+    def covariance(self, odom_from_cam: Floats, covariance: Floats) -> Floats:
+        """Covariances (n, 6, 6) in the map of poses (n, 4, 4) with their covariance in odometry.
+
+        The odometry's errors add up along the path, and so does what the graph has changed of them.
+        """
+        scaled = scaled_covariance(covariance, self.scale)
+        cam_from_anchor = inverse(odom_from_cam) @ self.odom_from_cam
+        cam_from_anchor[..., :3, 3] *= self.scale
+        moved = _adjoints(cam_from_anchor)
+        total = scaled + moved @ self.added_covariance @ np.swapaxes(moved, -1, -2)
+        values, vectors = np.linalg.eigh(0.5 * (total + np.swapaxes(total, -1, -2)))
+        floored = np.maximum(values, 1e-3 * np.abs(values[..., -1:]))
+        return np.asarray((vectors * floored[..., None, :]) @ np.swapaxes(vectors, -1, -2))
+
+
+def make_anchor(
+    odom_from_cam: Floats,
+    map_from_cam: Floats,
+    scale: float,
+    odom_covariance: Floats,
+    map_covariance: Floats,
+) -> Anchor:
+    """An anchor; covariances (6, 6) are NaN where they are unknown."""
+    added = map_covariance - scaled_covariance(odom_covariance, scale)
+    if not np.isfinite(added).all():
+        added = np.zeros((6, 6))
+    return Anchor(odom_from_cam, map_from_cam, scale, added)
+
+
+def scaled_covariance(covariance: Floats, scale: float) -> Floats:
+    """Covariances (..., 6, 6) of poses in another unit of length."""
+    factor = np.array([1.0] * 3 + [scale] * 3)
+    return np.asarray(covariance * factor * factor[:, None])
+
+
+def _adjoints(a_from_b: Floats) -> Floats:
+    """Adjoint matrices (n, 6, 6) of transforms (n, 4, 4), rotation first."""
+    rotation, translation = a_from_b[..., :3, :3], a_from_b[..., :3, 3]
+    result = np.zeros((*a_from_b.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotation
+    x, y, z = np.moveaxis(translation, -1, 0)
+    skew = np.zeros_like(rotation)
+    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -z, y, -x
+    skew[..., 1, 0], skew[..., 2, 0], skew[..., 2, 1] = z, -y, x
+    result[..., 3:, :3] = skew @ rotation
+    return result
