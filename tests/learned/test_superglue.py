@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from torch_files import torch_file
+from torch_files import old_torch_file, torch_file
 
 from vo.config import MatchingConfig
 from vo.errors import ModelError
@@ -192,7 +192,7 @@ def test_a_file_of_the_user_becomes_a_matcher(
     monkeypatch.setenv("VO_MODELS", str(tmp_path / "models"))
     model = find_model("superglue")
     source = tmp_path / "superglue_outdoor.pth"
-    source.write_bytes(torch_file(random_weights()))
+    source.write_bytes(old_torch_file(random_weights()))  # the format of those years
     with pytest.raises(ModelError, match="--accept-licence"):
         fetch(model, str(source))
     with pytest.raises(ModelError, match="--from FILE"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from torch_files import _Storage, _Tensor, torch_archive, torch_file
+from torch_files import _Storage, _Tensor, old_torch_file, torch_archive, torch_file
 
 from vo.errors import ModelError
 from vo.learned.torch_archive import read_tensors, read_tensors_of_file
@@ -29,6 +29,36 @@ def test_tensors_are_read_as_they_were_saved(tmp_path: Path) -> None:
     for name, tensor in tensors.items():
         np.testing.assert_array_equal(found[name], tensor)
         assert found[name].dtype == tensor.dtype
+
+
+def test_files_of_older_versions_are_read_as_well() -> None:
+    noise = np.random.default_rng(2)
+    tensors = {
+        "a.weight": noise.random((4, 3, 1), dtype=np.float32),
+        "count": np.array([7], np.int64),
+        "scalar": np.array(0.5, np.float32),
+        "turned": noise.random((3, 5), dtype=np.float32).T,
+    }
+    data = old_torch_file(tensors)
+    found = read_tensors(data, "weights.pth")
+    assert list(found) == list(tensors)
+    for name, tensor in tensors.items():
+        np.testing.assert_array_equal(found[name], tensor)
+        assert found[name].dtype == tensor.dtype
+    for cut in (20, len(data) // 2, len(data) - 3):
+        with pytest.raises(ModelError, match="weights"):
+            read_tensors(data[:cut], "weights.pth")
+    hostile = old_torch_file(tensors, Hostile())
+    with pytest.raises(ModelError, match=r"holds posix\.system, not only tensors"):
+        read_tensors(hostile, "weights.pth")
+    assert not Path("/tmp/vo-was-hacked").exists()
+    for place in noise.integers(0, len(data), 300):
+        changed = bytearray(data)
+        changed[place] = noise.integers(0, 256)
+        try:
+            read_tensors(bytes(changed), "weights.pth")
+        except ModelError as error:
+            assert "\n" not in str(error)[:200]
 
 
 class Hostile:

@@ -71,6 +71,35 @@ def torch_file(tensors: Mapping[str, NDArray[Any]], extra: Any = None) -> bytes:
     return torch_archive(content, storages.values())
 
 
+def old_torch_file(tensors: Mapping[str, NDArray[Any]], extra: Any = None) -> bytes:
+    """The same in the format of before torch 1.6: pickles, and the numbers one after the other."""
+    storages = {n: _Storage(str(i), t) for i, (n, t) in enumerate(tensors.items())}
+    content: dict[str, Any] = OrderedDict(
+        (n, _Tensor(storages[n], 0, t.shape, tuple(s // t.itemsize for s in t.strides)))
+        for n, t in tensors.items()
+    )
+    if extra is not None:
+        content["extra"] = extra
+    data = io.BytesIO()
+    system = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"int": 4}}
+    with _torch_names() as torch:
+
+        class Pickler(pickle.Pickler):
+            def persistent_id(self, value: Any) -> Any:
+                if not isinstance(value, _Storage):
+                    return None
+                kind = getattr(torch, _KINDS[value.numbers.dtype.str[1:]])
+                return ("storage", kind, value.key, "cpu", value.numbers.size, None)
+
+        keys = [storage.key for storage in storages.values()]
+        for part in (0x1950A86A20F9469CFC6C, 1001, system, content, keys):
+            Pickler(data, protocol=2).dump(part)
+    for storage in storages.values():
+        data.write(storage.numbers.size.to_bytes(8, "little"))
+        data.write(storage.numbers.tobytes(order="A"))
+    return data.getvalue()
+
+
 def torch_archive(content: Any, storages: Any) -> bytes:
     with _torch_names() as torch:
 

