@@ -40,7 +40,10 @@ class StoredLandmarks(NamedTuple):
 
 
 class KeyframeStore(Protocol):
-    """Receives keyframes, in the order of their ids, when they leave the map or at `close`."""
+    """Receives keyframes, in the order of their ids, when they leave the map or at `close`.
+
+    With `features.rescue`, their descriptors are of the kind that the map has at that time.
+    """
 
     def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
         """Take over a keyframe and copies of the landmarks that it observes.
