@@ -68,7 +68,8 @@ ALLOWED = {
     "vo.results": GROUND | {"vo"},
     "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
-    "vo.laboratory": GROUND | {"vo.features", "vo.frontend", "vo.sources", "vo.evaluation"},
+    "vo.laboratory": GROUND
+    | {"vo.features", "vo.frontend", "vo.places", "vo.sources", "vo.evaluation"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.warmup": GROUND | {"vo"},
     "vo.run_session": GROUND

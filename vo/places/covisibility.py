@@ -1,0 +1,143 @@
+"""Which stored keyframes observe the same landmarks.
+
+Observations of a landmark form a chain, from its latest one back. Removed keyframes are skipped;
+when most observations are theirs, the chains are made anew.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.compiling.function import compiled
+from vo.types import Bools, Ints
+
+_Ints32 = NDArray[np.int32]
+_MAX_ID = 2**31 - 2
+_FIRST_SIZE = 4096
+_NONE = -1
+
+
+class Shared(NamedTuple):
+    """Keyframes that share landmarks with one; rows belong together.
+
+    Attributes:
+        number: (n,) increasing numbers of the keyframes.
+        landmarks: (n,) how many landmarks each shares.
+    """
+
+    number: Ints
+    landmarks: Ints
+
+
+class Covisibility:
+    """Observations of landmarks by keyframes, which are numbered as they are added."""
+
+    def __init__(self) -> None:
+        self._session: list[int] = []
+        self._ids: list[_Ints32] = []
+        self._kept = np.zeros(_FIRST_SIZE, np.bool_)
+        self._last: dict[int, _Ints32] = {}  # by session: latest observation of each landmark
+        self._before = np.full(_FIRST_SIZE, _NONE, np.int32)
+        self._owner = np.zeros(_FIRST_SIZE, np.int32)
+        self._observations = 0
+        self._removed = 0
+
+    @property
+    def kept(self) -> Bools:
+        """(N,) whether each keyframe is still there."""
+        return self._kept[: len(self._ids)]
+
+    def add(self, session: int, ids: Ints) -> int:
+        """Add a keyframe that observes landmarks of a session; returns its number.
+
+        Raises:
+            ValueError: an id is negative or too large to be one.
+        """
+        if len(ids) and (ids.min() < 0 or ids.max() > _MAX_ID):
+            raise ValueError(f"landmarks have ids {ids.min()} to {ids.max()}, above {_MAX_ID}")
+        number = len(self._ids)
+        self._session.append(session)
+        self._ids.append(ids.astype(np.int32))
+        self._kept = grown(self._kept, number + 1, False)
+        self._kept[number] = True
+        self._append(number)
+        return number
+
+    def remove(self, number: int) -> None:
+        """Forget a keyframe."""
+        self._kept[number] = False
+        self._removed += len(self._ids[number])
+        self._ids[number] = np.zeros(0, np.int32)
+        if 2 * self._removed > self._observations:
+            self._rebuild()
+
+    def shared(self, number: int) -> Shared:
+        """The other keyframes with a common landmark."""
+        counts = np.zeros(len(self._ids), np.int32)
+        last = self._last[self._session[number]]
+        _count_shared(self._ids[number], last, self._before, self._owner, self._kept, counts)
+        counts[number] = 0
+        numbers = np.flatnonzero(counts)
+        return Shared(numbers, counts[numbers].astype(np.int64))
+
+    def observers(self, number: int) -> Ints:
+        """(n,) by how many other keyframes each landmark of a keyframe is observed."""
+        last = self._last[self._session[number]]
+        arrays = last, self._before, self._owner, self._kept
+        counts: Ints = _count_observers(self._ids[number], *arrays)
+        return counts - 1
+
+    def _append(self, number: int) -> None:
+        ids, session = self._ids[number], self._session[number]
+        end = self._observations + len(ids)
+        last = self._last.get(session, np.full(_FIRST_SIZE, _NONE, np.int32))
+        self._last[session] = grown(last, int(ids[-1]) + 1 if len(ids) else 0, _NONE)
+        self._before = grown(self._before, end, _NONE)
+        self._owner = grown(self._owner, end, 0)
+        rows = slice(self._observations, end)
+        self._before[rows] = self._last[session][ids]
+        self._last[session][ids] = np.arange(self._observations, end, dtype=np.int32)
+        self._owner[rows] = number
+        self._observations = end
+
+    def _rebuild(self) -> None:
+        for last in self._last.values():
+            last[:] = _NONE
+        self._observations = self._removed = 0
+        for number in np.flatnonzero(self.kept).tolist():
+            self._append(number)
+
+
+def grown(array: NDArray[Any], size: int, fill: float) -> NDArray[Any]:
+    """The array, or a copy that is at least twice as long if it has fewer than `size` elements."""
+    if size <= len(array):
+        return array
+    more = np.full(max(size, 2 * len(array)) - len(array), fill, array.dtype)
+    return np.concatenate([array, more])
+
+
+@compiled
+def _count_shared(ids, last, before, owner, kept, counts):  # type: ignore[no-untyped-def]
+    """Count the landmarks that each keyframe shares."""
+    for n in range(len(ids)):
+        at = last[ids[n]]
+        while at >= 0:
+            if kept[owner[at]]:
+                counts[owner[at]] += 1
+            at = before[at]
+
+
+@compiled
+def _count_observers(ids, last, before, owner, kept):  # type: ignore[no-untyped-def]
+    """Number of kept observations of each landmark."""
+    result = np.zeros(len(ids), dtype=np.int64)
+    for n in range(len(ids)):
+        at = last[ids[n]]
+        while at >= 0:
+            if kept[owner[at]]:
+                result[n] += 1
+            at = before[at]
+    return result

@@ -1,0 +1,233 @@
+"""Database of stored keyframes: bounded, and searched by appearance.
+
+Redundant keyframes are removed as in ORB-SLAM: those of whose landmarks 90 % are observed by at
+least three others. The order of everything that is returned depends on the keyframes alone.
+
+Source: Mur-Artal et al., "ORB-SLAM", IEEE T-RO 31(5), 2015, sec. VI-E; scores and
+groups: Gálvez-López and Tardós, "Bags of binary words", 2012, sec. V.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from vo.places.covisibility import Covisibility, grown
+from vo.places.encoding import decode_place, encode_place
+from vo.places.inverted_index import InvertedIndex
+from vo.places.records import Candidate, Place, PlaceKey
+from vo.places.spill import SpilledBlocks
+from vo.places.vocabulary import Bag, Vocabulary, similarity
+from vo.types import Descriptors, Floats32, Ints
+
+MEMORY_BYTES = 512 * 2**20
+_REDUNDANT = 0.9  # fraction of the landmarks, and by how many others they are observed
+_OBSERVERS = 3
+_NEIGHBOURS = 10  # keyframes of a segment that are stored before or after a query are no candidates
+_MIN_RATIO = 0.3  # minimum score relative to that of consecutive keyframes
+_MIN_CONSECUTIVE = 0.02  # below, consecutive keyframes are too different to compare with
+_GROUP_GAP = 3  # stored keyframes between two of a group
+_MAX_CANDIDATES = 5
+_FIRST_SIZE = 4096
+
+
+class KeyframeDatabase:
+    """Stored keyframes.
+
+    Args:
+        vocabulary: words by which they are found.
+        memory_bytes: size of the keyframes in memory; the others are in a temporary file.
+        folder: of that file; None for the system's folder of temporary files.
+        removes_redundant: whether redundant keyframes are removed.
+    """
+
+    def __init__(
+        self,
+        vocabulary: Vocabulary,
+        *,
+        memory_bytes: int = MEMORY_BYTES,
+        folder: Path | None = None,
+        removes_redundant: bool = True,
+    ) -> None:
+        self.vocabulary = vocabulary
+        self._removes_redundant = removes_redundant
+        self._blocks = SpilledBlocks(memory_bytes, folder)
+        self._index = InvertedIndex(vocabulary.words)
+        self._covisibility = Covisibility()
+        self._keys: list[PlaceKey] = []  # by number, removed ones included
+        self._number_of: dict[PlaceKey, int] = {}
+        self._segments: dict[tuple[int, int], int] = {}  # numbers of session and segment
+        self._segment = np.zeros(_FIRST_SIZE, np.int32)  # by keyframe, removed ones included
+        self._protected: dict[PlaceKey, None] = {}
+        self._latest = Bag(np.zeros(0, np.int32), np.zeros(0, np.float32))
+        self._consecutive = (0.0, 0)  # sum and number of scores of consecutive keyframes
+
+    def __len__(self) -> int:
+        return len(self._number_of)
+
+    def __contains__(self, key: PlaceKey) -> bool:
+        return key in self._number_of
+
+    def __iter__(self) -> Iterator[PlaceKey]:
+        """Keys in the order in which they were added."""
+        return iter(self._number_of)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the temporary file."""
+        self._blocks.close()
+
+    def bag(self, descriptor: Descriptors) -> Bag:
+        """Bag of words of the (N, width) descriptors of an image."""
+        return self.vocabulary.bag(descriptor)
+
+    def add(self, place: Place) -> tuple[PlaceKey, ...]:
+        """Store a keyframe; returns the keys of those removed because they became redundant.
+
+        Raises:
+            OutputError: the temporary file cannot be written, such as on a full disk. The keyframe
+                is not stored; the others are as before.
+            ValueError: its key is stored already.
+        """
+        if place.key in self._number_of:
+            raise ValueError(f"{place.key} is stored already")
+        number = len(self._keys)
+        self._blocks.add(number, encode_place(place))
+        bag = self.bag(place.descriptor)
+        self._index.add(bag)
+        self._covisibility.add(place.key.session, place.landmarks.id)
+        self._keys.append(place.key)
+        self._number_of[place.key] = number
+        self._segment = grown(self._segment, number + 1, 0)
+        name = place.key.session, place.frame.segment
+        self._segment[number] = self._segments.setdefault(name, len(self._segments))
+        if number and self._segment[number] == self._segment[number - 1]:
+            total, count = self._consecutive
+            self._consecutive = total + similarity(self._latest, bag), count + 1
+        self._latest = bag
+        return self._remove_redundant(number) if self._removes_redundant else ()
+
+    def get(self, key: PlaceKey) -> Place:
+        """A stored keyframe.
+
+        Raises:
+            KeyError: it is not stored, or no longer.
+            OutputError: the temporary file cannot be read.
+        """
+        return decode_place(self._blocks.get(self._number_of[key]))
+
+    def encoded(self, key: PlaceKey) -> bytes:
+        """A stored keyframe as bytes (`encoding`); errors as for `get`."""
+        return self._blocks.get(self._number_of[key])
+
+    def remove(self, key: PlaceKey) -> None:
+        """Forget a keyframe.
+
+        Raises:
+            KeyError: it is not stored.
+        """
+        number = self._number_of.pop(key)
+        self._blocks.remove(number)
+        self._index.remove(number)
+        self._covisibility.remove(number)
+        self._protected.pop(key, None)
+
+    def protect(self, key: PlaceKey) -> None:
+        """Keep a keyframe even when it is redundant, such as one that closes a loop."""
+        self._protected[key] = None
+
+    def covisible(self, key: PlaceKey, min_landmarks: int = 1) -> list[tuple[PlaceKey, int]]:
+        """Keyframes that share landmarks with one, and how many; most first, then as stored."""
+        shared = self._covisibility.shared(self._number_of[key])
+        order = np.argsort(-shared.landmarks, kind="stable")
+        rows = order[shared.landmarks[order] >= min_landmarks]
+        keys = (self._keys[n] for n in shared.number[rows].tolist())
+        return list(zip(keys, shared.landmarks[rows].tolist(), strict=True))
+
+    def query(
+        self, query: Place | Descriptors, exclude: tuple[PlaceKey, ...] = ()
+    ) -> list[Candidate]:
+        """Stored keyframes that may show the place of a query, best first.
+
+        Of each group of consecutive keyframes only the best one is returned. Scores are relative to
+        those of consecutive keyframes.
+
+        Args:
+            query: a keyframe, stored or not, or the (N, width) descriptors of an image. For a
+                keyframe that is stored its neighbours in time are excluded, and all that share
+                landmarks with it or with one of those that do.
+            exclude: further keyframes that are no candidates.
+        """
+        place = query if isinstance(query, Place) else None
+        bag = self.bag(query.descriptor if isinstance(query, Place) else query)
+        scores = self._index.scores(bag)
+        scores[[self._number_of[k] for k in exclude if k in self._number_of]] = 0.0
+        expected = self._expected_score()
+        if place is not None and place.key in self._number_of:
+            number = self._number_of[place.key]
+            expected = self._expected_score(number, scores)
+            scores[self._connected(number)] = 0.0
+        return self._groups(scores / np.float32(expected))
+
+    def _expected_score(self, number: int | None = None, scores: Floats32 | None = None) -> float:
+        """Score of consecutive keyframes: with the one before, or the mean of all."""
+        if number is not None and scores is not None:
+            before = self._neighbours(number, 1)
+            best = float(scores[before].max()) if len(before) else 0.0
+            if best >= _MIN_CONSECUTIVE:
+                return best
+        total, count = self._consecutive
+        return max(total / count, _MIN_CONSECUTIVE) if count else 1.0
+
+    def _neighbours(self, number: int, reach: int) -> Ints:
+        """Up to `reach` keyframes of the same segment stored before one, and as many after."""
+        same = self._segment[: len(self._keys)] == self._segment[number]
+        numbers = np.flatnonzero(same & self._covisibility.kept)
+        at = int(np.searchsorted(numbers, number))
+        near: Ints = numbers[max(at - reach, 0) : at + reach + 1]
+        return near[near != number]
+
+    def _connected(self, number: int) -> Ints:
+        """Keyframes so near in time or in the map that finding them is no news."""
+        direct = self._covisibility.shared(number).number
+        further = [self._covisibility.shared(n).number for n in direct.tolist()]
+        near = self._neighbours(number, _NEIGHBOURS)
+        return np.unique(np.concatenate([[number], near, direct, *further]).astype(np.int64))
+
+    def _groups(self, ratio: Floats32) -> list[Candidate]:
+        """The best keyframe of each group of consecutive ones, by the sum of a group's scores."""
+        numbers = np.flatnonzero(ratio >= _MIN_RATIO)
+        if not len(numbers):
+            return []
+        rank = np.cumsum(self._covisibility.kept)[numbers]
+        segment = self._segment[numbers]
+        ends = (np.diff(rank) > _GROUP_GAP) | (np.diff(segment) != 0)
+        groups = np.split(numbers, np.flatnonzero(ends) + 1)
+        sums = [-float(ratio[group].sum(dtype=np.float64)) for group in groups]
+        best = [int(group[np.argmax(ratio[group])]) for group in groups]
+        order = sorted(range(len(groups)), key=lambda n: (sums[n], n))[:_MAX_CANDIDATES]
+        return [Candidate(self._keys[best[n]], float(ratio[best[n]])) for n in order]
+
+    def _remove_redundant(self, number: int) -> tuple[PlaceKey, ...]:
+        """Remove keyframes that became redundant with a new one: some of its covisible ones.
+
+        The first and the last of a segment stay, as do protected ones.
+        """
+        removed = []
+        for other in self._covisibility.shared(number).number.tolist():
+            key = self._keys[other]
+            if key in self._protected or len(self._neighbours(other, 1)) < 2:
+                continue
+            observers = self._covisibility.observers(other)
+            if (observers >= _OBSERVERS).mean() >= _REDUNDANT:
+                self.remove(key)
+                removed.append(key)
+        return tuple(removed)
