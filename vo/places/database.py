@@ -192,8 +192,8 @@ class KeyframeDatabase:
         same = self._segment[: len(self._keys)] == self._segment[number]
         numbers = np.flatnonzero(same & self._covisibility.kept)
         at = int(np.searchsorted(numbers, number))
-        near: Ints = numbers[max(at - reach, 0) : at + reach + 1]
-        return near[near != number]
+        near = numbers[max(at - reach, 0) : at + reach + 1]
+        return np.asarray(near[near != number])
 
     def _connected(self, number: int) -> Ints:
         """Keyframes so near in time or in the map that finding them is no news."""
