@@ -85,6 +85,11 @@ class KeyframeDatabase:
         """Remove the temporary file."""
         self._blocks.close()
 
+    @property
+    def file_bytes(self) -> int:
+        """Size of the temporary file."""
+        return self._blocks.file_bytes
+
     def bag(self, descriptor: Descriptors) -> Bag:
         """Bag of words of the (N, width) descriptors of an image."""
         return self.vocabulary.bag(descriptor)

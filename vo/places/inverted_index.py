@@ -17,7 +17,7 @@ from vo.compiling.function import compiled
 from vo.places.vocabulary import Bag, Words
 from vo.types import Bools, Floats32, Ints
 
-_BLOCK = 1024  # numbers of bags in a block; below 2^16
+_BLOCK = 512  # numbers of bags in a block; below 2^16
 
 
 @dataclass(frozen=True, eq=False)
