@@ -15,6 +15,11 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from vo.feature_settings import DescriptorName as DescriptorName
+from vo.feature_settings import DetectorName as DetectorName
+from vo.feature_settings import FeaturesConfig as FeaturesConfig
+from vo.feature_settings import MatchingConfig as MatchingConfig
+from vo.feature_settings import MatchingName as MatchingName
 from vo.image_areas import anchored, parse_area
 from vo.settings import (
     Section,
@@ -29,93 +34,6 @@ from vo.settings import (
 )
 
 _log = logging.getLogger(__name__)
-
-
-DetectorName = Literal[
-    "orb",
-    "harris",
-    "shi_tomasi",
-    "fast",
-    "agast",
-    "opencv_orb",
-    "sift",
-    "mser",
-    "akaze",
-    "kaze",
-    "brisk",
-    "star",
-    "surf",
-    "xfeat",
-]
-DescriptorName = Literal[
-    "auto",
-    "rbrief",
-    "brief",
-    "sift",
-    "rootsift",
-    "opencv_orb",
-    "akaze",
-    "kaze",
-    "brisk",
-    "freak",
-    "latch",
-    "daisy",
-    "surf",
-]
-
-
-class FeaturesConfig(Section):
-    """Features: by default ORB, spread over the image by a grid."""
-
-    count: int = Field(1500, ge=50, le=20000, description="features per image")
-    detector: DetectorName = Field("orb", description="what finds features (docs/features.md)")
-    descriptor: DescriptorName = Field(
-        "auto", description="what describes them; auto for the one that suits the detector"
-    )
-    rescue: Literal["none", "xfeat"] = Field(
-        "none", description="learned features where orb fails, and only there (docs/learned.md)"
-    )
-    selection: Literal["grid", "ssc", "strongest"] = expert(
-        "grid", description="which are kept where a detector other than orb finds more than count"
-    )
-    clahe: bool = expert(False, description="equalise local contrast before detection, not for orb")
-    subpixel: bool = expert(
-        False, description="refine corners to sub-pixel by their gradients, not for orb"
-    )
-    backend: Literal["auto", "opencv", "onnxruntime"] = expert(
-        "auto", description="what computes learned features; auto is opencv"
-    )
-    device: Literal["auto", "cpu", "cuda", "tensorrt", "coreml"] = expert(
-        "auto", description="where learned features are computed; auto takes what works"
-    )
-    levels: int = expert(4, ge=1, le=16, description="pyramid levels")
-    scale_factor: float = expert(1.44, gt=1.0, le=2.0, description="size ratio of two levels")
-    threshold: int = expert(20, ge=1, le=200, description="minimum corner contrast, grey levels")
-    low_threshold: int = expert(
-        7, ge=1, le=200, description="minimum contrast in grid cells without a corner"
-    )
-
-
-MatchingName = Literal[
-    "auto", "brute_force", "mnn", "flann", "ann", "lightglue", "lighterglue", "superglue"
-]
-
-
-class MatchingConfig(Section):
-    """Descriptor matching."""
-
-    method: MatchingName = Field(
-        "auto",
-        description="search where nothing is predicted; auto is exact and fits the descriptor; mnn "
-        "for mutual nearest neighbours without ratio test; others in docs/features.md",
-    )
-    cross_check: bool = expert(
-        True, description="keep only matches that are the best in both directions"
-    )
-    max_hamming: int = expert(64, ge=1, le=256, description="maximum Hamming distance, bits")
-    ratio: float = expert(
-        0.85, gt=0, le=1, description="maximum ratio of best to second-best distance (Lowe)"
-    )
 
 
 class PatchConfig(Section):
@@ -311,6 +229,15 @@ class MasksConfig(Section):
     roi: _Areas = Field((), description="region of interest: only these areas are used")
 
 
+class MemoryConfig(Section):
+    """Memory beyond the local map (docs/memory.md)."""
+
+    loops: bool = Field(False, description="recognise places that were seen before, close loops")
+    vocabulary: str = expert(
+        "", description="file of the words by which places are recognised; empty for the built-in"
+    )
+
+
 class Config(Section):
     """All settings of a run."""
 
@@ -328,6 +255,7 @@ class Config(Section):
     mapping: MappingConfig = MappingConfig()
     smoothing: SmoothingConfig = SmoothingConfig()
     refinement: RefinementConfig = RefinementConfig()
+    memory: MemoryConfig = MemoryConfig()
     masks: MasksConfig = MasksConfig()
 
 

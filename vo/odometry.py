@@ -25,6 +25,7 @@ from vo.refinement.corrected_errors import corrected_errors
 from vo.snapshot import FrameResult, make_estimate, make_snapshot
 from vo.stages import BUILT_IN, Components, make_stages
 from vo.stopwatch import Stopwatch, timed
+from vo.trajectory.map_frame import Anchor
 from vo.trajectory.store import TrajectoryStore
 from vo.types import Estimate, Frame, Rig, Snapshot, State
 from vo.warmup import warm_up
@@ -38,6 +39,7 @@ class Odometry:
     Attributes:
         stopwatch: measures the stages.
         hidden: ratio of the recorded images that masks of the whole run hide, by camera.
+        memory: stores keyframes and closes loops, if the settings say so.
         networks: model, device and SHA-256 of each network in use.
 
     Args:
@@ -76,12 +78,14 @@ class Odometry:
         self._mapper = stages.mapper
         self._updater = stages.updater
         self._trajectory = stages.trajectory
+        self.memory = stages.memory
         self._config = config
         self._state = State.STARTING
         self._segment = 0
         self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
         self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
         self._result: FrameResult | None = None  # of the newest frame
+        self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
         self._has_moved = False  # whether the newest frame has added or moved keyframes
 
     def track(self, frame: Frame) -> Estimate:
@@ -110,14 +114,16 @@ class Odometry:
         self._result = result._replace(keyframe=self._add_keyframe(result.frame, result.tracked))
 
     def finish(self) -> Mapping[str, float]:
-        """Apply the last result of the optimizer; the time by stage that it took."""
+        """Apply the last results of the optimizer; the time by stage that it took."""
         self.update_map()
         self._updater.apply()
+        self.memory.finish(self._map)
         return self.stopwatch.take()
 
     def close(self) -> None:
         """Hand the map to the keyframe store, and end threads and processes."""
         self._map.clear()
+        self.memory.close()
         self._window_optimizer.close()
         self._preprocessor.close()
 
@@ -136,7 +142,8 @@ class Odometry:
         if self._result is None:
             raise RuntimeError("no frame has been tracked yet")
         sigma_px = self._config.stereo.sigma_disparity_px
-        return make_snapshot(self._result, self._map, sigma_px, has_moved=self._has_moved)
+        anchor = self.trajectory.anchor(self._segment)
+        return make_snapshot(self._result, self._map, sigma_px, anchor, has_moved=self._has_moved)
 
     def _process(self, pending: LazyFuture[PreprocessedFrame]) -> Estimate:
         result = self._locate(pending)
@@ -147,13 +154,16 @@ class Odometry:
         """Track a frame, after the frames before it once more if they were misled."""
         frame = self._preprocess(pending)
         self.update_map()
+        self.memory.begin_frame(frame.index)
         if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
+            self.memory.forget_from(frame.misled[0].index)
             self._creator.restart()
             self._state, self._lost = State.STARTING, []
             for each in frame.misled:
                 self._advance(each)
         result = self._advance(frame)
         is_tracking = self._state is State.TRACKING
+        self._anchor = self._trajectory.store.anchor(self._segment)
         self._preprocessor.is_eager = self._forecast.expects_all or not is_tracking
         return result
 
@@ -252,10 +262,10 @@ class Odometry:
     def _estimate(self, result: FrameResult) -> Estimate:
         moved = self._trajectory.take_moved()
         self._has_moved = bool(moved)
-        pose = result.world_from_cam
+        pose, in_map = result.world_from_cam, self._trajectory.map_from_cam0
         return replace(
             make_estimate(result, self._state, self._segment),
-            world_from_cam0=None if pose is None else self._trajectory.world_from_cam0(pose),
+            world_from_cam0=None if pose is None else in_map(pose, self._anchor),
             faults=result.every_fault + self._updater.faults,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,

@@ -302,6 +302,7 @@ class RunSession:
             profile=self._profile(),
             live=self._live_state(),
             hidden=self._odometry.hidden,
+            loops=self._odometry.memory.closed_loops,
             networks=self._odometry.networks,
         )
         summary = summarise(state)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from vo.mapping.local_map import LocalMap
 from vo.mapping.lookup import rows_of
 from vo.mapping.tracked_frame import TrackedFrame
 from vo.tracking.last_frame import LastFrame
+from vo.trajectory.map_frame import Anchor
 from vo.types import (
     Estimate,
     FeatureState,
@@ -117,7 +119,12 @@ def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
 
 
 def make_snapshot(
-    result: FrameResult, local_map: LocalMap, sigma_disparity_px: float, *, has_moved: bool
+    result: FrameResult,
+    local_map: LocalMap,
+    sigma_disparity_px: float,
+    anchor: Anchor | None,
+    *,
+    has_moved: bool,
 ) -> Snapshot:
     """The newest frame and the local map.
 
@@ -125,12 +132,17 @@ def make_snapshot(
         result: of the frame.
         local_map: the map.
         sigma_disparity_px: standard deviation of a disparity.
+        anchor: places the local map in the map frame; None before any loop.
         has_moved: whether keyframes were added or moved.
     """
     keyframe = result.keyframe
+    landmarks = _landmarks(local_map, sigma_disparity_px) if has_moved else None
+    if landmarks is not None and anchor is not None:
+        sigma = None if landmarks.sigma is None else anchor.scale * landmarks.sigma
+        landmarks = replace(landmarks, xyz=anchor.transform_points(landmarks.xyz), sigma=sigma)
     return Snapshot(
         view=_view(result, local_map),
-        landmarks=_landmarks(local_map, sigma_disparity_px) if has_moved else None,
+        landmarks=landmarks,
         neighbours={} if keyframe is None else _neighbours(local_map, keyframe),
     )
 

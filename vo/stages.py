@@ -25,6 +25,7 @@ from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
 from vo.mapping.local_map import LocalMap
 from vo.mapping.local_mapper import LocalMapper
+from vo.memory.contract import MapMemory, NoMemory
 from vo.refinement.calibration_refiner import CalibrationRefiner
 from vo.scheduling import available_cores
 from vo.stopwatch import Stopwatch
@@ -79,6 +80,7 @@ class Stages(NamedTuple):
     updater: MapUpdater
     window_optimizer: WindowOptimizer
     trajectory: TrajectoryBuilder
+    memory: MapMemory
 
 
 def make_stages(
@@ -105,11 +107,20 @@ def make_stages(
     threads = config.threads or available_cores()
     second = _second_extractor(config, components)
     frontend = _frontend(config, components, second)
+    trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
+    descriptors = frontend.extractor.descriptor_format
+    memory: MapMemory = NoMemory()
+    stores = [] if components.keyframe_store is None else [components.keyframe_store]
+    if config.memory.loops:
+        from vo.memory.creation import make_memory
+
+        memory = own = make_memory(rectified, descriptors, config, trajectory, stopwatch, threads)
+        stores.append(own)
     local_map = LocalMap(
         rectified,
         config.smoothing.window + config.smoothing.fixed,
-        frontend.extractor.descriptor_format,
-        components.keyframe_store,
+        descriptors,
+        stores,
         config.stereo.sigma_disparity_px,
     )
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
@@ -119,7 +130,6 @@ def make_stages(
     policy = KeyframePolicy(keyframes, config.tracking.max_landmarks)
     start = config.start
     tracker = Tracker(local_map, frontend, motion, config.tracking, start, stopwatch)
-    trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     window = SlidingWindow(
         local_map,
         optimizer,
@@ -150,6 +160,7 @@ def make_stages(
         updater,
         optimizer,
         trajectory,
+        memory,
     )
 
 

@@ -154,6 +154,7 @@ class Odometry:
                 wall_s=time.perf_counter() - self._begun,
                 calibration=self._odometry.calibration_errors,
                 hidden=self._odometry.hidden,
+                loops=self._odometry.memory.closed_loops,
                 networks=self._odometry.networks,
             )
             return summarise(state)

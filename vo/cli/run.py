@@ -109,6 +109,24 @@ Threads = Annotated[
         rich_help_panel=_ODOMETRY,
     ),
 ]
+Loops = Annotated[
+    bool | None,
+    typer.Option(
+        "--loops/--no-loops",
+        help="Recognise places that were seen before, and correct the path by them.",
+        show_default="that of --config",
+        rich_help_panel=_ODOMETRY,
+    ),
+]
+Vocabulary = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Words by which places are recognised, from `vo vocabulary train`.",
+        show_default="the built-in one",
+        rich_help_panel=_ODOMETRY,
+    ),
+]
 Rrd = Annotated[
     Path | None,
     typer.Option(
@@ -219,6 +237,8 @@ def run_command(
     config: Config = "default",
     overrides: Overrides = None,
     threads: Threads = None,
+    loops: Loops = None,
+    vocabulary: Vocabulary = None,
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
     spawn: Spawn = False,
@@ -260,6 +280,10 @@ def run_command(
     Run on a live camera until Ctrl-C (see docs/live.md):
 
       vo run camera:0 -o out/ --calibration camera.yaml --serve
+
+    Correct the drift where the camera comes back (see docs/memory.md):
+
+      vo run around_the_block/ -o out/ --loops
 
     Leave out the car's own bonnet and burnt-in text (see docs/recordings.md):
 
@@ -304,6 +328,8 @@ def run_command(
                 config,
                 tuple(overrides or ()),
                 threads,
+                loops,
+                vocabulary,
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
             ),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),

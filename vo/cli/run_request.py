@@ -38,14 +38,19 @@ class Settings(NamedTuple):
     config: str
     overrides: tuple[str, ...]
     threads: int | None
+    loops: bool | None
+    vocabulary: Path | None
     masks: Mapping[str, Sequence[str]]
 
     @property
     def all_overrides(self) -> list[str]:
-        """Overrides of settings, including the number of threads and masks."""
+        """Overrides of settings, including those that have options of their own."""
         threads = [] if self.threads is None else [f"threads={self.threads}"]
+        loops = [] if self.loops is None else [f"memory.loops={json.dumps(self.loops)}"]
+        words = [] if self.vocabulary is None else [str(self.vocabulary)]
+        loops += [f"memory.vocabulary={json.dumps(word)}" for word in words]
         masks = [f"masks.{k}={json.dumps(texts)}" for k, texts in self.masks.items() if texts]
-        return [*self.overrides, *threads, *masks]
+        return [*self.overrides, *threads, *loops, *masks]
 
 
 class Visualisation(NamedTuple):

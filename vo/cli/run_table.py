@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
+from vo.closed_loops import ClosedLoop
 from vo.printable import counted
 from vo.results.folder import RESULTS
 from vo.results.profile import Profile
@@ -73,6 +74,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
         *([("between", f"{summary.interpolated} interpolated")] if summary.interpolated else []),
         ("lost", str(summary.lost)),
         ("segments", str(len(summary.segments))),
+        *([("loops", _loops(summary.loops))] if summary.loops else []),
         ("keyframes", f"{summary.keyframes}, with {counted(summary.landmarks, 'landmark')}"),
         ("path", f"{summary.path_m:.3f} {unit}"),
         ("speed", f"{speed}, peak memory {summary.peak_rss_mb:.0f} MB"),
@@ -85,6 +87,12 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
     if summary.profile is not None:
         facts.append(("profile", _profile(summary.profile)))
     return facts
+
+
+def _loops(loops: Sequence[ClosedLoop]) -> str:
+    merges = sum(loop.kind == "merge" for loop in loops)
+    closed = counted(len(loops) - merges, "keyframe") + " at a known place"
+    return f"{closed}, {counted(merges, 'segment')} connected" if merges else closed
 
 
 def _masks(hidden: Sequence[float]) -> str:

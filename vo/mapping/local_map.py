@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -44,7 +45,7 @@ class LocalMap:
         rig: the rectified cameras.
         capacity: maximum number of keyframes.
         descriptors: layout of the descriptors of the first kind.
-        store: receives the keyframes that leave the map.
+        stores: receive the keyframes that leave the map.
         sigma_disparity_px: standard deviation of a disparity.
     """
 
@@ -53,7 +54,7 @@ class LocalMap:
         rig: RectifiedRig,
         capacity: int,
         descriptors: DescriptorFormat,
-        store: KeyframeStore | None = None,
+        stores: Sequence[KeyframeStore] = (),
         sigma_disparity_px: float = 0.4,
     ) -> None:
         self.rig = rig
@@ -61,7 +62,7 @@ class LocalMap:
         self.images: Bytes = np.zeros((capacity, rig.height, rig.width), dtype=np.uint8)
         self._capacity = capacity
         self._descriptors = descriptors
-        self._store = store
+        self._stores = tuple(stores)
         self._sigma_disparity_px = sigma_disparity_px
         self._next_landmark = 0
         self._next_keyframe = 0
@@ -106,10 +107,14 @@ class LocalMap:
 
     def clear(self) -> None:
         """Remove all keyframes and landmarks; ids go on."""
-        for keyframe in self.keyframes:
-            self._hand_over(keyframe)
+        self.hand_over(self._stores)
         self.keyframes = []
         self._remove_landmarks()
+
+    def hand_over(self, stores: Sequence[KeyframeStore]) -> None:
+        """Hand all keyframes to stores, as they are now; they stay in the map."""
+        for keyframe in self.keyframes:
+            self._hand_over(keyframe, stores)
 
     def add_keyframe(
         self,
@@ -262,7 +267,7 @@ class LocalMap:
 
     def _remove_oldest(self) -> None:
         oldest = self.keyframes[0]
-        self._hand_over(oldest)
+        self._hand_over(oldest, self._stores)
         number, row = self.observation_rows()
         image_xy = np.concatenate([k.image_xy for k in self.keyframes])
         orphaned = (self.reference[row] == oldest.id) & (number > 0)
@@ -273,15 +278,16 @@ class LocalMap:
         del self.keyframes[0]
         self.keep_landmarks(self.reference != oldest.id)
 
-    def _hand_over(self, keyframe: Keyframe) -> None:
-        if self._store is None:
+    def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
+        if not stores:
             return
         rows = self.rows(keyframe.landmark)
         rows = np.sort(rows[rows >= 0])
         names = StoredLandmarks._fields[:-1]
         fields = {name: getattr(self, name).take(rows, axis=0) for name in names}
         landmarks = StoredLandmarks(**fields, sigma=self._position_sigma(rows))
-        self._store.add(keyframe, landmarks, self.images[keyframe.slot])
+        for store in stores:
+            store.add(keyframe, landmarks, self.images[keyframe.slot])
 
     def _position_sigma(self, chosen: Ints) -> Floats:
         """Standard deviation (n,) of the positions of landmarks (n,), given exact poses."""

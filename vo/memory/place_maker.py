@@ -23,6 +23,9 @@ _SIGMA_RAD, _SIGMA_RATIO = 0.02, 0.1
 class PlaceMaker:
     """Makes places of consecutive keyframes.
 
+    Attributes:
+        session: number of the session.
+
     Args:
         session: number of the session.
         scale_factor: size ratio of two pyramid levels.
@@ -30,7 +33,7 @@ class PlaceMaker:
     """
 
     def __init__(self, session: int, scale_factor: float, *, is_metric: bool) -> None:
-        self._session = session
+        self.session = session
         self._scale_factor = scale_factor
         self._is_metric = is_metric
         self._last: Keyframe | None = None  # the one before
@@ -46,7 +49,7 @@ class PlaceMaker:
         height, width = image.shape
         thumbnail_width = max(1, round(width * _THUMBNAIL_HEIGHT / height))
         return Place(
-            key=PlaceKey(self._session, keyframe.id),
+            key=PlaceKey(self.session, keyframe.id),
             frame=keyframe.frame,
             is_metric=self._is_metric,
             odom_from_cam=keyframe.world_from_cam.copy(),

@@ -16,6 +16,7 @@ STAGES = (
     "map",
     "window",
     "smooth",
+    "memory",
     "write",
     "record",
 )

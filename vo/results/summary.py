@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
+from vo.closed_loops import ClosedLoop
 from vo.failures import Failure, describe
 from vo.printable import counted
 from vo.results.environment import peak_rss_mb, versions
@@ -74,6 +75,7 @@ class RunState:
         profile: None if it was not requested.
         live: None for a recording.
         hidden: ratio of the recorded images that masks hide, by camera.
+        loops: that were closed.
         networks: what is known of each network in use.
     """
 
@@ -90,6 +92,7 @@ class RunState:
     profile: Profile | None = None
     live: LiveState | None = None
     hidden: tuple[float, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
     networks: tuple[Mapping[str, str], ...] = ()
 
 
@@ -143,6 +146,7 @@ class Summary:
     profile: Profile | None = None
     live: LiveSummary | None = None
     hidden: tuple[float, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
     networks: tuple[Mapping[str, str], ...] = ()
 
     @property
@@ -191,6 +195,7 @@ class Summary:
             "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),
             "hidden": list(self.hidden),
+            "loops": [_loop_fields(loop) for loop in self.loops],
             "networks": [dict(network) for network in self.networks],
             "skipped": [asdict(s) for s in self.skipped],
             "faults": [record.to_dict() for record in self.faults],
@@ -249,6 +254,7 @@ def summarise(state: RunState) -> Summary:
         faults=statistics.faults.records(),
         hidden=tuple(round(ratio, 4) for ratio in state.hidden),
         networks=state.networks,
+        loops=state.loops,
         profile=state.profile,
         live=None
         if state.live is None
@@ -268,6 +274,13 @@ def _untracked(facts: RunFacts, status: Status, statistics: RunStatistics) -> In
 def _range_fields(range_: FrameRange) -> dict[str, Any]:
     fields = range_._asdict()
     del fields["defect"]  # it is part of the reason
+    return fields
+
+
+def _loop_fields(loop: ClosedLoop) -> dict[str, Any]:
+    fields = asdict(loop)
+    for name in ("correction_m", "correction_deg"):
+        fields[name] = None if fields[name] is None else round(fields[name], 4)
     return fields
 
 

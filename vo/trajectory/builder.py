@@ -10,6 +10,7 @@ from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.places.records import PlacedKeyframes
+from vo.trajectory.map_frame import Anchor
 from vo.trajectory.store import TrajectoryStore
 from vo.types import Floats, KeyframePose
 
@@ -72,10 +73,9 @@ class TrajectoryBuilder:
         """Keyframes that were added or moved since the last call."""
         return self.store.take_moved()
 
-    def map_from_cam0(self, odom_from_rectified: Floats, segment: int) -> Floats:
-        """The pose (4, 4) of the recorded cam0 in the map frame, as far as it is known now."""
+    def map_from_cam0(self, odom_from_rectified: Floats, anchor: Anchor | None) -> Floats:
+        """Pose (4, 4) of the recorded cam0 in the map frame, where an anchor has placed it."""
         pose = self.world_from_cam0(odom_from_rectified)
-        anchor = self.store.anchor(segment)
         return pose if anchor is None else anchor.place(pose)
 
     def place(self, placed: PlacedKeyframes, session: int) -> None:

@@ -1,0 +1,167 @@
+"""Runs around a room and back, with loops closed."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_synth.frame_rendering import render_frames
+from data_synth.plan import make_plan
+from data_synth.recipe import load_recipe
+from data_synth.writers import euroc
+from vo.config import load_config
+from vo.evaluation.ape import absolute_errors
+from vo.formats.trajectory import read_tum
+from vo.geometry.similarity import umeyama
+from vo.odometry import Odometry
+from vo.run_recording import run
+from vo.types import Estimate, Floats, Frame, Trajectory
+
+FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
+END = 190  # frames: a round takes 126
+BLACK = range(70, 84)
+
+
+@pytest.fixture(scope="module")
+def rounds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A round and a half through a room at 10 Hz, as EuRoC, in images of 301 x 192."""
+    settings = ["motion=loop", "seconds=40", "fps=10", "scale=0.4", "mono=true"]
+    plan = make_plan(load_recipe("demo", settings))
+    folder = tmp_path_factory.mktemp("rounds") / "room"
+    taken = slice(END)
+    recording = replace(
+        plan.recording,
+        stamps_ns=tuple(stamps[taken] for stamps in plan.recording.stamps_ns),
+        dropped=tuple(dropped[taken] for dropped in plan.recording.dropped),
+        cam0_truth=Trajectory(
+            plan.recording.cam0_truth.stamps_ns[taken],
+            plan.recording.cam0_truth.world_from_cam[taken],
+        ),
+    )
+    with ThreadPoolExecutor() as pool:
+        euroc.write(folder, recording, render_frames(plan, pool, range(END)), "png")
+    return folder
+
+
+def _run(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:
+    config = load_config("default", settings)
+    run(recording, output, config=config, **options)
+    summary: dict[str, Any] = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    return summary
+
+
+@pytest.fixture(scope="module")
+def plain(rounds: Path) -> Path:
+    """Results without loops."""
+    _run(rounds, rounds.parent / "plain")
+    return rounds.parent / "plain"
+
+
+@pytest.fixture(scope="module")
+def closed(rounds: Path) -> Path:
+    """Results with loops."""
+    _run(rounds, rounds.parent / "closed", "memory.loops=true")
+    return rounds.parent / "closed"
+
+
+def _loops(folder: Path) -> list[dict[str, Any]]:
+    loops: list[dict[str, Any]] = json.loads((folder / "summary.json").read_text())["loops"]
+    return loops
+
+
+def _ate(folder: Path, recording: Path, name: str = "trajectory.tum") -> float:
+    found, truth = read_tum(folder / name), read_tum(recording / "groundtruth.tum")
+    rows = np.searchsorted(truth.stamps_ns, found.stamps_ns)
+    similarity = umeyama(found.positions, truth.positions[rows], with_scale=True)
+    errors = absolute_errors(
+        similarity.transform_poses(found.world_from_cam), truth.world_from_cam[rows]
+    )
+    return float(np.sqrt(np.mean(errors.translation_m**2)))
+
+
+def _true_positions(recording: Path) -> Floats:
+    return read_tum(recording / "groundtruth.tum").positions
+
+
+def test_every_loop_is_true_and_the_error_of_the_path_gets_smaller(
+    rounds: Path, plain: Path, closed: Path
+) -> None:
+    loops, positions = _loops(closed), _true_positions(rounds)
+    assert len(loops) >= 5
+    for loop in loops:
+        apart = positions[loop["frame"]] - positions[loop["earlier_frame"]]
+        assert np.linalg.norm(apart) < 2.0
+        assert loop["frame"] - loop["earlier_frame"] > 100
+        assert loop["kind"] == "loop" and loop["inliers"] >= 30
+        assert math.isfinite(loop["correction_m"]) and math.isfinite(loop["correction_deg"])
+    assert _ate(closed, rounds) < 0.7 * _ate(plain, rounds)
+
+
+def test_causal_poses_jump_in_the_frames_that_are_marked_and_only_there(
+    plain: Path, closed: Path
+) -> None:
+    marked = {loop["corrected_from"] for loop in _loops(closed)} - {None}
+    assert marked
+    before, after = (read_tum(folder / "causal.tum") for folder in (plain, closed))
+    np.testing.assert_array_equal(before.stamps_ns, after.stamps_ns)
+    changed = np.abs(before.world_from_cam - after.world_from_cam).max(axis=(1, 2)) > 1e-9
+    first = int(np.flatnonzero(changed)[0])
+    rows = np.loadtxt(closed / "frames.csv", delimiter=",", skiprows=1, usecols=(1, 0), dtype=int)
+    frame_of = dict(rows.tolist())
+    assert frame_of[int(after.stamps_ns[first])] == min(marked)
+    assert changed[first:].all()
+
+
+def test_repeated_runs_and_a_single_thread_give_the_same_bytes(
+    rounds: Path, closed: Path, tmp_path: Path
+) -> None:
+    _run(rounds, tmp_path / "again", "memory.loops=true", "threads=1")
+    for name in FILES:
+        assert (tmp_path / "again" / name).read_bytes() == (closed / name).read_bytes()
+    assert _loops(tmp_path / "again") == _loops(closed)
+
+
+def test_without_a_place_seen_again_the_results_have_the_same_bytes(
+    rounds: Path, tmp_path: Path
+) -> None:
+    for name, setting in (("off", "false"), ("on", "true")):
+        summary = _run(rounds, tmp_path / name, f"memory.loops={setting}", end=60)
+        assert summary["loops"] == []
+    for name in FILES:
+        assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "off" / name).read_bytes()
+
+
+class _Kidnapped(Odometry):
+    """Sees black frames for a while, long enough to give up the map."""
+
+    def track_all(self, frames: Iterable[Frame]) -> Iterator[Estimate]:
+        yield from super().track_all(map(_black, frames))
+
+
+def _black(frame: Frame) -> Frame:
+    if frame.index not in BLACK:
+        return frame
+    return replace(frame, images=tuple(np.zeros_like(frame.image0) for _ in frame.images))
+
+
+def test_a_segment_that_meets_an_older_one_joins_its_world(
+    rounds: Path, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vo.run_recording.Odometry", _Kidnapped)
+    apart = _run(rounds, tmp_path / "apart")
+    assert [s["segment"] for s in apart["segments"]] == [0, 1]
+    joined = _run(rounds, tmp_path / "joined", "memory.loops=true")
+    assert [s["segment"] for s in joined["segments"]] == [0]
+    assert "merge" in [loop["kind"] for loop in joined["loops"]]
+    assert joined["verdict"] != "complete"
+    lost = {f for r in joined["without_pose"] for f in range(r["first"], r["last"] + 1)}
+    assert set(BLACK) <= lost
+    assert _ate(tmp_path / "joined", rounds) < 1.5 * _ate(plain, rounds)

@@ -1,0 +1,51 @@
+"""What the odometry calls of a memory, and a run without one."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from vo.closed_loops import ClosedLoop
+from vo.mapping.local_map import LocalMap
+
+
+class MapMemory(Protocol):
+    """Beside tracking, which it never changes; it also is a `KeyframeStore` of the local map."""
+
+    @property
+    def closed_loops(self) -> tuple[ClosedLoop, ...]:
+        """Loops that were closed so far."""
+        ...
+
+    def begin_frame(self, index: int) -> None:
+        """Before a frame is tracked, after all updates of the map."""
+        ...
+
+    def forget_from(self, frame_index: int) -> None:
+        """Forget all keyframes from a frame on, which are tracked anew."""
+        ...
+
+    def finish(self, local_map: LocalMap) -> None:
+        """After the last frame: take over the keyframes of the map, and take in all results."""
+        ...
+
+    def close(self) -> None:
+        """End threads and processes."""
+        ...
+
+
+class NoMemory:
+    """Forgets everything."""
+
+    closed_loops: tuple[ClosedLoop, ...] = ()
+
+    def begin_frame(self, index: int) -> None:
+        """Nothing to do."""
+
+    def forget_from(self, frame_index: int) -> None:
+        """Nothing to forget."""
+
+    def finish(self, local_map: LocalMap) -> None:
+        """Nothing to take over."""
+
+    def close(self) -> None:
+        """Nothing to end."""

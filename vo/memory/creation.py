@@ -1,0 +1,64 @@
+"""The memory of a run, built from the settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vo.backend.pose_graph import PoseGraph
+from vo.config import Config
+from vo.errors import ConfigError
+from vo.frontend.contracts import DescriptorFormat
+from vo.geometry.rectification import RectifiedRig
+from vo.memory.memory import Memory
+from vo.memory.place_maker import PlaceMaker
+from vo.memory.recognition import Recogniser
+from vo.places.database import KeyframeDatabase
+from vo.places.loop_verification import LoopVerifier
+from vo.places.vocabulary import DESCRIPTOR_BYTES
+from vo.places.vocabulary_file import built_in_vocabulary, read_vocabulary
+from vo.stopwatch import Stopwatch
+from vo.trajectory.builder import TrajectoryBuilder
+from vo.types import Camera
+
+
+def make_memory(
+    rig: RectifiedRig,
+    descriptors: DescriptorFormat,
+    config: Config,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+    threads: int,
+) -> Memory:
+    """The memory of a run.
+
+    Args:
+        rig: the rectified cameras.
+        descriptors: layout of the descriptors.
+        config: all settings.
+        trajectory: follows the keyframes that are placed.
+        stopwatch: measures the stages.
+        threads: cores to use.
+
+    Raises:
+        ConfigError: places cannot be recognised by these descriptors.
+        InputError: the vocabulary cannot be read.
+    """
+    if descriptors.width != DESCRIPTOR_BYTES or descriptors.dtype != "uint8":
+        raise ConfigError(
+            f"memory.loops recognises places by binary descriptors of {8 * DESCRIPTOR_BYTES} bits, "
+            f"such as orb; those of {config.features.detector} are others: leave it out"
+        )
+    if config.features.rescue != "none":
+        raise ConfigError("memory.loops needs descriptors of one kind: leave features.rescue out")
+    file = config.memory.vocabulary
+    vocabulary = read_vocabulary(Path(file)) if file else built_in_vocabulary()
+    scale_factor = config.features.scale_factor
+    verifier = LoopVerifier(scale_factor, sigma_px=config.patches.sigma_px, seed=config.seed)
+    camera = Camera(rig.width, rig.height, rig.fx, rig.fy, rig.cx, rig.cy)
+    return Memory(
+        PlaceMaker(0, scale_factor, is_metric=rig.is_stereo),
+        Recogniser(KeyframeDatabase(vocabulary), verifier, camera, threads),
+        PoseGraph(threads),
+        trajectory,
+        stopwatch,
+    )

@@ -1,0 +1,203 @@
+"""Memory of a run: stores keyframes, closes loops, and places all keyframes in one map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vo.backend.pose_graph import PoseGraph
+from vo.closed_loops import ClosedLoop
+from vo.geometry.transforms import inverse, rotation_angle
+from vo.mapping.keyframe import FrameId, Keyframe
+from vo.mapping.keyframe_store import StoredLandmarks
+from vo.mapping.local_map import LocalMap
+from vo.memory.place_maker import PlaceMaker
+from vo.memory.recognition import Recogniser
+from vo.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.stopwatch import Stopwatch, timed
+from vo.trajectory.builder import TrajectoryBuilder
+from vo.types import Bytes, Floats
+
+# An answer of the pose graph is taken in when so many further keyframes have been stored; the
+# number is fixed, so that the path does not depend on the speed of the optimizer.
+_LATENCY = 3
+_SPACING = 10  # minimum of stored keyframes from one graph to the next,
+_SPACING_RATIO = 0.05  # more in a large one: its optimisation takes longer
+
+
+class Memory:
+    """Receives the keyframes that leave the local map; a `KeyframeStore`.
+
+    Neither the local map nor tracking is changed. The result for each keyframe is taken in with the
+    next one, and that of the pose graph a fixed number of keyframes later.
+
+    Attributes:
+        stopwatch: measures the stage `memory`.
+
+    Args:
+        maker: makes places.
+        recogniser: stores and recognises them.
+        graph: places them in the map frame.
+        trajectory: follows.
+        stopwatch: measures the stages.
+    """
+
+    def __init__(
+        self,
+        maker: PlaceMaker,
+        recogniser: Recogniser,
+        graph: PoseGraph,
+        trajectory: TrajectoryBuilder,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.stopwatch = stopwatch
+        self._maker = maker
+        self._recogniser = recogniser
+        self._graph = graph
+        self._trajectory = trajectory
+        self._frames: dict[PlaceKey, FrameId] = {}
+        self._loops: list[Loop] = []
+        self._closed: dict[int, ClosedLoop] = {}  # by index of the loop
+        self._submitted: int | None = None  # number of loops of the graph that is optimised
+        self._placed_loops = 0  # number of loops in the newest answer
+        self._due = 0  # number of stored keyframes at which the answer is taken in
+        self._next = 0  # ... from which the next graph may be submitted
+        self._unmarked: list[int] = []  # indices of loops that no frame has been placed by yet
+        self._is_finished = False
+
+    @property
+    def closed_loops(self) -> tuple[ClosedLoop, ...]:
+        """Loops that the pose graph believes, in the order in which they were found."""
+        return tuple(self._closed[n] for n in sorted(self._closed))
+
+    @timed("memory")
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+        """Store a keyframe, and take in what is due."""
+        if self._is_finished:  # the odometry hands the rest over once more when it is closed
+            return
+        self._take_recognised()
+        stored = len(self._frames)
+        if self._submitted is not None and stored >= self._due:
+            self._take_placed()
+        has_news = self._placed_loops < len(self._loops)
+        if self._submitted is None and has_news and stored >= self._next:
+            self._submit()
+        self._recogniser.submit(self._maker.make(keyframe, landmarks, image))
+
+    def begin_frame(self, index: int) -> None:
+        """Note the first frame whose pose is in the map as it was corrected."""
+        for n in self._unmarked:
+            self._closed[n] = replace(self._closed[n], corrected_from=index)
+        self._unmarked.clear()
+
+    def forget_from(self, frame_index: int) -> None:
+        """Forget all keyframes from a frame on, which are tracked anew."""
+        self._take_recognised()
+        if self._submitted is not None:
+            self._take_placed()
+        gone = tuple(key for key, frame in self._frames.items() if frame.index >= frame_index)
+        self._recogniser.remove(gone)
+        self._graph.remove_keyframes(gone)
+        for key in gone:
+            del self._frames[key]
+
+    @timed("memory")
+    def finish(self, local_map: LocalMap) -> None:
+        """Take over the keyframes of the map, and take in everything that is left."""
+        local_map.hand_over([self])
+        self._is_finished = True
+        self._take_recognised()
+        if self._submitted is not None:
+            self._take_placed()
+        if self._placed_loops < len(self._loops):
+            self._submit()
+            self._take_placed()
+        self._unmarked.clear()
+
+    def close(self) -> None:
+        """End threads and processes."""
+        self._is_finished = True
+        self._recogniser.close()
+        self._graph.close()
+
+    def _take_recognised(self) -> None:
+        recognised = self._recogniser.result()
+        if recognised is None:
+            return
+        place, loop = recognised.place, recognised.loop
+        self._frames[place.key] = place.frame
+        self._graph.add_keyframe(place)
+        if loop is not None:
+            self._graph.add_loop(loop)
+            self._loops.append(loop)
+        self._graph.remove_keyframes(recognised.removed)
+
+    def _submit(self) -> None:
+        stored = len(self._frames)
+        self._graph.submit()
+        self._submitted, self._due = len(self._loops), stored + _LATENCY
+        self._next = stored + max(_SPACING, math.ceil(_SPACING_RATIO * stored))
+
+    def _take_placed(self) -> None:
+        """Take in the answer of the pose graph, and move the trajectory."""
+        placed = self._graph.result()
+        assert self._submitted is not None
+        loops = self._loops[: self._submitted]
+        self._placed_loops, self._submitted = self._submitted, None
+        rejected = {(loop.earlier, loop.later) for loop in placed.rejected}
+        believed = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
+        touched = sorted({*believed, *self._closed})
+        self._closed = {n: loop for n, loop in self._closed.items() if n in believed}
+        new = [n for n in believed if n not in self._closed]
+        if not touched:
+            return
+        before = {n: self._pose(loops[n].later) for n in new}
+        apart = {n: self._is_apart(loops[n]) for n in new}
+        connected = _of_worlds(placed, [loops[n] for n in touched])
+        self._trajectory.place(connected, self._maker.session)
+        for n in new:
+            self._closed[n] = self._report(loops[n], before[n], is_merge=apart[n])
+        self._unmarked = [n for n in self._unmarked if n in self._closed] + new
+
+    def _report(self, loop: Loop, before: Floats, *, is_merge: bool) -> ClosedLoop:
+        later, earlier = self._frames[loop.later], self._frames[loop.earlier]
+        change = inverse(before) @ self._pose(loop.later)
+        return ClosedLoop(
+            kind="merge" if is_merge else "loop",
+            frame=later.index,
+            earlier_frame=earlier.index,
+            segment=later.segment,
+            earlier_segment=earlier.segment,
+            inliers=loop.inliers,
+            corrected_from=None,
+            correction_m=None if is_merge else float(np.linalg.norm(change[:3, 3])),
+            correction_deg=None if is_merge else math.degrees(rotation_angle(change[:3, :3])),
+        )
+
+    def _is_apart(self, loop: Loop) -> bool:
+        """Whether a loop connects segments that were not connected before."""
+        store = self._trajectory.store
+        worlds = {store.world(self._frames[k].segment) for k in (loop.earlier, loop.later)}
+        return len(worlds) > 1
+
+    def _pose(self, key: PlaceKey) -> Floats:
+        (pose,) = self._trajectory.store.keyframes_by_id([key.keyframe])
+        return pose.world_from_cam0
+
+
+def _of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes:
+    """The keyframes of worlds with loops; others stay where they are, to the last bit."""
+    world_of = dict(zip(placed.keys, placed.world.tolist(), strict=True))
+    worlds = {world_of[loop.later] for loop in loops if loop.later in world_of}
+    rows = [n for n, world in enumerate(placed.world.tolist()) if world in worlds]
+    return replace(
+        placed,
+        keys=tuple(placed.keys[n] for n in rows),
+        world=placed.world[rows],
+        world_from_cam=placed.world_from_cam[rows],
+        scale=placed.scale[rows],
+        covariance=placed.covariance[rows],
+    )

@@ -1,0 +1,110 @@
+"""Recognition of stored places, in a thread of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+from vo.places.database import KeyframeDatabase
+from vo.places.loop_verification import LoopVerifier
+from vo.places.records import Candidate, Loop, Place, PlaceKey
+from vo.scheduling import give_way
+from vo.types import Camera
+
+_SUCCESSION = 4  # stored keyframes that have to agree with a loop, at most
+_NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
+_MIN_SHARED = 15  # landmarks
+_MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
+
+
+@dataclass(frozen=True, eq=False)
+class Recognised:
+    """What the database and the verifier found for a keyframe.
+
+    Attributes:
+        place: the keyframe.
+        removed: keyframes that became redundant.
+        loop: to an earlier keyframe, or None.
+    """
+
+    place: Place
+    removed: tuple[PlaceKey, ...]
+    loop: Loop | None
+
+
+class Recogniser:
+    """Stores keyframes one by one, and looks for each of them among the earlier ones.
+
+    All work on the database is done in one thread, in the order of the calls.
+
+    Args:
+        database: of stored keyframes.
+        verifier: decides on candidates.
+        camera: ideal (rectified) camera of the keyframes.
+        threads: with one, keyframes are looked for when the result is requested.
+    """
+
+    def __init__(
+        self, database: KeyframeDatabase, verifier: LoopVerifier, camera: Camera, threads: int
+    ) -> None:
+        self._database = database
+        self._verifier = verifier
+        self._camera = camera
+        self._recent: deque[Place] = deque(maxlen=_SUCCESSION)  # newest first, of one segment
+        self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
+        self._future: Future[Recognised] | None = None
+        self._place: Place | None = None
+
+    def submit(self, place: Place) -> None:
+        """Store a keyframe and look for it, after the result before it."""
+        if self._pool is None:
+            self._place = place
+        else:
+            self._future = self._pool.submit(self._recognise, place)
+
+    def result(self) -> Recognised | None:
+        """Wait for the result of the keyframe that was submitted, None without one."""
+        future, self._future = self._future, None
+        place, self._place = self._place, None
+        if future is not None:
+            return future.result()
+        return None if place is None else self._recognise(place)
+
+    def remove(self, keys: tuple[PlaceKey, ...]) -> None:
+        """Forget keyframes; there must be no keyframe without a result."""
+        for key in keys:
+            if key in self._database:
+                self._database.remove(key)
+        self._recent.clear()
+
+    def close(self) -> None:
+        """End the thread, and remove temporary files."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+        self._database.close()
+
+    def _recognise(self, place: Place) -> Recognised:
+        if self._recent and self._recent[0].frame.segment != place.frame.segment:
+            self._recent.clear()
+        self._recent.appendleft(place)
+        removed = self._database.add(place)
+        loop = None
+        for candidate in self._database.query(place)[:_MAX_CANDIDATES]:
+            loop = self._verified(candidate)
+            if loop is not None:
+                self._database.protect(loop.earlier)
+                self._database.protect(loop.later)
+                break
+        return Recognised(place, removed, loop)
+
+    def _verified(self, candidate: Candidate) -> Loop | None:
+        """The loop from the newest keyframe to a candidate, None if they are not the same place."""
+        earlier = self._database.get(candidate.key)
+        beside = [earlier]
+        for key, _ in self._database.covisible(candidate.key, _MIN_SHARED):
+            place = self._database.get(key)
+            if place.frame.segment == earlier.frame.segment and len(beside) <= _NEIGHBOURS:
+                beside.append(place)
+        result = self._verifier.verify(list(self._recent), beside, self._camera)
+        return result if isinstance(result, Loop) else None
