@@ -103,7 +103,7 @@ def _camera_setups(plan: Plan) -> tuple[_CameraSetup, ...]:
 def _preview_mean(plan: Plan, setup: _CameraSetup, index: int, pool: ThreadPoolExecutor) -> float:
     """Mean radiance of a view, from a fraction of its pixels."""
     step = _PREVIEW_STEP
-    world_from_body = plan.path.world_from_body(plan.timing.times_s[index : index + 1])[0]
+    world_from_body = plan.path.world_from_body(plan.path_s[index : index + 1])[0]
     rays = np.ascontiguousarray(setup.rays[::step, ::step])
     view = render(
         _world(plan, index), rays, static_shutter(world_from_body @ setup.body_from_cam), pool
@@ -132,7 +132,7 @@ def _start_frame(
             plan.recipe.effects,
             float(plan.timing.illumination[index]),
             setups[number].vignette,
-            np.random.default_rng([plan.recipe.seed, _SEED_NOISE, index, number]),
+            np.random.default_rng([plan.recipe.session_seed, _SEED_NOISE, index, number]),
         )
         return image, view.depth if number == 0 and plan.recording.has_depth else None
 
@@ -156,7 +156,7 @@ def _shutter(plan: Plan, setup: _CameraSetup, index: int, settings: Settings) ->
     """Poses of a camera during the exposure of a frame."""
     return moving_shutter(
         lambda times_s: plan.path.world_from_body(times_s) @ setup.body_from_cam,
-        time_s=float(plan.timing.times_s[index]),
+        time_s=float(plan.path_s[index]),
         rows=setup.camera.height,
         exposure_s=settings.exposure_s,
         readout_s=readout_s(plan.recipe.effects, plan.recipe.fps),

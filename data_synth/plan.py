@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from data_synth.recipe import Recipe
 from data_synth.records import BodyTruth, Imu, MoverTruth, Recording
 from data_synth.scene.scene import Scene
 from data_synth.scene.world import clearance
+from data_synth.sensor.kidnapping import kidnap, path_seconds
 from data_synth.sensor.timing import Timing, make_timing
 from data_synth.worlds.registry import make_scene
 from data_synth.writers.registry import check
@@ -35,6 +36,8 @@ class Plan:
         scene: the world.
         path: of the body.
         timing: times of the frames.
+        path_s: (F,) times of the frames on the path; those of `timing`, unless the camera is
+            carried elsewhere.
         mover_poses: (F, B, 4, 4) world_from_mover by frame.
         mover_velocities: (F, B, 3) in the world, m/s.
         recording: input of the writers.
@@ -44,6 +47,7 @@ class Plan:
     scene: Scene
     path: PosePath
     timing: Timing
+    path_s: Floats
     mover_poses: Floats
     mover_velocities: Floats
     recording: Recording
@@ -58,14 +62,15 @@ def make_plan(recipe: Recipe) -> Plan:
     """
     rig = load_rig(recipe.camera, scale=recipe.scale, mono=recipe.mono)
     check(recipe, rig)
-    scene = make_scene(recipe.world, recipe.seed, recipe.effects.movers)
+    scene = make_scene(recipe.world, recipe.seed, recipe.effects.movers, recipe.session)
     path = make_path(
         recipe.motion,
         scene.course,
         lambda points: clearance(scene.world, points),
-        seconds=recipe.seconds,
+        seconds=path_seconds(recipe.effects, recipe.seconds),
         speed=recipe.speed,
-        seed=recipe.seed,
+        seed=recipe.session_seed,
+        laps=recipe.laps,
     )
     body_from_cam0 = mount(recipe.motion, scene.course)
     timing = make_timing(
@@ -73,12 +78,20 @@ def make_plan(recipe: Recipe) -> Plan:
         frames=max(1, round(recipe.seconds * recipe.fps)),
         fps=recipe.fps,
         cameras=2 if rig.is_stereo else 1,
-        seed=recipe.seed,
+        seed=recipe.session_seed,
         first_stamp_ns=FIRST_STAMP_NS,
     )
-    world_from_cam0 = path.world_from_body(timing.times_s) @ body_from_cam0
+    carried = kidnap(
+        recipe.effects,
+        timing.times_s,
+        recipe.seconds,
+        lambda times_s: path.world_from_body(times_s)[:, :3, 3],
+        recipe.session_seed,
+    )
+    timing = replace(timing, illumination=np.where(carried.black, 0.0, timing.illumination))
+    world_from_cam0 = path.world_from_body(carried.path_s) @ body_from_cam0
     mover_poses, mover_velocities = _movers(scene, timing.times_s, world_from_cam0)
-    imu, body = _inertial(recipe, path, timing)
+    imu, body = _inertial(recipe, path, timing, carried.path_s)
     recording = Recording(
         name=f"{recipe.world}_{recipe.motion}",
         rig=rig,
@@ -92,7 +105,9 @@ def make_plan(recipe: Recipe) -> Plan:
         movers=_mover_truths(scene, mover_poses),
         has_depth=recipe.depth or recipe.format == "tum",
     )
-    return Plan(recipe, scene, path, timing, mover_poses, mover_velocities, recording)
+    return Plan(
+        recipe, scene, path, timing, carried.path_s, mover_poses, mover_velocities, recording
+    )
 
 
 def _movers(scene: Scene, times_s: Floats, world_from_cam0: Floats) -> tuple[Floats, Floats]:
@@ -117,7 +132,14 @@ def _mover_truths(scene: Scene, poses: Floats) -> tuple[MoverTruth, ...]:
     )
 
 
-def _inertial(recipe: Recipe, path: PosePath, timing: Timing) -> tuple[Imu, BodyTruth]:
+def _inertial(
+    recipe: Recipe, path: PosePath, timing: Timing, path_s: Floats
+) -> tuple[Imu | None, BodyTruth]:
+    """Inertial measurements and true states; without measurements if the camera is carried."""
+    if recipe.effects.kidnap > 0:
+        none = np.zeros((len(path_s), 3))
+        poses, velocities = path.world_from_body(path_s), path.velocity(path_s)
+        return None, BodyTruth(timing.stamps_ns[0], poses, velocities, none, none)
     settings = recipe.imu
     return measure(
         path,
@@ -127,5 +149,5 @@ def _inertial(recipe: Recipe, path: PosePath, timing: Timing) -> tuple[Imu, Body
         noise=ImuNoise(
             settings.gyro_noise, settings.gyro_walk, settings.accel_noise, settings.accel_walk
         ),
-        seed=recipe.seed,
+        seed=recipe.session_seed,
     )

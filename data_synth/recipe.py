@@ -25,8 +25,12 @@ from vo.settings import (
 
 WorldName = Literal["room", "corridor", "street", "warehouse", "terrain"]
 MotionName = Literal["car", "robot", "handheld", "drone", "rotate", "stop_and_go", "loop"]
+LapName = Literal["forward", "reverse"]
 FormatName = Literal["euroc", "kitti", "tum", "folder", "mcap", "mcap-ros2"]
 CodecName = Literal["png", "jpeg", "raw"]
+
+
+_SESSION_STEP = 1_000_003  # between the seeds of sessions
 
 
 class Effects(Section):
@@ -49,6 +53,12 @@ class Effects(Section):
     )
     dark: float = Field(0.0, ge=0, le=5, description="intervals of 2 s with little light")
     blackout: int = Field(0, ge=0, le=10_000, description="black frames in the middle")
+    kidnap: int = Field(
+        0, ge=0, le=100, description="times that the camera is carried elsewhere and back"
+    )
+    kidnap_black: int = Field(
+        3, ge=0, le=1000, description="black frames each time it is carried; 0: it jumps"
+    )
 
 
 class ImuRecipe(Section):
@@ -75,12 +85,29 @@ class Recipe(Section):
     seconds: float = Field(20.0, gt=0, le=3600, description="duration")
     fps: float = Field(20.0, gt=0, le=1000, description="frames per second")
     speed: float = Field(1.0, gt=0, le=10, description="factor of the speed of the motion")
+    laps: tuple[LapName, ...] = Field(
+        (),
+        max_length=100,
+        description="directions of the laps of a loop, one after the other, such as "
+        "[forward, reverse]; none: as many forward laps as fit",
+    )
     seed: int = Field(0, ge=0, description="random seed")
+    session: int = Field(
+        0,
+        ge=0,
+        le=1000,
+        description="number of a visit to the same world; each has its own light, path and noise",
+    )
     format: FormatName = Field("euroc", description="layout on disk")
     codec: CodecName = Field("png", description="image codec")
     depth: bool = Field(False, description="write true depth images of cam0")
     effects: Effects = Effects()
     imu: ImuRecipe = ImuRecipe()
+
+    @property
+    def session_seed(self) -> int:
+        """Seed of all that differs between the sessions in one world: path, noise, times."""
+        return self.seed + _SESSION_STEP * self.session
 
 
 def recipe_folder() -> Path:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from data_synth.motion.carriers import CARRIERS, Handling
 from data_synth.motion.collisions import Clearance, Collision, find_collision
+from data_synth.motion.laps import route_of_laps
 from data_synth.motion.limits import (
     LIMITS,
     Carrier,
@@ -19,7 +22,7 @@ from data_synth.motion.route import Route, make_route
 from data_synth.motion.schedules import drive_on, loop_in_time, stop_and_go
 from data_synth.motion.speed_profile import Schedule, make_speed_profile
 from data_synth.motion.spline import BODY_FROM_LOOKING_AHEAD, PosePath
-from data_synth.recipe import MotionName
+from data_synth.recipe import LapName, MotionName
 from data_synth.scene.scene import Course
 from vo.errors import ConfigError
 from vo.geometry.transforms import make_transform
@@ -55,6 +58,7 @@ def make_path(
     seconds: float,
     speed: float = 1.0,
     seed: int = 0,
+    laps: Sequence[LapName] = (),
 ) -> PosePath:
     """Make a path through a course.
 
@@ -67,10 +71,14 @@ def make_path(
         seconds: duration.
         speed: 1 is usual.
         seed: of its random choices.
+        laps: directions of the laps of a loop; none for as many forward laps as fit.
 
     Raises:
-        ConfigError: no path is free of collisions, or a loop does not fit into the duration.
+        ConfigError: no path is free of collisions, a loop does not fit into the duration, or laps
+            are given for another motion.
     """
+    if laps and motion != "loop":
+        raise ConfigError(f"laps are for motion loop, not for {motion}; choose motion loop")
     carrier = carrier_of(motion, course, polygon_length_m(course.waypoints))
     limits = LIMITS[carrier]
 
@@ -81,7 +89,7 @@ def make_path(
 
     collision: Collision | None = None
     for freedom in _FREEDOMS:
-        path = _make_path(motion, carrier, course, freedom, seconds, speed, seed)
+        path = _make_path(motion, carrier, course, freedom, seconds, speed, seed, laps)
         collision = find_collision(path, free_distance, limits.margin_m)
         if collision is None:
             return path
@@ -105,9 +113,10 @@ def _make_path(
     seconds: float,
     speed: float,
     seed: int,
+    laps: Sequence[LapName],
 ) -> PosePath:
     limits = LIMITS[carrier]
-    route = _route(course, limits, freedom, seed)
+    route = _route(course, limits, freedom, seed, laps)
     before = _LEAD + _SMOOTHING_STEPS
     count = int(np.ceil(seconds / _STEP_S)) + 2 * before + 1
     times = np.arange(-before, count - before, dtype=np.float64) * _STEP_S
@@ -125,10 +134,13 @@ def _make_path(
     return PosePath(controls, _STEP_S, _LEAD, seconds)
 
 
-def _route(course: Course, limits: Limits, freedom: float, seed: int) -> Route:
+def _route(
+    course: Course, limits: Limits, freedom: float, seed: int, laps: Sequence[LapName]
+) -> Route:
     spare = max(0.0, course.half_width_m - limits.margin_m)
+    aside = 0.5 * spare if course.back_left_m is None else course.back_left_m
     return make_route(
-        course.waypoints,
+        route_of_laps(course.waypoints, laps, aside),
         course.ground,
         cut_m=max(_MIN_CUT_M, min(limits.cut_m, 0.7 * spare) * freedom),
         weave_m=min(limits.weave_m, 0.2 * spare) * freedom,

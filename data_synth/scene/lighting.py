@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,12 @@ _LAMP_GRID = 4
 _SKY_RAYS = 24
 _POINTS_PER_TASK = 4000
 _MAX_GROUND_POINTS = 1024
+
+_SUN_TURN_RAD = (0.25, 0.7)
+_SUN_HEIGHT = (0.75, 1.3)
+_LAMP_POWER = (0.7, 1.3)
+_AMBIENT = (0.88, 1.12)
+_SEED_SESSION = 29
 
 
 def bake_lighting(world: World, lighting: Lighting) -> World:
@@ -46,6 +53,36 @@ def bake_lighting(world: World, lighting: Lighting) -> World:
         if world.height_field.exists:
             list(pool.map(work_below, range(len(world.height_field.light))))
     return world
+
+
+def light_of_session(lighting: Lighting, seed: int, session: int) -> Lighting:
+    """The light of a world at another visit: a moved sun, and lamps of other strength.
+
+    Args:
+        lighting: the light of session 0.
+        seed: of the world.
+        session: number of the visit.
+    """
+    if session == 0:
+        return lighting
+    rng = np.random.default_rng([seed, session, _SEED_SESSION])
+    turn = float(rng.uniform(*_SUN_TURN_RAD) * rng.choice((-1.0, 1.0)))
+    height, ambient = float(rng.uniform(*_SUN_HEIGHT)), float(rng.uniform(*_AMBIENT))
+    powers = rng.uniform(*_LAMP_POWER, len(lighting.lamps))
+    sun = lighting.sun
+    if sun is not None:
+        x, y, z = sun
+        cosine, sine = float(np.cos(turn)), float(np.sin(turn))
+        sun = (cosine * x - sine * y, sine * x + cosine * y, height * z)
+    return replace(
+        lighting,
+        sun=sun,
+        ambient=ambient * lighting.ambient,
+        lamps=tuple(
+            replace(lamp, power=float(factor) * lamp.power)
+            for lamp, factor in zip(lighting.lamps, powers, strict=True)
+        ),
+    )
 
 
 def _tasks(ends: Ints) -> list[tuple[int, int]]:

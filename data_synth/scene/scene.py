@@ -29,6 +29,8 @@ class Course:
         ground: heights (N,) of the ground below points (N, 2).
         view_yaw_deg: usual direction of view of handheld cameras and drones, degrees to the left
             of ahead.
+        back_left_m: distance, to the left, of the way back in the other direction; None if it is
+            within the half width.
     """
 
     waypoints: Floats
@@ -36,6 +38,7 @@ class Course:
     head_room_m: float
     ground: Heights
     view_yaw_deg: float = 0.0
+    back_left_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place, Rng
-from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.lighting import bake_lighting, light_of_session
 from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Kind, Lamp, Lighting, Solid
 from data_synth.worlds import bodies, fittings, indoor_textures, prints
@@ -50,7 +50,7 @@ class _Plan:
         return (self.short_m if side % 2 == 0 else self.long_m) / 2
 
 
-def make_scene(seed: int, movers: float = 0.0) -> Scene:
+def make_scene(seed: int, movers: float = 0.0, session: int = 0) -> Scene:
     """A closed loop of corridor of about 30 x 18 m, 2.4 m wide and 2.7 m high.
 
     Doors repeat at equal distances; a stretch of 6 m to 9 m on one long side is bare.
@@ -65,6 +65,7 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     course = Course(_loop(plan), HALF_WIDTH_M, 2.3, flat_ground(), view_yaw_deg=-15.0)
     people = _people(build, plan, round(_USUAL_PEOPLE * movers))
     light = Lighting(lamps, ambient=0.68, points_per_m=4.0, max_points=200)
+    light = light_of_session(light, seed, session)
     return Scene(bake_lighting(build.world(), light), course, people)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.lighting import bake_lighting, light_of_session
 from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Lamp, Lighting
 from data_synth.worlds import bodies, textures
@@ -22,7 +22,7 @@ _PACING_M = (((2.75, 3.3), (-1.2, 1.2)), ((-3.3, -2.75), (-1.4, 1.0)))
 _USUAL_PEOPLE = 2
 
 
-def make_scene(seed: int, movers: float = 0.0) -> Scene:
+def make_scene(seed: int, movers: float = 0.0, session: int = 0) -> Scene:
     """A room of 9 x 7 x 2.9 m, with people who pace up and down at its ends.
 
     Its floor is at z = 0 and its middle at the origin. Furniture stands along the walls and in the
@@ -32,7 +32,8 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     half = np.array(_COURSE)
     course = Course(np.vstack([half, -half]), 0.5, 2.5, flat_ground(), view_yaw_deg=-25.0)
     people = _people(build, round(_USUAL_PEOPLE * movers))
-    return Scene(bake_lighting(build.world(), _LIGHT), course, people)
+    light = light_of_session(_LIGHT, seed, session)
+    return Scene(bake_lighting(build.world(), light), course, people)
 
 
 def _people(build: Builder, count: int) -> tuple[Body, ...]:

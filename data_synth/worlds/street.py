@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.lighting import bake_lighting, light_of_session
 from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Kind, Lighting
 from data_synth.worlds import outdoor_textures, vehicles
@@ -24,7 +24,7 @@ _TURN_RADIUS_M = 13.0
 _ONCOMING_M_S, _ONCOMING_RADIUS_M = 7.0, 7.0
 
 
-def make_scene(seed: int, movers: float) -> Scene:
+def make_scene(seed: int, movers: float, session: int = 0) -> Scene:
     """A town whose streets make a loop of 150 x 90 m; the course keeps to its right lane.
 
     The course goes counter-clockwise. Cars come along the other lane, people walk on the pavements.
@@ -41,8 +41,10 @@ def make_scene(seed: int, movers: float) -> Scene:
     _ends_of_streets(build, palette, fronts)
     _skyline(build, palette, fronts)
     bodies = (*_cars(build, palette, colours, movers), *_people(build, movers))
-    world = bake_lighting(build.world(), _daylight(build))
-    course = Course(layout.lane(layout.LANE_M, _TURN_RADIUS_M), 1.5, 2.4, flat_ground(), 30.0)
+    light = light_of_session(_daylight(build), seed, session)
+    world = bake_lighting(build.world(), light)
+    lane = layout.lane(layout.LANE_M, _TURN_RADIUS_M)
+    course = Course(lane, 1.5, 2.4, flat_ground(), 30.0, back_left_m=2.0 * layout.LANE_M)
     return Scene(world, course, bodies)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from data_synth.scene.builder import Builder, Place, Point
 from data_synth.scene.height_field import heights_at, make_height_field
-from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.lighting import bake_lighting, light_of_session
 from data_synth.scene.scene import Body, Course, Heights, Scene
 from data_synth.scene.solids import Ground, Kind, Lighting, Solid
 from data_synth.worlds import outdoor_textures, vehicles
@@ -34,7 +34,7 @@ _LOW_M = 0.25  # largest height of objects in the free strip of the course
 _Maker = Callable[[Point], None]
 
 
-def make_scene(seed: int, movers: float) -> Scene:
+def make_scene(seed: int, movers: float, session: int = 0) -> Scene:
     """Ground of 400 x 400 m; the course goes round the middle, 66 m to 96 m from it."""
     build = Builder(np.random.default_rng([seed, _SEED]))
     palette = paint_palette(build)
@@ -59,7 +59,8 @@ def make_scene(seed: int, movers: float) -> Scene:
         *_people(build, walk, round(_USUAL_CARS * movers), movers),
     )
     course = Course(course_route, _HALF_WIDTH_M, _HEAD_ROOM_M, heights, 40.0)
-    return Scene(bake_lighting(build.world(), _daylight(build)), course, bodies)
+    light = light_of_session(_daylight(build), seed, session)
+    return Scene(bake_lighting(build.world(), light), course, bodies)
 
 
 def _daylight(build: Builder) -> Lighting:

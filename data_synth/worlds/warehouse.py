@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from data_synth.scene.builder import Builder, Place
-from data_synth.scene.lighting import bake_lighting
+from data_synth.scene.lighting import bake_lighting, light_of_session
 from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Lighting
 from data_synth.worlds import bodies, hall, prints, racks
@@ -25,7 +25,7 @@ _ASIDE_M = {"person": 0.9, "cart": 0.55}  # carts cut corners more
 _USUAL = {"person": 4, "cart": 2, "forklift": 2}
 
 
-def make_scene(seed: int, movers: float = 0.0) -> Scene:
+def make_scene(seed: int, movers: float = 0.0, session: int = 0) -> Scene:
     """A hall of 40 x 27 x 7.4 m with eight double rows of racks in two blocks.
 
     The course is a figure of eight of 89 m through three of the five aisles, which crosses itself
@@ -43,6 +43,7 @@ def make_scene(seed: int, movers: float = 0.0) -> Scene:
     course = Course(route, HALF_WIDTH_M, 5.0, flat_ground(), view_yaw_deg=25.0)
     movers_ = _movers(build, route, side, movers)
     light = Lighting(lamps, ambient=0.82, points_per_m=1.5, max_points=160)
+    light = light_of_session(light, seed, session)
     return Scene(bake_lighting(build.world(), light), course, movers_)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data_synth.cache import cached_sequence
-from data_synth.plan import FIRST_STAMP_NS
+from data_synth.plan import FIRST_STAMP_NS, make_plan
 from data_synth.recipe import Recipe, load_recipe
 from data_synth.sequence import make_sequence
 from vo.errors import CalibrationError, ConfigError, OutputError
@@ -106,6 +106,28 @@ def test_black_and_lost_frames_match_the_plan(tmp_path: Path) -> None:
     black = [bool(means[s] == 0.0) for s in stamps[4:6].tolist() if s in means]
     assert black and all(black)
     assert all(mean > 20 for stamp, mean in means.items() if stamp not in stamps[4:6])
+
+
+def test_another_session_has_its_own_path_and_light_in_the_same_world() -> None:
+    first, again = (make_plan(_recipe(f"session={n}")) for n in (0, 1))
+    worlds = first.scene.world, again.scene.world
+    np.testing.assert_array_equal(worlds[0].shapes, worlds[1].shapes)
+    np.testing.assert_array_equal(worlds[0].atlas.texels, worlds[1].atlas.texels)
+    assert not np.array_equal(worlds[0].lights.values, worlds[1].lights.values)
+    paths = first.recording.cam0_truth.positions, again.recording.cam0_truth.positions
+    assert np.linalg.norm(paths[0] - paths[1], axis=1).min() > 0.001
+
+
+def test_kidnapped_recording_has_black_frames_and_no_inertial_measurements(tmp_path: Path) -> None:
+    effects = ["effects.kidnap=1", "effects.kidnap_black=2", "effects.noise=0", "seconds=2"]
+    recording = make_sequence(tmp_path / "made", _recipe(*effects))
+    frames = list(open_source(tmp_path / "made", mode="mono").frames())
+    black = [k for k, frame in enumerate(frames) if not frame.image0.any()]
+    assert black == [9, 10, 14, 15]
+    steps = np.linalg.norm(np.diff(recording.cam0_truth.positions, axis=0), axis=1)
+    assert steps[8] > 3.0 * np.median(steps)
+    assert recording.imu is None
+    assert len(recording.body_truth.stamps_ns) == 20
 
 
 def test_bodies_that_would_hit_the_camera_are_removed(tmp_path: Path) -> None:
