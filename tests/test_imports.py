@@ -83,7 +83,7 @@ ALLOWED = {
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup", "vo.features", "vo.learned"}
-    | {"vo.laboratory"}
+    | {"vo.laboratory", "vo.places"}
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}

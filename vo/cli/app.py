@@ -21,12 +21,14 @@ from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.features import features_command
 from vo.cli.info import info_command
+from vo.cli.map import map_command
 from vo.cli.match import match_command
 from vo.cli.models import models_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.synth import synth_command
 from vo.cli.view import view_command
+from vo.cli.vocabulary import vocabulary_command
 from vo.cli.warmup import warmup_command
 from vo.errors import VoError
 
@@ -131,7 +133,12 @@ def _vo(
 
 _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     _ODOMETRY: {"run": run_command, "demo": demo_command, "warmup": warmup_command},
-    _RESULTS: {"eval": eval_command, "report": report_command, "view": view_command},
+    _RESULTS: {
+        "eval": eval_command,
+        "report": report_command,
+        "view": view_command,
+        "map": map_command,
+    },
     _RECORDINGS: {
         "info": info_command,
         "convert": convert_command,
@@ -142,6 +149,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "features": features_command,
         "match": match_command,
         "models": models_command,
+        "vocabulary": vocabulary_command,
     },
 }
 for _heading, _functions in _COMMANDS.items():

@@ -1,0 +1,84 @@
+"""`vo vocabulary`: words by which places are recognised."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vo.cli import options
+from vo.cli.echo import echo, echo_json
+
+
+class VocabularyAction(StrEnum):
+    """What to do."""
+
+    TRAIN = "train"
+
+
+Action = Annotated[
+    VocabularyAction,
+    typer.Argument(metavar="ACTION", help="train: make a vocabulary of the images of recordings."),
+]
+Sources = Annotated[
+    list[Path], typer.Argument(metavar="RECORDING", help="Recordings in any format of `vo run`.")
+]
+Output = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Vocabulary to write.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+Every = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Use every so many-th frame; neighbouring ones teach nothing new.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+
+
+def vocabulary_command(
+    action: Action,
+    sources: Sources,
+    output: Output,
+    every: Every = 10,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Train a vocabulary of ORB features, by which places are recognised.
+
+    The package has one, trained on synthetic recordings. One of your own may recognise more where
+    images look unlike those: train it on other recordings than those it is used on, with a thousand
+    images or more.
+
+      vo vocabulary train monday/ tuesday/ -o mine.words
+    """
+    from vo.laboratory.vocabulary_training import train_on
+    from vo.places.vocabulary_file import write_vocabulary
+
+    def say(name: str, count: int) -> None:
+        if not quiet:
+            echo(f"{name}: {count} images", err=True)
+
+    vocabulary = train_on(sources, every, on_recording=say)
+    write_vocabulary(output, vocabulary)
+    result = {
+        "output": str(output),
+        "id": vocabulary.id,
+        "words": vocabulary.words,
+        "images": vocabulary.images,
+    }
+    if json_output:
+        echo_json(result)
+    elif not quiet:
+        echo(f"{output}: {vocabulary.words} words of {vocabulary.images} images, {vocabulary.id}")
