@@ -23,6 +23,8 @@ DetectorName = Literal[
     "star",
     "surf",
     "xfeat",
+    "aliked",
+    "aliked-n16",
 ]
 DescriptorName = Literal[
     "auto",

@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 
 from vo.learned.inference import load
-from vo.learned.xfeat import (
-    XFeatExtractor,
-    bicubic,
-    bilinear,
-    maxima,
-    peak_offsets,
-    to_cells,
-)
+from vo.learned.maps import bicubic, bilinear, to_cells
+from vo.learned.xfeat import XFeatExtractor, maxima, peak_offsets
 from vo.types import Floats32
 
 MODELS = Path(__file__).resolve().parents[2].parent / "shared" / "models"

@@ -21,10 +21,12 @@ from vo.frontend.orb import OrbExtractor
 from vo.types import Bytes, Floats32, Keypoints
 
 if TYPE_CHECKING:
+    from vo.learned.inference import Inference
     from vo.learned.xfeat import XFeatExtractor
 
 BUILT_IN = "orb"
-LEARNED = ("xfeat",)
+LEARNED = {"xfeat": "xfeat", "aliked": "aliked-t16", "aliked-n16": "aliked-n16"}
+"""Learned detectors, with the name of their model."""
 _CLAHE_CLIP, _CLAHE_TILES = 3.0, (8, 8)
 _MAX_OCTAVE = 24
 _REFINE_HALF_PX = 3
@@ -120,23 +122,32 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
 
 def make_rescuer(config: FeaturesConfig) -> XFeatExtractor:
     """The extractor that `features.rescue` names."""
-    return _learned(config.model_copy(update={"detector": config.rescue}))
+    from vo.learned.xfeat import XFeatExtractor
+
+    chosen = config.model_copy(update={"detector": config.rescue})
+    return XFeatExtractor(_network(chosen), config.count)
 
 
-def _learned(config: FeaturesConfig) -> XFeatExtractor:
+def _learned(config: FeaturesConfig) -> FeatureExtractor:
+    from vo.learned.aliked import AlikedExtractor
+    from vo.learned.xfeat import XFeatExtractor
+
+    kind = XFeatExtractor if config.detector == "xfeat" else AlikedExtractor
+    return kind(_network(config), config.count)
+
+
+def _network(config: FeaturesConfig) -> Inference:
     from vo.learned.catalog import find_model
     from vo.learned.files import require_model
     from vo.learned.inference import load
-    from vo.learned.xfeat import XFeatExtractor
 
     if config.descriptor != "auto":
         raise ConfigError(
             f"features.detector '{config.detector}' has its own descriptor, not "
             f"'{config.descriptor}'"
         )
-    path = require_model(find_model(config.detector))
-    inference = load(path, config.backend, config.device)
-    return XFeatExtractor(inference, config.count)
+    path = require_model(find_model(LEARNED[config.detector]))
+    return load(path, config.backend, config.device)
 
 
 def _equalised(image: Bytes) -> Bytes:

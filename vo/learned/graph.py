@@ -73,11 +73,28 @@ class GraphBuilder:
             pads=[padding] * 4,
         )
 
-    def normalised(self, weight: Tensor, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
-        """Weight and bias of a convolution with the batch normalisation after it folded in."""
+    def normalised(
+        self,
+        weight: Tensor,
+        mean: Tensor,
+        variance: Tensor,
+        affine: tuple[Tensor, Tensor] | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Weight and bias of a convolution with the batch normalisation after it folded in.
+
+        Args:
+            weight: of the convolution, which has no bias.
+            mean: running mean of the normalisation.
+            variance: its running variance.
+            affine: its factor and its term, if it has them.
+        """
         scale = 1.0 / np.sqrt(variance.astype(np.float64) + _EPSILON)
+        bias = -mean.astype(np.float64) * scale
+        if affine is not None:
+            factor, term = (a.astype(np.float64) for a in affine)
+            scale, bias = scale * factor, bias * factor + term
         folded = weight.astype(np.float64) * scale[:, None, None, None]
-        return folded.astype(np.float32), (-mean.astype(np.float64) * scale).astype(np.float32)
+        return folded.astype(np.float32), bias.astype(np.float32)
 
     def model(
         self,

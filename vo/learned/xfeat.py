@@ -12,14 +12,13 @@ import numpy as np
 
 from vo.frontend.contracts import DescriptorFormat
 from vo.learned.inference import Inference
+from vo.learned.maps import bicubic, bilinear, network_input, to_cells
 from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
 
 _MULTIPLE = 32  # of both sides of the network's input
-_CELL = 8  # pixels of the image a side for each cell of the descriptor map
 _MIN_HEAT = 0.05
 _SUPPRESSION_PX = 5  # side of the square in which a keypoint is the maximum
 _WIDTH = 64
-_CUBIC = -0.75  # parameter of the interpolation kernel (Keys 1981)
 
 
 class XFeatExtractor:
@@ -52,7 +51,7 @@ class XFeatExtractor:
             nothing = self._keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
             unknown = self._keypoints(xy, np.zeros(len(xy)), np.zeros((len(xy), _WIDTH)))
             return nothing, unknown
-        given = _padded(image).astype(np.float32)[None, None] / np.float32(255.0)
+        given = network_input(image, _MULTIPLE)
         features, heat, reliability = self._inference.run(
             {"image": given}, ["feats", "heat", "rel"]
         )
@@ -106,55 +105,3 @@ def peak_offsets(heat: Floats32, v: Ints, u: Ints) -> Floats:
             offset = 0.5 * (before - after) / curvature
         offsets[inside, axis] = np.where(curvature < -1e-9, offset.clip(-0.5, 0.5), 0.0)
     return offsets
-
-
-def to_cells(xy: Floats) -> Floats:
-    """Positions (N, 2) in a map of cells of 8 x 8 pixels; the centre of its first cell is 0."""
-    return (xy + 0.5) / _CELL - 0.5
-
-
-def bilinear(values: Floats32, at: Floats) -> Floats:
-    """(N,) values of a map (H, W) at positions (N, 2) x, y; outside, those of its edge."""
-    height, width = values.shape
-    x, y = at[:, 0].clip(0, width - 1), at[:, 1].clip(0, height - 1)
-    left = np.minimum(x.astype(np.int64), max(width - 2, 0))
-    top = np.minimum(y.astype(np.int64), max(height - 2, 0))
-    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    a, b = x - left, y - top
-    upper = values[top, left] * (1 - a) + values[top, right] * a
-    lower = values[bottom, left] * (1 - a) + values[bottom, right] * a
-    return np.asarray(upper * (1 - b) + lower * b, dtype=np.float64)
-
-
-def bicubic(values: Floats32, at: Floats) -> Floats:
-    """(N, C) values of maps (C, H, W) at positions (N, 2) x, y, 0 outside.
-
-    Source: Keys, "Cubic convolution interpolation for digital image processing", 1981.
-    """
-    first = np.floor(at).astype(np.int64) - 1
-    result = np.zeros((len(at), len(values)))
-    _, height, width = values.shape
-    weights = _kernel(at[:, None, :] - (first[:, None, :] + np.arange(4)[None, :, None]))
-    for j in range(4):
-        v = first[:, 1] + j
-        for i in range(4):
-            u = first[:, 0] + i
-            inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-            weight = weights[:, i, 0] * weights[:, j, 1] * inside
-            taken = values[:, v.clip(0, height - 1), u.clip(0, width - 1)].T
-            result += weight[:, None] * taken
-    return result
-
-
-def _kernel(distance: Floats) -> Floats:
-    d, a = np.abs(distance), _CUBIC
-    near = (a + 2) * d**3 - (a + 3) * d**2 + 1
-    far = a * d**3 - 5 * a * d**2 + 8 * a * d - 4 * a
-    return np.asarray(np.where(d <= 1, near, np.where(d < 2, far, 0.0)))
-
-
-def _padded(image: Bytes) -> Bytes:
-    """The image continued to multiples of 32 by its last row and column."""
-    height, width = (-size % _MULTIPLE for size in image.shape)
-    border = cv2.BORDER_REPLICATE
-    return np.asarray(cv2.copyMakeBorder(image, 0, height, 0, width, border), dtype=np.uint8)
