@@ -34,12 +34,14 @@ from vo.types import Bools, Camera, Floats, Ints
 
 _MIN_LANDMARKS = 30
 _MIN_MATCHES = 15
+_MAX_COMPARED = 600  # landmarks of neighbours, by descriptor, where the keyframe has fewer
 _MIN_SAMPLED = 12  # pairs that agree with a sampled relation
 _MIN_INLIERS = 25
 _SUCCESSION, _MIN_SUPPORT = 3, 15  # keyframes that must agree, and inliers of each other one
 _SAMPLE_RATIO, _MIN_SAMPLE_PX = 0.01, 4.0  # threshold of samples, ratio of the image width
 _SEARCH_RATIO, _MIN_SEARCH_PX = 0.012, 5.0  # radius around predicted positions
 _MAX_SQUARED = 9.2  # squared errors that one true pair in 100 exceeds
+_MAX_NEAR = 100.0  # those that may be small with a better relation
 _MIN_CORRELATION = 0.6
 _CELLS, _MIN_AREA = 4, 0.3  # cells along each side of the image, and the ratio with inliers
 _MIN_SEEN = 0.3  # ratio of the landmarks in view of both keyframes that are inliers
@@ -178,7 +180,9 @@ class LoopVerifier:
         with_scale: bool,
     ) -> Floats | Rejection:
         """A relation by descriptors and random samples."""
-        matches = self._matcher.match(_features(known), _features(seen))
+        matches = self._matcher.match(
+            _features(known, max(known.own, _MAX_COMPARED)), _features(seen)
+        )
         if len(matches.query) < _MIN_MATCHES:
             return Rejection(RejectionReason.FEW_MATCHES, len(matches.query), _MIN_MATCHES)
         pairs = self._pairs(known, seen, matches.query, matches.train, cameras)
@@ -204,7 +208,7 @@ class LoopVerifier:
         for _ in range(2):
             found = self._find(relation, known, seen, cameras)
             squared = pair_errors(relation, found.pairs, _intrinsics(cameras))
-            near = (squared < 4.0 * _MAX_SQUARED) & (found.correlation > _MIN_CORRELATION)
+            near = (squared < _MAX_NEAR) & (found.correlation > _MIN_CORRELATION)
             if near.sum() < _MIN_SAMPLED:
                 return Relation(relation, squared, np.zeros((7, 7))), found
             refined = refine_relation(
@@ -238,10 +242,13 @@ class LoopVerifier:
             check_rotation=False,
         )
         rows = view.rows[matches.query]
-        warp = self._warps(relation, known, seen, rows, matches.train, cameras)
-        correlation = patch_correlation(known.patch[rows], seen.patch[matches.train], warp)
         pairs = self._pairs(known, seen, rows, matches.train, cameras)
-        return _Found(rows, matches.train, pairs, correlation)
+        # Looks are compared only where positions may agree.
+        near = pair_errors(relation, pairs, _intrinsics(cameras)) < _MAX_NEAR
+        rows, later = rows[near], matches.train[near]
+        warp = self._warps(relation, known, seen, rows, later, cameras)
+        correlation = patch_correlation(known.patch[rows], seen.patch[later], warp)
+        return _Found(rows, later, pairs.select(near), correlation)
 
     def _warps(
         self,
@@ -366,8 +373,15 @@ class LoopVerifier:
         return int(self._inliers(found, squared).sum()) >= _MIN_SUPPORT
 
 
-def _features(landmarks: KnownLandmarks) -> FeatureSet:
-    return FeatureSet(landmarks.xy, landmarks.octave, landmarks.angle, landmarks.descriptor)
+def _features(landmarks: KnownLandmarks, count: int | None = None) -> FeatureSet:
+    """The first `count` landmarks, or all, as features."""
+    part = slice(count)
+    return FeatureSet(
+        landmarks.xy[part],
+        landmarks.octave[part],
+        landmarks.angle[part],
+        landmarks.descriptor[part],
+    )
 
 
 def _intrinsics(cameras: tuple[Camera, Camera]) -> tuple[Intrinsics, Intrinsics]:

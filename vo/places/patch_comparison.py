@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.places.records import PATCH_PX
-from vo.types import Bytes, Floats
+from vo.types import Bytes, Floats, Floats32
 
 _SIDE = 9  # of the compared part
 _SHIFTS = (-1, 0, 1)  # a corner is detected to about a pixel of its level
@@ -28,26 +28,26 @@ def patch_correlation(earlier: Bytes, later: Bytes, earlier_from_later: Floats) 
         for dx in _SHIFTS:
             top, left = first + dy, first + dx
             part = later[:, top : top + _SIDE, left : left + _SIDE]
-            window = _normalised(part.reshape(len(later), -1).astype(np.float64))
+            window = _normalised(part.reshape(len(later), -1).astype(np.float32))
             best = np.maximum(best, (template * window).sum(axis=1))
     return best
 
 
-def _warped(patches: Bytes, warp: Floats) -> Floats:
+def _warped(patches: Bytes, warp: Floats) -> Floats32:
     """(N, 81) grey levels of warped patches, bilinear, with their edges repeated."""
     across = np.arange(_SIDE) - _SIDE // 2
     steps = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2).astype(np.float64)
     at = np.clip(steps @ np.swapaxes(warp, 1, 2) + PATCH_PX // 2, 0.0, PATCH_PX - 1.001)
     whole = at.astype(np.int64)
-    part = at - whole
-    row = np.arange(len(patches))[:, None]
+    part = (at - whole).astype(np.float32)
+    row, one = np.arange(len(patches))[:, None], np.float32(1.0)
     x, y, fx, fy = whole[..., 0], whole[..., 1], part[..., 0], part[..., 1]
-    upper = patches[row, y, x] * (1.0 - fx) + patches[row, y, x + 1] * fx
-    lower = patches[row, y + 1, x] * (1.0 - fx) + patches[row, y + 1, x + 1] * fx
-    return np.asarray(upper * (1.0 - fy) + lower * fy)
+    upper = patches[row, y, x] * (one - fx) + patches[row, y, x + 1] * fx
+    lower = patches[row, y + 1, x] * (one - fx) + patches[row, y + 1, x + 1] * fx
+    return np.asarray(upper * (one - fy) + lower * fy)
 
 
-def _normalised(values: Floats) -> Floats:
+def _normalised(values: Floats32) -> Floats32:
     """Rows with mean 0 and length 1; blank ones become 0."""
     centred = values - values.mean(axis=1, keepdims=True)
     length = np.linalg.norm(centred, axis=1, keepdims=True)

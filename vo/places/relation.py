@@ -6,14 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry import sim3
-from vo.geometry.projection import MIN_DEPTH, Intrinsics
+from vo.geometry.projection import MIN_DEPTH, Intrinsics, project, to_camera
 from vo.types import Bools, Floats
 
 _SAMPLES = 500
 _MIN_AREA = 1e-3  # of the triangle of a sample, relative to its longest side squared
 _HUBER = 2.0
 _ITERATIONS = 10
+_CONVERGED = 1e-4  # squared Mahalanobis length of a step
 
 
 class LandmarkPairs(NamedTuple):
@@ -87,10 +89,53 @@ def sample_relation(
     if len(relations) == 0:
         return np.eye(4), np.zeros(count, dtype=bool)
     back = sim3.inverse(relations)
-    close = _close(relations, pairs.later, pairs.earlier_xy, cameras[0], threshold_px)
-    close &= _close(back, pairs.earlier, pairs.later_xy, cameras[1], threshold_px)
-    best = int(np.argmax(close.sum(axis=1)))
-    return relations[best], close[best]
+    earlier, later = np.ascontiguousarray(pairs.earlier), np.ascontiguousarray(pairs.later)
+    seen = np.ascontiguousarray(pairs.earlier_xy), np.ascontiguousarray(pairs.later_xy)
+    first, second = cameras
+    best = _best_of(relations, back, earlier, later, seen[0], seen[1], first, second, threshold_px)
+    return relations[best], _close_to(
+        relations[best], back[best], earlier, later, seen[0], seen[1], first, second, threshold_px
+    )
+
+
+@compiled
+def _best_of(relations, back, earlier, later, earlier_xy, later_xy, camera_e, camera_l, limit):  # type: ignore[no-untyped-def]
+    """Index of the relation (K, 4, 4) that most pairs agree with, the first of equals."""
+    best, most = 0, -1
+    for k in range(len(relations)):
+        count = 0
+        for n in range(len(earlier)):
+            if count + len(earlier) - n <= most:
+                break
+            if _is_close(relations[k], later[n], earlier_xy[n], camera_e, limit) and _is_close(
+                back[k], earlier[n], later_xy[n], camera_l, limit
+            ):
+                count += 1
+        if count > most:
+            best, most = k, count
+    return best
+
+
+@compiled
+def _close_to(relation, back, earlier, later, earlier_xy, later_xy, camera_e, camera_l, limit):  # type: ignore[no-untyped-def]
+    """(N,) pairs that agree with a relation."""
+    result = np.empty(len(earlier), dtype=np.bool_)
+    for n in range(len(earlier)):
+        result[n] = _is_close(relation, later[n], earlier_xy[n], camera_e, limit) and _is_close(
+            back, earlier[n], later_xy[n], camera_l, limit
+        )
+    return result
+
+
+@compiled(**NO_REFCOUNT)
+def _is_close(transform, point, xy, camera, limit):  # type: ignore[no-untyped-def]
+    """Whether a moved point is projected within `limit` of a pixel."""
+    x, y, z = to_camera(transform, point[0], point[1], point[2])
+    if z < MIN_DEPTH:
+        return False
+    u, v = project(camera, x, y, z)
+    du, dv = u - xy[0], v - xy[1]
+    return du * du + dv * dv < limit * limit
 
 
 def _of_triples(earlier: Floats, later: Floats, with_scale: bool) -> Floats:
@@ -133,17 +178,6 @@ def _triad(points: Floats) -> tuple[Floats, Floats, Floats]:
     return frame, area, np.sqrt((spread**2).sum(axis=(1, 2)))
 
 
-def _close(
-    relations: Floats, points: Floats, xy: Floats, camera: Intrinsics, threshold_px: float
-) -> Bools:
-    """(K, N) whether points, moved by each relation, are projected close to pixels (N, 2)."""
-    moved = np.einsum("kij,nj->kni", relations[:, :3, :3], points) + relations[:, None, :3, 3]
-    depth = np.maximum(moved[:, :, 2], MIN_DEPTH)
-    du = camera.fx * moved[:, :, 0] / depth + camera.cx - xy[:, 0]
-    dv = camera.fy * moved[:, :, 1] / depth + camera.cy - xy[:, 1]
-    return np.asarray((du**2 + dv**2 < threshold_px**2) & (moved[:, :, 2] > MIN_DEPTH))
-
-
 def refine_relation(
     start: Floats,
     pairs: LandmarkPairs,
@@ -168,7 +202,7 @@ def refine_relation(
         damped = normal[:size, :size] + 1e-9 * np.diag(np.diag(normal)[:size] + 1e-9)
         step[:size] = np.linalg.solve(damped, right[:size])
         relation = relation @ sim3.retract(step)
-        if step[:size] @ damped @ step[:size] < 1e-6:
+        if step[:size] @ damped @ step[:size] < _CONVERGED:
             break
     normal, _, squared = _normal_equations(relation, pairs, cameras, 9.0)
     return Relation(relation, squared, normal)
@@ -244,14 +278,14 @@ def _one_way(
     by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * u / z
     by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * v / z
     # Error of a depth moves the point along its ray, and its projection by `along`.
-    along = np.einsum("nij,nj->ni", by_point, points @ transform[:3, :3].T) * sigma[:, None]
+    ray = (points @ transform[:3, :3].T * sigma[:, None])[:, :, None]
+    along = (by_point @ ray)[:, :, 0]
     variance = sigma_px**2
     inner = variance + (along**2).sum(axis=1)
     weight = (np.eye(2) - along[:, :, None] * along[:, None, :] / inner[:, None, None]) / (
         variance[:, None, None]
     )
-    squared = np.einsum("ni,nij,nj->n", error, weight, error)
-    squared = np.where(ok, squared, np.inf)
+    squared = np.where(ok, (error * (weight @ error[:, :, None])[:, :, 0]).sum(axis=1), np.inf)
     robust = np.where(
         squared < limit, np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squared, 1e-12))), 0.0
     )
@@ -263,9 +297,6 @@ def _one_way(
     moved[:, 0, 3] = moved[:, 1, 4] = moved[:, 2, 5] = 1.0
     moved[:, :, 6] = tangent_at
     jacobian = by_point @ (by_motion @ moved)
-    weighted = np.swapaxes(jacobian, 1, 2) @ weight * robust[:, None, None]
-    return (
-        np.einsum("nij,njk->ik", weighted, jacobian),
-        -np.einsum("nij,nj->i", weighted, error),
-        squared,
-    )
+    weighted = (weight * robust[:, None, None]) @ jacobian
+    rows = weighted.reshape(-1, 7)
+    return rows.T @ jacobian.reshape(-1, 7), -rows.T @ error.reshape(-1), squared
