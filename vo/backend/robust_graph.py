@@ -16,6 +16,8 @@ _INLIER = 24.3
 _GNC_STEPS, _GNC_FACTOR = 40, 1.4  # rounds, and the growth of the control parameter
 _STEPS_EACH = 4  # steps of Levenberg-Marquardt in a round
 _ITERATIONS = 50
+# Poses up to which covariances are computed, which takes longer than all else: 450 take 2 s.
+_MAX_MARGINALS = 450
 _GAUGE_SIGMA = 1e-5  # of the first pose, which stays where it is
 
 
@@ -24,7 +26,7 @@ class OptimisedPoses(NamedTuple):
 
     Attributes:
         world_from: (m, 4, 4) similarities.
-        single: (m, 7, 7) covariances of the poses, each in its own frame.
+        single: (m, 7, 7) covariances of the poses, each in its own frame; NaN if they are too many.
         joint: (E, 14, 14) those of the poses a and b of each edge of odometry together.
     """
 
@@ -105,6 +107,9 @@ def optimise(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> Optim
     params.setMaxIterations(_ITERATIONS)
     values = gtsam.LevenbergMarquardtOptimizer(graph, _values(start), params).optimize()
     world_from = np.stack([_matrix(values.atSimilarity3(n)) for n in range(len(start))])
+    if len(start) > _MAX_MARGINALS:
+        unknown = np.full((len(start), 7, 7), np.nan)
+        return OptimisedPoses(world_from, unknown, np.full((len(odometry.a), 14, 14), np.nan))
     marginals = gtsam.Marginals(graph, values)
     single = np.stack([marginals.marginalCovariance(n) for n in range(len(start))])
     joint = np.zeros((len(odometry.a), 14, 14))
