@@ -101,7 +101,8 @@ class Vocabulary:
         word = np.full(len(self.children), -1, np.int32)
         leaves = np.flatnonzero(self.children == 0)
         word[leaves] = np.arange(len(leaves), dtype=np.int32)
-        return packed(self.descriptor), first, np.ascontiguousarray(self.children), word
+        node = packed(self.descriptor).copy()  # compiled code is not kept for read-only arrays
+        return node, first, np.ascontiguousarray(self.children), word
 
 
 def similarity(a: Bag, b: Bag) -> float:
