@@ -101,13 +101,14 @@ def patches(image: Bytes, xy: Floats, octave: NDArray[np.int32], scale_factor: f
     result = np.zeros((len(xy), PATCH_PX, PATCH_PX), np.uint8)
     offset = np.arange(PATCH_PX, dtype=np.float32) - PATCH_PX // 2
     height, width = image.shape
-    for level in np.unique(octave).tolist():
-        factor = scale_factor**level
-        size = (math.ceil(width / factor), math.ceil(height / factor))
-        reduced = image
-        if level > 0:
-            reduced = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    reduced, size = image, (width, height)
+    for level in range(int(octave.max(initial=-1)) + 1):
+        if level > 0:  # of the level before, as for the features: much faster than of the image
+            size = tuple(math.ceil(side / scale_factor**level) for side in (width, height))
+            reduced = cv2.resize(reduced, size, interpolation=cv2.INTER_LINEAR)
         rows = np.flatnonzero(octave == level)
+        if not len(rows):
+            continue
         ratio = np.array([size[0] / width, size[1] / height])
         centre = ((xy[rows] + 0.5) * ratio - 0.5).astype(np.float32)
         u, v = (
