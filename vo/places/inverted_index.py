@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.compiling.function import compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.places.vocabulary import Bag, Words
 from vo.types import Bools, Floats32, Ints
 
@@ -115,13 +115,15 @@ class InvertedIndex:
         return _Block(start, bag[order], weight[order], kept)
 
 
-@compiled
+@compiled(**NO_REFCOUNT)
 def _add_scores(word, weight, start, bag, weights, scores):  # type: ignore[no-untyped-def]
     """Add min(v, w) of each common word to the scores of the bags of a block."""
     for n in range(len(word)):
         mine = weight[n]
-        for entry in range(start[word[n]], start[word[n] + 1]):
-            scores[bag[entry]] += min(mine, weights[entry])
+        for entry in range(np.uintp(start[word[n]]), np.uintp(start[word[n] + 1])):
+            other = weights[entry]
+            # A choice between two values, not a branch: which is smaller cannot be predicted.
+            scores[np.uintp(bag[entry])] += other if other < mine else mine
 
 
 @compiled
