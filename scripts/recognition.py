@@ -1,9 +1,9 @@
 """Recognition of places on recordings with ground truth: average precision, and recall.
 
 Each frame is a query against all earlier ones but those of the last 10 s. The one with the highest
-score counts as right within 2 m and 30 degrees; a query is a revisit if an earlier frame is. Printed
-are the average precision of the right ones by raw score, and the recall of revisits at the lowest
-score above that of every wrong one.
+score counts as right within 2 m and 30 degrees; a query is a revisit if an earlier frame is. The
+results are the average precision of the right ones by raw score, and the recall of revisits at the
+lowest score above that of every wrong one.
 """
 
 from __future__ import annotations
