@@ -39,8 +39,7 @@ def keep_true_loops(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -
     """(L,) loops that are inliers, with odometry known to be one.
 
     The limit of residuals shrinks from the largest one to that of an inlier, and all poses follow.
-    `gtsam.GncLMOptimizer` does the same, but begins anew from the first guess each time, which
-    takes ten times as long.
+    `gtsam.GncLMOptimizer` does the same, but begins anew from the first guess each time.
 
     Args:
         start: (m, 4, 4) first guess of the poses.

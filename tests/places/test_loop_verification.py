@@ -1,0 +1,154 @@
+"""Verification of loops on simulated landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vo.geometry import sim3
+from vo.geometry.transforms import inverse, transform_points
+from vo.mapping.keyframe import FrameId
+from vo.places.loop_verification import LoopVerifier
+from vo.places.records import PATCH_PX, Loop, Place, PlaceKey, PlaceLandmarks
+from vo.places.rejection import Rejection, RejectionReason
+from vo.types import Camera, Floats
+
+CAMERA = Camera(640, 480, 400.0, 400.0, 320.0, 240.0)
+SHIFT = np.array([0.02, -0.05, 0.01, 0.15, 0.05, -0.1, 0.0])  # of the second visit
+
+
+class World:
+    """Points on the far sides of a room, each with a descriptor and a patch of its own."""
+
+    def __init__(self, seed: int, count: int = 600) -> None:
+        rng = np.random.default_rng(seed)
+        self.xyz = rng.uniform((-4.0, -3.0, 3.0), (4.0, 3.0, 6.0), (count, 3))
+        self.descriptor = rng.integers(0, 256, (count, 32), dtype=np.uint8)
+        self.patch = rng.integers(0, 256, (count, PATCH_PX, PATCH_PX), dtype=np.uint8)
+
+
+def _see(
+    world: World, pose: Floats, number: int, *, noise: float, unit: float = 1.0, metric: bool = True
+) -> Place:
+    """A keyframe whose landmarks have pixels and depths with noise."""
+    rng = np.random.default_rng(number)
+    points = transform_points(inverse(pose), world.xyz)
+    xy = 400.0 * points[:, :2] / points[:, 2:] + (320.0, 240.0)
+    rows = np.flatnonzero(
+        (points[:, 2] > 0.5) & (xy >= 0).all(axis=1) & (xy < (640.0, 480.0)).all(axis=1)
+    )
+    xyz = points[rows] * (1.0 + 0.01 * noise * rng.normal(size=(len(rows), 1))) * unit
+    odom = pose.copy()
+    odom[:3, 3] *= unit
+    flips = rng.random((len(rows), 32, 8)) < 0.05 * noise
+    landmarks = PlaceLandmarks(
+        1000 * number + np.arange(len(rows)),
+        xyz.astype(np.float32),
+        (xy[rows] + 0.3 * noise * rng.normal(size=(len(rows), 2))).astype(np.float32),
+        np.full(len(rows), 0.01, np.float32),
+        world.descriptor[rows] ^ np.packbits(flips, axis=2)[:, :, 0],
+        np.zeros(len(rows), np.int32),
+        np.zeros(len(rows), np.float32),
+        world.patch[rows],
+    )
+    return Place(
+        PlaceKey(0, number),
+        FrameId(number, number, 0),
+        metric,
+        odom,
+        np.eye(6),
+        landmarks.descriptor,
+        landmarks,
+        np.zeros((1, 1), np.uint8),
+    )
+
+
+def _visits(
+    earlier: World, later: World, *, noise: float, unit: float = 1.0, metric: bool = True
+) -> tuple[list[Place], list[Place]]:
+    """The keyframes of a second visit, newest first, and that of the first one."""
+    first = [_see(earlier, np.eye(4), 1, noise=noise, metric=metric)]
+    second = []
+    for step in range(3):
+        pose = sim3.retract(SHIFT * (1.0 - 0.2 * step))
+        second.append(_see(later, pose, 9 - step, noise=noise, unit=unit, metric=metric))
+    return second, first
+
+
+@pytest.mark.parametrize(("metric", "unit"), [(True, 1.0), (False, 1.0), (False, 2.5)])
+def test_exact_landmarks_give_the_exact_relation(metric: bool, unit: float) -> None:
+    world = World(0)
+    loop = LoopVerifier(1.44).verify(
+        *_visits(world, world, noise=0.0, unit=unit, metric=metric), CAMERA
+    )
+    assert isinstance(loop, Loop)
+    np.testing.assert_allclose(loop.earlier_from_later, sim3.retract(SHIFT), rtol=0, atol=1e-4)
+    assert loop.scale == pytest.approx(1.0 / unit, rel=1e-4)
+    assert loop.inliers > 100
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_noise_stays_within_the_covariance(metric: bool) -> None:
+    for seed in range(5):
+        world = World(seed)
+        visits = _visits(world, world, noise=1.0, metric=metric)
+        loop = LoopVerifier(1.44).verify(*visits, CAMERA)
+        assert isinstance(loop, Loop)
+        found = sim3.similarity(loop.earlier_from_later, loop.scale)
+        size = 6 if metric else 7
+        error = sim3.local(sim3.inverse(found) @ sim3.retract(SHIFT))[:size]
+        assert np.linalg.norm(error[3:6]) < 0.02
+        assert error @ np.linalg.solve(loop.covariance[:size, :size], error) < 30.0
+
+
+def test_another_place_is_refused() -> None:
+    verdict = LoopVerifier(1.44).verify(*_visits(World(0), World(1), noise=1.0), CAMERA)
+    assert isinstance(verdict, Rejection)
+
+
+def test_the_same_looks_at_other_positions_are_refused() -> None:
+    world, other = World(0), World(1)
+    other.descriptor, other.patch = world.descriptor, world.patch
+    verdict = LoopVerifier(1.44).verify(*_visits(world, other, noise=1.0), CAMERA)
+    assert isinstance(verdict, Rejection)
+
+
+def test_the_same_positions_with_other_patches_are_refused() -> None:
+    world, other = World(0), World(0)
+    other.patch = World(1).patch
+    verdict = LoopVerifier(1.44).verify(*_visits(world, other, noise=1.0), CAMERA)
+    assert isinstance(verdict, Rejection)
+    assert verdict.reason is RejectionReason.FEW_INLIERS
+
+
+def test_a_door_alike_in_another_wall_is_refused() -> None:
+    """A part of the image agrees in everything; what should be around it is missing."""
+    world, other = World(0), World(1)
+    door = np.arange(600) < 45
+    for name in ("xyz", "descriptor", "patch"):
+        getattr(other, name)[door] = getattr(world, name)[door]
+    verdict = LoopVerifier(1.44).verify(*_visits(world, other, noise=0.5), CAMERA)
+    assert isinstance(verdict, Rejection)
+
+
+def test_metric_keyframes_that_see_things_of_another_size_are_refused() -> None:
+    world = World(0)
+    verdict = LoopVerifier(1.44).verify(*_visits(world, world, noise=0.5, unit=1.5), CAMERA)
+    assert isinstance(verdict, Rejection)
+
+
+def test_one_keyframe_alone_is_not_enough() -> None:
+    world = World(0)
+    later, earlier = _visits(world, world, noise=1.0)
+    verdict = LoopVerifier(1.44).verify(later[:1], earlier, CAMERA)
+    assert verdict == Rejection(RejectionReason.ONLY_ONCE, 1, 3)
+
+
+def test_the_same_bits_come_out_again() -> None:
+    world = World(0)
+    visits = _visits(world, world, noise=1.0)
+    first, second = (LoopVerifier(1.44).verify(*visits, CAMERA) for _ in range(2))
+    assert isinstance(first, Loop)
+    assert isinstance(second, Loop)
+    np.testing.assert_array_equal(first.earlier_from_later, second.earlier_from_later)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
