@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from data_synth.writers import euroc
+from vo.cli.app import app
 from vo.config import load_config
 from vo.evaluation.ape import absolute_errors
 from vo.formats.trajectory import read_tum
@@ -118,6 +120,14 @@ def test_causal_poses_jump_in_the_frames_that_are_marked_and_only_there(
     frame_of = dict(rows.tolist())
     assert frame_of[int(after.stamps_ns[first])] == min(marked)
     assert changed[first:].all()
+
+
+def test_the_report_lists_the_loops(closed: Path) -> None:
+    done = CliRunner().invoke(app, ["report", str(closed), "--output", str(closed / "a.html")])
+    assert done.exit_code == 0, done.output
+    page = (closed / "a.html").read_text(encoding="utf-8")
+    for loop in _loops(closed):
+        assert f'<th scope="row">{loop["frame"]}</th><td>{loop["earlier_frame"]}</td>' in page
 
 
 def test_repeated_runs_and_a_single_thread_give_the_same_bytes(

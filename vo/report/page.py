@@ -55,7 +55,7 @@ def _details(entries: Sequence[Entry]) -> list[Markup]:
     each = [
         part(entry)
         for entry in entries
-        for part in (sections.frames_without_pose, sections.segments)
+        for part in (sections.frames_without_pose, sections.segments, sections.loops)
     ]
     return [*each, sections.provenance(entries)]
 

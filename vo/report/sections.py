@@ -151,6 +151,25 @@ def segments(entry: Entry) -> Markup:
     return element("details", element("summary", f"Segments, {entry.name}"), inside)
 
 
+def loops(entry: Entry) -> Markup:
+    """Places that were seen again, if there are any."""
+    found = entry.run.summary.get("loops", ())
+    if not found:
+        return Markup()
+    rows = [
+        [str(each["frame"]), str(each["earlier_frame"]), each["kind"], str(each["inliers"])]
+        + [_moved(each["correction_m"]), _moved(each["correction_deg"])]
+        for each in found
+    ]
+    heading = ["frame", "seen before in", "kind", "inliers"]
+    inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
+    return element("details", element("summary", f"Loops, {entry.name}"), inside)
+
+
+def _moved(value: float | None) -> str:
+    return "–" if value is None else number(value)
+
+
 def settings(entries: Sequence[Entry]) -> Markup:
     """Settings that differ from the defaults, and all settings of each run."""
     parts = [element("h2", "Settings")]

@@ -36,6 +36,13 @@ _SCHEMA: dict[str, Any] = {
     ],
     "versions": {},
     "interpolated?": _WHOLE,
+    "loops?": [
+        {
+            **dict.fromkeys(("frame", "earlier_frame", "inliers"), _WHOLE),
+            "kind": _TEXT,
+            **dict.fromkeys(("correction_m", "correction_deg"), _NUMBER + _OPTIONAL),
+        }
+    ],
     "faults?": [{"is_handled": _YES_NO}],
     "length_unit?": _TEXT,
     "calibration?": _TEXT + _OPTIONAL,
