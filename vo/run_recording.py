@@ -45,6 +45,7 @@ class RunOptions(TypedDict, total=False):
         topics: of a log, `left=/a` and `right=/b`, or a single name; by default detected.
         right_offset_ns: added to the stamps of right images before they are paired; by default the
             constant offset of all right stamps, if there is one.
+        save_map: file for the stored keyframes and where they are; needs `memory.loops`.
         follow: whether the log is still being written; frames are tracked as they arrive.
         side_by_side: whether each image has the left and the right one beside each other.
         timeout_s: time without images after which a run on a live source ends; by default 10 s.
@@ -72,6 +73,7 @@ class RunOptions(TypedDict, total=False):
     topics: Sequence[str]
     right_offset_ns: int | None
     follow: bool
+    save_map: Path | None
     side_by_side: bool
     timeout_s: float | None
     duration_s: float | None
@@ -155,9 +157,18 @@ def _check_outputs(
     options: RunOptions,
 ) -> None:
     """Refuse outputs that would overwrite the input, files of others, or each other."""
+    if options.get("save_map") is not None and not config.memory.loops:
+        raise ConfigError("--save-map saves what is stored with --loops; give both")
     rrd = options.get("rrd")
     path = Path(source) if isinstance(source, str | Path) else None
-    files = (rrd, exports.mcap, exports.ply, exports.colmap, options.get("record"))
+    files = (
+        rrd,
+        exports.mcap,
+        exports.ply,
+        exports.colmap,
+        options.get("record"),
+        options.get("save_map"),
+    )
     masks = [Path(split_cameras(text)[1]) for text in config.masks.files]
     refuse_to_overwrite((path, options.get("calibration"), *masks), (Path(output), *files))
     refuse_to_collide(Path(output), files)
@@ -247,6 +258,7 @@ def _request(
         tuple(options.get("topics", ())),
         options.get("right_offset_ns"),
         options.get("follow", False),
+        options.get("save_map"),
         options.get("profile_since"),
     )
 

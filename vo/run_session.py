@@ -50,6 +50,7 @@ class Request:
         topics: of a log, as given.
         right_offset_ns: added to the stamps of right images, None if it was not given.
         follow: whether it may still grow.
+        save_map: file for the map, or None.
         profile_since: start of the profile on `time.perf_counter`, None for no profile.
     """
 
@@ -63,6 +64,7 @@ class Request:
     topics: tuple[str, ...] = ()
     right_offset_ns: int | None = None
     follow: bool = False
+    save_map: Path | None = None
     profile_since: float | None = None
 
     def facts(self, stream: FrameStream) -> RunFacts:
@@ -199,6 +201,7 @@ class RunSession:
         clock = Stopwatch()
         with clock.stage("write"):
             self._finish_files()
+            self._save_map()
             self._summarise("finished")  # the path is complete, whatever happens to recordings
         with clock.stage("record"):
             self._finish_recording()
@@ -216,6 +219,8 @@ class RunSession:
             self._save(self._odometry.finish)  # fails if a frame was broken off
         self._save(self._finish_files)
         self._save(lambda: self._summarise(status, reason))
+        if status == "interrupted":
+            self._save(self._save_map)
         self._save(self._finish_recording)
 
     def _end_progress(self) -> None:
@@ -244,6 +249,10 @@ class RunSession:
                 self._write_changed()
         finally:
             self._folder.finish()
+
+    def _save_map(self) -> None:
+        if self._request.save_map is not None:
+            self._odometry.memory.save_map(self._request.save_map, self._request.public_name)
 
     def _finish_recording(self) -> None:
         self._recorder.finish(self._causal.trajectory(), self._odometry.trajectory.trajectory())

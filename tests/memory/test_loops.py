@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,12 @@ from data_synth.recipe import load_recipe
 from data_synth.writers import euroc
 from vo.cli.app import app
 from vo.config import load_config
+from vo.errors import ConfigError
 from vo.evaluation.ape import absolute_errors
 from vo.formats.trajectory import read_tum
 from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
+from vo.places.map_file import MapFile
 from vo.run_recording import run
 from vo.types import Estimate, Floats, Frame, Trajectory
 
@@ -70,7 +73,8 @@ def plain(rounds: Path) -> Path:
 @pytest.fixture(scope="module")
 def closed(rounds: Path) -> Path:
     """Results with loops."""
-    _run(rounds, rounds.parent / "closed", "memory.loops=true")
+    saved = rounds.parent / "room.map"
+    _run(rounds, rounds.parent / "closed", "memory.loops=true", save_map=saved)
     return rounds.parent / "closed"
 
 
@@ -120,6 +124,24 @@ def test_causal_poses_jump_in_the_frames_that_are_marked_and_only_there(
     frame_of = dict(rows.tolist())
     assert frame_of[int(after.stamps_ns[first])] == min(marked)
     assert changed[first:].all()
+
+
+def test_the_saved_map_has_the_keyframes_where_the_path_has_them(
+    rounds: Path, closed: Path
+) -> None:
+    path = read_tum(closed / "trajectory.tum")
+    with closing(MapFile(rounds.parent / "room.map")) as saved:
+        assert len(saved.keys) > 20
+        assert len(saved.loops) == len(_loops(closed))
+        for key, pose in zip(saved.placed.keys, saved.placed.world_from_cam, strict=True):
+            row = np.searchsorted(path.stamps_ns, saved.place(key).frame.stamp_ns)
+            np.testing.assert_allclose(pose, path.world_from_cam[row], atol=1e-6)
+
+
+def test_a_map_is_not_saved_without_loops(rounds: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--loops"):
+        _run(rounds, tmp_path / "out", save_map=tmp_path / "a.map")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_report_lists_the_loops(closed: Path) -> None:

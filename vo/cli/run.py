@@ -127,6 +127,15 @@ Vocabulary = Annotated[
         rich_help_panel=_ODOMETRY,
     ),
 ]
+SaveMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--save-map",
+        metavar="FILE",
+        help="Also write the stored keyframes and where they are, with --loops, for vo map.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
 Rrd = Annotated[
     Path | None,
     typer.Option(
@@ -239,6 +248,7 @@ def run_command(
     threads: Threads = None,
     loops: Loops = None,
     vocabulary: Vocabulary = None,
+    save_map: SaveMap = None,
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
     spawn: Spawn = False,
@@ -334,7 +344,14 @@ def run_command(
             ),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
-                output, mcap, colmap, ply, begun if profile else None, quiet, tuple(poses or ())
+                output,
+                mcap,
+                colmap,
+                ply,
+                begun if profile else None,
+                quiet,
+                tuple(poses or ()),
+                save_map,
             ),
             ForScripts(json_output, min_share),
         )

@@ -57,7 +57,8 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
     outputs, rrd = request.outputs, request.visualisation.rrd
     others = {"mcap": outputs.mcap, "colmap": outputs.colmap, "ply": outputs.ply}
     files = WrittenFiles.of(
-        outputs.folder, {"recording": rrd, **others, "raw frames": request.input.record}
+        outputs.folder,
+        {"recording": rrd, **others, "raw frames": request.input.record, "map": outputs.save_map},
     )
     if request.scripts.json:
         paths = [str(path) for path in files.paths]
@@ -111,6 +112,7 @@ def _run(
         rrd=shown.rrd,
         exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
         poses=poses,
+        save_map=outputs.save_map,
         rrd_images=shown.rrd_images,
         viewer=viewer,
         calibration=given.calibration,

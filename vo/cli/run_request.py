@@ -76,6 +76,7 @@ class Outputs(NamedTuple):
     profile_since: float | None
     quiet: bool
     poses: tuple[str, ...] = ()
+    save_map: Path | None = None
 
     @property
     def poses_on_standard_output(self) -> bool:

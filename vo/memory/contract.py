@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Protocol
 
 from vo.closed_loops import ClosedLoop
+from vo.errors import OutputError
 from vo.mapping.local_map import LocalMap
 
 
@@ -28,6 +30,14 @@ class MapMemory(Protocol):
         """After the last frame: take over the keyframes of the map, and take in all results."""
         ...
 
+    def save_map(self, path: Path, source: str) -> None:
+        """Write the stored keyframes and where they are to a file, after `finish`.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        ...
+
     def close(self) -> None:
         """End threads and processes."""
         ...
@@ -46,6 +56,14 @@ class NoMemory:
 
     def finish(self, local_map: LocalMap) -> None:
         """Nothing to take over."""
+
+    def save_map(self, path: Path, source: str) -> None:
+        """Nothing to save.
+
+        Raises:
+            OutputError: always.
+        """
+        raise OutputError(f"there is no map to save to {path}: loops are not closed; use --loops")
 
     def close(self) -> None:
         """Nothing to end."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -116,6 +117,21 @@ class Memory:
             self._submit()
             self._take_placed()
         self._unmarked.clear()
+
+    def save_map(self, path: Path, source: str) -> None:
+        """Write the stored keyframes and where they are to a file, after `finish`.
+
+        Args:
+            path: the file.
+            source: name of the recording.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        self._graph.submit()
+        placed = self._graph.result()
+        believed = [self._loops[n] for n in sorted(self._closed)]
+        self._recogniser.save_map(path, source, placed, believed)
 
     def close(self) -> None:
         """End threads and processes."""

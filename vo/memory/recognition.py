@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
-from vo.places.records import Candidate, Loop, Place, PlaceKey
+from vo.places.map_file import MapHeader, write_map
+from vo.places.records import Candidate, Loop, Place, PlacedKeyframes, PlaceKey
 from vo.scheduling import give_way
 from vo.types import Camera
 
@@ -77,6 +80,20 @@ class Recogniser:
             if key in self._database:
                 self._database.remove(key)
         self._recent.clear()
+
+    def save_map(
+        self, path: Path, source: str, placed: PlacedKeyframes, loops: Sequence[Loop]
+    ) -> None:
+        """Write all stored keyframes that are placed; none may be without a result.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        header = MapHeader(self._camera, self._database.vocabulary.id, (source,))
+        known = set(placed.keys)
+        keyframes = ((k, self._database.encoded(k)) for k in self._database if k in known)
+        kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]
+        write_map(path, header, keyframes, placed, kept)
 
     def close(self) -> None:
         """End the thread, and remove temporary files."""
