@@ -72,6 +72,8 @@ ALLOWED = {
     "vo.laboratory": GROUND
     | {"vo.features", "vo.frontend", "vo.places", "vo.sources", "vo.evaluation"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
+    "vo.batch": GROUND
+    | {"vo", "vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
     "vo.warmup": GROUND | {"vo"},
     "vo.run_session": GROUND
     | OUTER
@@ -83,7 +85,7 @@ ALLOWED = {
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup", "vo.features", "vo.learned"}
-    | {"vo.laboratory", "vo.places"}
+    | {"vo.laboratory", "vo.places", "vo.batch"}
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}

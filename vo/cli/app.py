@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from vo.cli.batch import batch_command
 from vo.cli.calibrate import calibrate_command
 from vo.cli.command import Command
 from vo.cli.convert import convert_command
@@ -132,7 +133,12 @@ def _vo(
 
 
 _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
-    _ODOMETRY: {"run": run_command, "demo": demo_command, "warmup": warmup_command},
+    _ODOMETRY: {
+        "run": run_command,
+        "batch": batch_command,
+        "demo": demo_command,
+        "warmup": warmup_command,
+    },
     _RESULTS: {
         "eval": eval_command,
         "report": report_command,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from vo.errors import SourceError, VoError
 from vo.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
+from vo.evaluation.own_truth import has_colour_of_kitti
 from vo.sources.logs.log import Log
 from vo.sources.logs.poses import (
     choose_pose_source,
@@ -93,14 +94,6 @@ def _refuse_odometry_as_truth(path: Path) -> None:
         return
     advice = f"choose poses with --topic truth={sources[0].name}, or " if sources else ""
     raise SourceError(f"{path} contains no ground truth; {advice}give a trajectory file")
-
-
-def has_colour_of_kitti(path: Path) -> bool:
-    """Whether it is a sequence of KITTI with the colour cameras alone.
-
-    Its poses.txt is that of the grey left camera, and only the recording can move it.
-    """
-    return (path / "image_2").is_dir() and not (path / "image_0").is_dir()
 
 
 def is_log(path: Path) -> bool:

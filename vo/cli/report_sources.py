@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.cli.eval_inputs import has_colour_of_kitti, is_log, truth_of_log
+from vo.cli.eval_inputs import is_log, truth_of_log
 from vo.errors import EvaluationError, SourceError, VoError
-from vo.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
+from vo.evaluation.inputs import Inputs, load_inputs
+from vo.evaluation.own_truth import inputs_with_own_truth
 from vo.evaluation.report import Evaluation, evaluate
 from vo.report.entry import Thumbnail
 from vo.report.events import choose_events, shrink
@@ -75,7 +76,9 @@ def evaluate_run(
         return _evaluated(run, _inputs_with_given_truth(run, truth))
     path = Path(str(run.summary["source"]))
     try:
-        inputs = _inputs_with_own_truth(run, path, source)
+        inputs = inputs_with_own_truth(
+            run.path, path, None if source is None else source.ground_truth
+        )
         if inputs is None:
             return EvaluatedRun(None, None, f"no ground truth: {why_no_truth}")
         return _evaluated(run, inputs)
@@ -91,22 +94,10 @@ def _inputs_with_given_truth(run: RunRecord, truth: Path) -> Inputs:
         return load_inputs(run.path, truth_of_log(truth, None, None))
     if truth.is_file():
         return load_inputs(run.path, truth)
-    inputs = _inputs_with_own_truth(run, truth, open_source(truth))
+    inputs = inputs_with_own_truth(run.path, truth, open_source(truth).ground_truth)
     if inputs is None:
         raise SourceError(f"{truth} contains no ground truth; give a trajectory file")
     return inputs
-
-
-def _inputs_with_own_truth(run: RunRecord, path: Path, source: Recording | None) -> Inputs | None:
-    """Inputs from the ground truth file in a recording, or from that of the opened source."""
-    if path.is_dir() and not has_colour_of_kitti(path):
-        try:
-            return load_inputs(run.path, path)
-        except SourceError:
-            pass
-    if source is None or source.ground_truth is None:
-        return None
-    return load_inputs(run.path, GivenTrajectory(source.ground_truth, path))
 
 
 def _evaluated(run: RunRecord, inputs: Inputs) -> EvaluatedRun:

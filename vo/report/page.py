@@ -35,7 +35,7 @@ def make_page(entries: Sequence[Entry], plots: Sequence[Plot]) -> str:
         sections.settings(entries),
         element("section", element("h2", "Details"), *_details(entries)),
     ]
-    return _document(f"{title}: {names}", join(*parts))
+    return document(f"{title}: {names}", join(*parts))
 
 
 def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
@@ -60,7 +60,8 @@ def _details(entries: Sequence[Entry]) -> list[Markup]:
     return [*each, sections.provenance(entries)]
 
 
-def _document(title: str, body: Markup) -> str:
+def document(title: str, body: Markup) -> str:
+    """A whole HTML page that loads nothing."""
     style = files("vo.report").joinpath("page.css").read_text(encoding="utf-8")
     head = join(
         Markup('<meta charset="utf-8">'),

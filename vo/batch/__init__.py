@@ -1,0 +1,1 @@
+"""Runs of many recordings: each in a process of its own, resumed, compared, and tabulated."""

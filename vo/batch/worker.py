@@ -1,0 +1,179 @@
+"""The process of one job: `vo.batch.execution` starts it and reads what it leaves.
+
+The first line of standard input is the request. The pipe stays open as long as the batch lives;
+when it closes, because the batch was killed or its machine is gone, the process ends at once.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import resource
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from vo.batch.job import Job, JobResult, JobStatus
+from vo.errors import EvaluationError, VoError
+
+RESULT = "result.json"
+_STDIN = 0
+_ABANDONED = 75  # exit status after the end of the batch
+
+
+def main() -> None:
+    """Run the job of the request on standard input."""
+    request = json.loads(_first_line())
+    threading.Thread(target=_end_with_batch, daemon=True).start()
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    limit_mb = request["memory_mb"]
+    if limit_mb is not None:
+        limit = int(limit_mb) << 20
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    job, folder = Job.from_dict(request["job"]), Path(request["folder"])
+    result = run_job_here(job, folder, int(request["threads"]))
+    write_result(folder, result)
+
+
+# Standard input is read without Python's buffer, whose lock would be held at the end.
+def _first_line() -> bytes:
+    line = b""
+    while not line.endswith(b"\n"):
+        part = os.read(_STDIN, 1 << 16)
+        if not part:
+            os._exit(_ABANDONED)
+        line += part
+    return line
+
+
+def _end_with_batch() -> None:
+    while os.read(_STDIN, 1 << 10):
+        pass
+    os._exit(_ABANDONED)
+
+
+def run_job_here(job: Job, folder: Path, threads: int) -> JobResult:
+    """Run a job in this process, writing to a folder; errors of the run are results."""
+    failed = JobResult(job.name, job.source, JobStatus.FAILED, tags=job.tags)
+    try:
+        return _run(job, folder, threads)
+    except VoError as error:
+        return replace(failed, error=_one_line(str(error)))
+    except MemoryError:
+        return replace(failed, error="it needs more memory than the batch allows (--memory)")
+    except OSError as error:
+        where = "" if error.filename is None else f"{error.filename}: "
+        return replace(failed, error=_one_line(f"{where}{error.strerror or error}"))
+
+
+def write_result(folder: Path, result: JobResult) -> None:
+    """Write `result.json` atomically; the folder is created if it is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    partial = folder / f"{RESULT}.partial"
+    text = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    partial.write_bytes(text.encode("utf-8", "backslashreplace"))
+    os.replace(partial, folder / RESULT)
+
+
+def _run(job: Job, folder: Path, threads: int) -> JobResult:
+    from vo.batch.fingerprint import fingerprint
+    from vo.batch.object_store import local_copy
+    from vo.config import load_config
+    from vo.run_recording import run
+
+    config = load_config(job.config, [*job.overrides, f"threads={threads}"])
+    identity = fingerprint(job, config)
+    calibration = None if job.calibration is None else Path(job.calibration)
+    with local_copy(job.source) as source:
+        summary = run(
+            source,
+            folder,
+            config=config,
+            mode=job.mode,
+            calibration=calibration,
+            format=job.format,
+            topics=job.topics,
+            start=job.start,
+            end=job.end,
+            stride=job.stride,
+            side_by_side=job.side_by_side,
+            right_offset_ns=job.right_offset_ns,
+            source_name=None if source == job.source else job.source,
+        )
+        ate_m, causal_ate_m, notes = _errors(job, source, folder)
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    frames = summary.frames
+    return JobResult(
+        job.name,
+        job.source,
+        JobStatus.DONE,
+        fingerprint=identity,
+        tags=job.tags,
+        verdict=summary.verdict.word,
+        trusted=summary.verdict.is_trusted,
+        frames=frames,
+        tracked_ratio=(summary.tracked + summary.interpolated) / frames if frames else 0.0,
+        segments=len(summary.segments),
+        path_m=summary.path_m,
+        length_unit=summary.length_unit,
+        ate_m=ate_m,
+        causal_ate_m=causal_ate_m,
+        wall_s=summary.wall_s,
+        cpu_s=round(sum(each.ru_utime + each.ru_stime for each in used), 3),
+        frames_per_s=round(summary.frames_per_s, 3),
+        peak_rss_mb=summary.peak_rss_mb,
+        warnings=(*summary.warnings, *notes),
+    )
+
+
+def _errors(
+    job: Job, source: str, folder: Path
+) -> tuple[float | None, float | None, tuple[str, ...]]:
+    """ATE of the smoothed and of the causal path, None without ground truth; remarks."""
+    from vo.evaluation.inputs import load_inputs
+    from vo.evaluation.own_truth import inputs_with_own_truth
+    from vo.evaluation.report import evaluate
+    from vo.formats.trajectory import read_tum
+    from vo.types import Trajectory
+
+    try:
+        if job.truth is not None:
+            inputs = load_inputs(folder, Path(job.truth))
+        else:
+            own = inputs_with_own_truth(folder, Path(source), _truth_of(job, source))
+            if own is None:
+                return None, None, ()
+            inputs = own
+        evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
+    except EvaluationError as error:
+        return None, None, (f"not compared with the ground truth: {error}",)
+    stamps_ns = inputs.estimate.stamps_ns
+    causal = read_tum(folder / "causal.tum")
+    kept = (causal.stamps_ns >= stamps_ns[0]) & (causal.stamps_ns <= stamps_ns[-1])
+    causal_ate_m: float | None
+    try:
+        path = Trajectory(causal.stamps_ns[kept], causal.world_from_cam[kept])
+        causal_ate_m = evaluate(path, inputs.reference, mode=inputs.mode).ate.translation.rmse
+    except EvaluationError:
+        causal_ate_m = None
+    return evaluation.ate.translation.rmse, causal_ate_m, ()
+
+
+def _truth_of(job: Job, source: str) -> Any:
+    from vo.sources.registry import open_source
+
+    return open_source(
+        source,
+        format=job.format,
+        calibration=job.calibration,
+        mode=job.mode,
+        topics=job.topics,
+        right_offset_ns=job.right_offset_ns,
+        side_by_side=job.side_by_side,
+    ).ground_truth
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,231 @@
+"""`vo batch`: visual odometry on many recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vo.cli import completion, options
+from vo.cli.echo import echo, echo_json
+
+if TYPE_CHECKING:
+    from vo.batch.batch import BatchResult, Engine
+    from vo.batch.execution import Limits
+
+# Headings of the options in `--help`, besides those in `options`.
+_RUNS, _ENGINE = "Runs", "Where and how they run"
+_SOME_FAILED = 4  # exit status
+
+Sources = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="SOURCES",
+        help="Recordings, folders of recordings, quoted patterns, or URLs such as s3://bucket/logs/.",
+        show_default=False,
+    ),
+]
+Output = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FOLDER",
+        help="Folder for the results, one folder inside for each recording.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+Manifest = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="CSV or JSON file with a recording in each row: source, and any of name, calibration, "
+        "mode, config, set, format, topics, start, end, stride, truth; other columns are tags.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+Config = Annotated[
+    str,
+    typer.Option(
+        metavar="PRESET|FILE",
+        help="default, fast or accurate, or a YAML file.",
+        autocompletion=completion.presets,
+        rich_help_panel=_RUNS,
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="SECTION.KEY=VALUE",
+        help="Override a setting of --config; repeatable.",
+        rich_help_panel=_RUNS,
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Recordings at the same time on this machine.",
+        show_default="one for two cores",
+        rich_help_panel=_ENGINE,
+    ),
+]
+Ray = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Run on a Ray cluster: auto (that of this machine), HOST:PORT, or local.",
+        rich_help_panel=_ENGINE,
+    ),
+]
+Threads = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="With --ray: cores for each recording.",
+        rich_help_panel=_ENGINE,
+    ),
+]
+Timeout = Annotated[
+    float | None,
+    typer.Option(
+        min=0.1,
+        metavar="SECONDS",
+        help="End a run that takes longer.",
+        show_default="never",
+        rich_help_panel=_ENGINE,
+    ),
+]
+Memory = Annotated[
+    int | None,
+    typer.Option(
+        min=256,
+        metavar="MB",
+        help="Address space of a run; one that needs more fails.",
+        show_default="no limit",
+        rich_help_panel=_ENGINE,
+    ),
+]
+Retries = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Further attempts after a crash or a timeout.",
+        rich_help_panel=_ENGINE,
+    ),
+]
+
+
+def batch_command(
+    sources: Sources = None,
+    output: Output = Path("batch"),
+    manifest: Manifest = None,
+    calibration: options.Calibration = None,
+    mode: options.Mode = options.ModeChoice.AUTO,
+    format: options.Format = None,
+    config: Config = "default",
+    overrides: Overrides = None,
+    jobs: Jobs = None,
+    ray: Ray = None,
+    threads: Threads = 2,
+    timeout: Timeout = None,
+    memory: Memory = None,
+    retries: Retries = 1,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Run the odometry on many recordings, and tabulate the results.
+
+    Each recording runs in a process of its own and has a folder of results,
+    the same as of `vo run`. One that is damaged, crashes or hangs costs only
+    itself: it is listed with its error, and its log is in failed/NAME. Called
+    again, the same command runs only what has no finished result of the same
+    input, settings and version.
+
+    Run on all recordings below a folder, two at a time:
+
+      vo batch recordings/ -o results/ --jobs 2
+
+    Run on those of a table, with a limit of ten minutes each:
+
+      vo batch --manifest drives.csv -o results/ --timeout 600
+
+    Run on a Ray cluster, from an object store (docs/batch.md):
+
+      vo batch s3://bucket/drives/ -o /shared/results --ray auto
+
+    Exit status: 0 all done, 1 error, 2 wrong usage, 4 some recordings failed
+    (batch.json lists them), 130 stopped by Ctrl-C; results until then are
+    kept.
+    """
+    from vo.batch.batch import run_batch
+    from vo.batch.execution import Limits
+    from vo.batch.job import Job
+    from vo.batch.planning import MANIFEST_SUFFIXES, plan
+    from vo.cli.batch_table import BatchBar, print_batch
+    from vo.cli.console import standard_error, standard_output
+    from vo.cli.progress import warnings_on
+    from vo.config import load_config
+
+    given = list(sources or ())
+    if manifest is None and len(given) == 1 and given[0].lower().endswith(MANIFEST_SUFFIXES[:1]):
+        manifest, given = Path(given[0]), []
+    if not given and manifest is None:
+        raise typer.BadParameter("give recordings, folders or URLs, or a --manifest")
+    load_config(config, overrides or ())  # a wrong setting is one error, not one for each run
+    shared = Job(
+        "",
+        "",
+        config,
+        tuple(overrides or ()),
+        mode.value,
+        None if calibration is None else str(calibration),
+        format,
+    )
+    console = standard_error()
+    with warnings_on(console, quiet=quiet):
+        planned = plan(given, shared, manifest)
+        engine = _engine(ray, jobs, Limits(threads, timeout, memory, retries))
+        bar = BatchBar(console, quiet=quiet)
+        result = run_batch(planned, output, engine, bar)
+    if json_output:
+        echo_json(_as_dict(result))
+    elif not quiet:
+        print_batch(result, planned, standard_output())
+    if result.is_interrupted:
+        raise typer.Exit(130)
+    if result.unfinished:
+        if quiet or json_output:
+            echo(f"warning: {len(result.unfinished)} recordings failed; see {output}", err=True)
+        raise typer.Exit(_SOME_FAILED)
+
+
+def _engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
+    if ray is None:
+        from vo.batch.batch import LocalEngine
+
+        return LocalEngine(jobs, limits)
+    if jobs is not None:
+        raise typer.BadParameter("--jobs is for this machine; Ray decides by cores (--threads)")
+    from vo.batch.cluster import RayEngine
+
+    return RayEngine(ray, limits)
+
+
+def _as_dict(result: BatchResult) -> dict[str, object]:
+    from vo.batch.tables import totals
+
+    return {
+        "output": str(result.output),
+        "totals": totals(result.results).__dict__,
+        "kept": result.kept,
+        "wall_s": round(result.wall_s, 3),
+        "interrupted": result.is_interrupted,
+        "results": [each.to_dict() for each in result.results],
+    }
