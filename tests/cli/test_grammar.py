@@ -48,9 +48,7 @@ def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_formats_and_pictures_are_called_the_same(name: str) -> None:
     options = {p.name: p for p in COMMANDS[name].params}
-    reads_a_recording = name in (
-        *("run", "batch", "info", "convert", "calibrate", "features"),
-    )
+    reads_a_recording = name in (*("run", "batch", "info", "convert", "calibrate", "features"),)
     writes_a_recording = name in ("convert", "synth")
     assert ("format" in options) == reads_a_recording
     assert ("to" in options) == writes_a_recording

@@ -115,11 +115,11 @@ def _below(folder: Path) -> tuple[list[str], list[str]]:
 
 
 def _recordings(path: Path, depth: int) -> Iterator[Path]:
-    if path.is_file():
+    if not path.is_dir():  # also a pipe or a link to nothing: its run says so
         if path.suffix.lower() in _RECORDING_SUFFIXES:
             yield path
         return
-    if not path.is_dir() or depth == 0:
+    if depth == 0:
         return
     if _is_recording(path):
         yield path
