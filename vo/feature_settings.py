@@ -24,7 +24,10 @@ DetectorName = Literal[
     "surf",
     "xfeat",
     "aliked",
+    "aliked-t16",
     "aliked-n16",
+    "disk",
+    "superpoint",
 ]
 DescriptorName = Literal[
     "auto",

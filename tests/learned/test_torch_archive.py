@@ -112,3 +112,10 @@ def test_any_changed_byte_gives_tensors_or_an_error() -> None:
             read_tensors(bytes(changed), "weights.pt")
         except ModelError as error:
             assert "\n" not in str(error)[:200]
+
+
+def test_tensors_in_a_group_have_its_name_before_theirs() -> None:
+    data = torch_file({"a.weight": np.arange(3, dtype=np.float32)}, group="extractor")
+    found = read_tensors(data, "grouped.pth")
+    assert list(found) == ["extractor.a.weight"]
+    np.testing.assert_array_equal(found["extractor.a.weight"], [0, 1, 2])

@@ -59,8 +59,10 @@ def _torch_names() -> Iterator[types.ModuleType]:
 _KINDS = {"f4": "FloatStorage", "i8": "LongStorage", "f2": "HalfStorage"}
 
 
-def torch_file(tensors: Mapping[str, NDArray[Any]], extra: Any = None) -> bytes:
-    """A file with named tensors, and perhaps something else that can be pickled."""
+def torch_file(
+    tensors: Mapping[str, NDArray[Any]], extra: Any = None, group: str | None = None
+) -> bytes:
+    """A file with named tensors, perhaps in a group, and with something else to be pickled."""
     storages = {n: _Storage(str(i), t) for i, (n, t) in enumerate(tensors.items())}
     content: dict[str, Any] = OrderedDict(
         (n, _Tensor(storages[n], 0, t.shape, tuple(s // t.itemsize for s in t.strides)))
@@ -68,6 +70,7 @@ def torch_file(tensors: Mapping[str, NDArray[Any]], extra: Any = None) -> bytes:
     )
     if extra is not None:
         content["extra"] = extra
+    content = content if group is None else {group: content}
     return torch_archive(content, storages.values())
 
 

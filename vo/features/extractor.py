@@ -25,7 +25,14 @@ if TYPE_CHECKING:
     from vo.learned.xfeat import XFeatExtractor
 
 BUILT_IN = "orb"
-LEARNED = {"xfeat": "xfeat", "aliked": "aliked-t16", "aliked-n16": "aliked-n16"}
+LEARNED = {
+    "xfeat": "xfeat",
+    "aliked-t16": "aliked-t16",
+    "aliked": "aliked-t16",
+    "aliked-n16": "aliked-n16",
+    "disk": "disk",
+    "superpoint": "superpoint",
+}
 """Learned detectors, with the name of their model."""
 _CLAHE_CLIP, _CLAHE_TILES = 3.0, (8, 8)
 _MAX_OCTAVE = 24
@@ -130,10 +137,18 @@ def make_rescuer(config: FeaturesConfig) -> XFeatExtractor:
 
 def _learned(config: FeaturesConfig) -> FeatureExtractor:
     from vo.learned.aliked import AlikedExtractor
+    from vo.learned.disk import DiskExtractor
+    from vo.learned.superpoint import SuperPointExtractor
     from vo.learned.xfeat import XFeatExtractor
 
-    kind = XFeatExtractor if config.detector == "xfeat" else AlikedExtractor
-    return kind(_network(config), config.count)
+    network = _network(config)
+    if config.detector == "xfeat":
+        return XFeatExtractor(network, config.count)
+    if config.detector == "disk":
+        return DiskExtractor(network, config.count)
+    if config.detector == "superpoint":
+        return SuperPointExtractor(network, config.count)
+    return AlikedExtractor(network, config.count)
 
 
 def _network(config: FeaturesConfig) -> Inference:

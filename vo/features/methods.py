@@ -237,7 +237,8 @@ def fetched_methods() -> list[str]:
     def is_here(model: str) -> bool:
         return path_of(find_model(model)).is_file()
 
-    detectors = [name for name, model in LEARNED.items() if is_here(model)]
+    # One name for each model: the last of those that have several.
+    detectors = list({model: n for n, model in LEARNED.items() if is_here(model)}.values())
     return detectors + [
         f"{name}/{matcher}"
         for name in detectors

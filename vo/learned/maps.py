@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from vo.types import Bytes, Floats, Floats32
+from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
 
 _CELL = 8  # pixels of the image a side for each cell of a map of descriptors
 _CUBIC = -0.75  # parameter of the interpolation kernel (Keys 1981)
@@ -47,21 +47,60 @@ def without_border(score: Floats32, border: int) -> Floats32:
     return inside
 
 
+def strongest(peaks: Floats32, count: int) -> tuple[Ints, Ints]:
+    """Rows and columns of the highest positive values of a map, from the highest; ties by row."""
+    v, u = np.nonzero(peaks > 0)
+    order = np.lexsort((u, v, -peaks[v, u]))[:count]
+    return v[order], u[order]
+
+
+def parabola_offsets(values: Floats | Floats32, v: Ints, u: Ints) -> Floats:
+    """(N, 2) x, y from maxima to the vertices of parabolas through them and their neighbours.
+
+    At most half a pixel, 0 at the border.
+    """
+    height, width = values.shape
+    offsets = np.zeros((len(u), 2))
+    for axis, (dv, du, limit, at) in enumerate(((0, 1, width, u), (1, 0, height, v))):
+        inside = np.flatnonzero((at > 0) & (at < limit - 1))
+        y, x = v[inside], u[inside]
+        before, after = (values[y + s * dv, x + s * du].astype(np.float64) for s in (-1, 1))
+        curvature = before - 2.0 * values[y, x] + after
+        with np.errstate(divide="ignore", invalid="ignore"):
+            offset = 0.5 * (before - after) / curvature
+        offsets[inside, axis] = np.where(curvature < -1e-9, offset.clip(-0.5, 0.5), 0.0)
+    return offsets
+
+
+def learned_keypoints(
+    xy: Floats, score: Floats | Floats32, descriptor: Floats | Floats32
+) -> Keypoints:
+    """Features without scale and angle; descriptors (N, D) are made unit vectors."""
+    length = np.maximum(np.linalg.norm(descriptor, axis=1, keepdims=True), 1e-12)
+    return Keypoints(
+        xy.astype(np.float32),
+        np.zeros(len(xy), np.int32),
+        np.full(len(xy), np.nan, np.float32),
+        score.astype(np.float32),
+        (descriptor / length).astype(np.float32),
+    )
+
+
 def to_cells(xy: Floats) -> Floats:
     """Positions (N, 2) in a map of cells of 8 x 8 pixels; the centre of its first cell is 0."""
     return (xy + 0.5) / _CELL - 0.5
 
 
 def bilinear(values: Floats32, at: Floats) -> Floats:
-    """(N,) values of a map (H, W) at positions (N, 2) x, y; outside, those of its edge."""
-    height, width = values.shape
+    """(..., N) values of maps (..., H, W) at positions (N, 2) x, y; outside, those of the edge."""
+    height, width = values.shape[-2:]
     x, y = at[:, 0].clip(0, width - 1), at[:, 1].clip(0, height - 1)
     left = np.minimum(x.astype(np.int64), max(width - 2, 0))
     top = np.minimum(y.astype(np.int64), max(height - 2, 0))
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     a, b = x - left, y - top
-    upper = values[top, left] * (1 - a) + values[top, right] * a
-    lower = values[bottom, left] * (1 - a) + values[bottom, right] * a
+    upper = values[..., top, left] * (1 - a) + values[..., top, right] * a
+    lower = values[..., bottom, left] * (1 - a) + values[..., bottom, right] * a
     return np.asarray(upper * (1 - b) + lower * b, dtype=np.float64)
 
 

@@ -38,7 +38,7 @@ _MAX_PICKLE_BYTES = 2**24
 
 
 def read_tensors(data: bytes, name: str) -> dict[str, Tensor]:
-    """All named tensors of a file.
+    """All named tensors of a file; those in a group are named `GROUP.NAME`.
 
     Args:
         data: content of the file.
@@ -97,7 +97,12 @@ class _File:
     def named(self, content: Any) -> dict[str, Tensor]:
         if not isinstance(content, dict):
             raise ModelError(f"{self._name} holds no named tensors")
-        return {str(k): v for k, v in content.items() if isinstance(v, np.ndarray)}
+        tensors = {str(k): v for k, v in content.items() if isinstance(v, np.ndarray)}
+        for group, inner in content.items():
+            if isinstance(inner, dict):
+                each = {f"{group}.{k}": v for k, v in inner.items() if isinstance(v, np.ndarray)}
+                tensors |= each
+        return tensors
 
 
 class _OldFile(_File):

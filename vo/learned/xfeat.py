@@ -12,7 +12,14 @@ import numpy as np
 
 from vo.frontend.contracts import DescriptorFormat
 from vo.learned.inference import Inference
-from vo.learned.maps import bicubic, bilinear, network_input, to_cells
+from vo.learned.maps import (
+    bicubic,
+    bilinear,
+    learned_keypoints,
+    network_input,
+    parabola_offsets,
+    to_cells,
+)
 from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
 
 _MULTIPLE = 32  # of both sides of the network's input
@@ -48,8 +55,8 @@ class XFeatExtractor:
     ) -> tuple[Keypoints, Keypoints]:
         """Features of an image, and given pixels (N, 2) of it as features."""
         if min(image.shape) < _MULTIPLE:
-            nothing = self._keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
-            unknown = self._keypoints(xy, np.zeros(len(xy)), np.zeros((len(xy), _WIDTH)))
+            nothing = learned_keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
+            unknown = learned_keypoints(xy, np.zeros(len(xy)), np.zeros((len(xy), _WIDTH)))
             return nothing, unknown
         given = network_input(image, _MULTIPLE)
         features, heat, reliability = self._inference.run(
@@ -65,18 +72,8 @@ class XFeatExtractor:
         order = np.lexsort((u, v, -score))[: self._count]
         found, score = found[order], score[order]
         return (
-            self._keypoints(found, score, bicubic(features[0], to_cells(found))),
-            self._keypoints(xy, np.zeros(len(xy)), bicubic(features[0], to_cells(xy))),
-        )
-
-    def _keypoints(self, xy: Floats, score: Floats | Floats32, descriptor: Floats) -> Keypoints:
-        length = np.maximum(np.linalg.norm(descriptor, axis=1, keepdims=True), 1e-12)
-        return Keypoints(
-            xy.astype(np.float32),
-            np.zeros(len(xy), np.int32),
-            np.full(len(xy), np.nan, np.float32),
-            score.astype(np.float32),
-            (descriptor / length).astype(np.float32),
+            learned_keypoints(found, score, bicubic(features[0], to_cells(found))),
+            learned_keypoints(xy, np.zeros(len(xy)), bicubic(features[0], to_cells(xy))),
         )
 
 
@@ -94,14 +91,4 @@ def peak_offsets(heat: Floats32, v: Ints, u: Ints) -> Floats:
     Of the logarithm, whose peaks are nearly parabolas; at most half a pixel, 0 at the border.
     """
     log = np.log(np.maximum(heat, 1e-6)).astype(np.float64)
-    height, width = heat.shape
-    offsets = np.zeros((len(u), 2))
-    for axis, (dv, du, limit, at) in enumerate(((0, 1, width, u), (1, 0, height, v))):
-        inside = np.flatnonzero((at > 0) & (at < limit - 1))
-        y, x = v[inside], u[inside]
-        before, after = log[y - dv, x - du], log[y + dv, x + du]
-        curvature = before - 2.0 * log[y, x] + after
-        with np.errstate(divide="ignore", invalid="ignore"):
-            offset = 0.5 * (before - after) / curvature
-        offsets[inside, axis] = np.where(curvature < -1e-9, offset.clip(-0.5, 0.5), 0.0)
-    return offsets
+    return parabola_offsets(log, v, u)
