@@ -1,0 +1,255 @@
+"""Runs `vo run` with and without --loops on recordings that come back, and checks every loop.
+
+The recordings are rendered once, into --cache. For each keyframe that sees a place again (within
+2 m and 30° of a pose at least ten seconds before) it is counted whether a loop was closed within a
+second of it. A loop is false where the true poses of its two frames are further apart than 2 m, or
+a quarter of the median depth of what the camera sees if that is more. The exit status is 1 if a
+loop is false. Paths given as arguments are used instead of the recordings made here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import resource
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from data_synth.cache import cached_sequence
+from data_synth.recipe import load_recipe
+from vo.formats.trajectory import read_trajectory
+from vo.geometry.transforms import inverse, rotation_angle
+from vo.types import Floats
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "memory.md"
+SHARED = ROOT.parent / "shared" / "data"
+SMALL = ("scale=0.5", "motion=loop", "format=euroc")
+COURSES = {
+    "room, three laps": ("world=room", "camera=pinhole", "seconds=40", "fps=10", "seed=1"),
+    "room, forward and reverse": (
+        *("world=room", "camera=pinhole", "seconds=50", "fps=10", "seed=1"),
+        "laps=[forward,reverse,forward]",
+    ),
+    "room, kidnapped twice": (
+        *("world=room", "camera=pinhole", "seconds=40", "fps=10", "seed=1"),
+        "effects.kidnap=2",
+    ),
+    "office corridor, two laps": (
+        *("world=corridor", "camera=euroc", "seconds=150", "fps=8", "seed=3"),
+        "laps=[forward,forward]",
+    ),
+    "warehouse aisles, two laps": (
+        *("world=warehouse", "camera=pinhole", "seconds=170", "fps=6", "seed=4"),
+        "laps=[forward,forward]",
+    ),
+    "street block, two laps": (
+        *("world=street", "camera=kitti", "seconds=125", "fps=8", "seed=5"),
+        "laps=[forward,forward]",
+    ),
+}
+WITHOUT_LOOPS = (
+    "kitti06_stereo_000-050",
+    "kitti07_mono_000-099",
+    "kitti_raw_stereo_000-099",
+    "rendered_hall_stereo",
+)
+_NEAR_M, _NEAR_DEG = 2.0, 30.0
+_AGAIN_S, _FOUND_S = 10.0, 1.0
+_FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What `vo run` gave: its summary, ATE in metres, CPU seconds, and result files."""
+
+    summary: dict[str, Any]
+    ate_m: float | None
+    cpu_s: float
+    files: tuple[bytes, ...]
+    frame_stamps: dict[int, int]
+    keyframes: list[int]
+
+
+def main() -> None:
+    """Render, run, check, print, and perhaps write the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("recordings", nargs="*", type=Path)
+    parser.add_argument("--cache", type=Path, default=ROOT / "out" / "loops")
+    parser.add_argument("--only", default="", metavar="TEXT", help="names that contain it")
+    parser.add_argument("--modes", default="stereo,mono")
+    parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.name}")
+    arguments = parser.parse_args()
+    rows, false = [], 0
+    for name, path in _recordings(arguments):
+        for mode in arguments.modes.split(","):
+            if "mono" in name and mode == "stereo":
+                continue
+            row, wrong = _measure(name, path, mode)
+            rows.append(row)
+            false += wrong
+            print("| " + " | ".join(row) + " |", flush=True)
+    if arguments.write:
+        _write(rows)
+    sys.exit(1 if false else 0)
+
+
+def _recordings(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
+    if arguments.recordings:
+        return [(path.name, path) for path in arguments.recordings]
+    found = []
+    for name, overrides in COURSES.items():
+        if arguments.only in name:
+            recipe = load_recipe(None, [*SMALL, *overrides])
+            folder = re.sub(r"\W+", "_", name)
+            arguments.cache.mkdir(parents=True, exist_ok=True)
+            found.append((name, cached_sequence(recipe, arguments.cache, folder)))
+    found += [
+        (name, SHARED / name)
+        for name in WITHOUT_LOOPS
+        if arguments.only in name and (SHARED / name).is_dir()
+    ]
+    return found
+
+
+def _measure(name: str, path: Path, mode: str) -> tuple[list[str], int]:
+    """A row of the table, and the number of false loops."""
+    with TemporaryDirectory() as folder:
+        without = _run(path, mode, Path(folder, "without"), loops=False)
+        loops = _run(path, mode, Path(folder, "with"), loops=True)
+    found = loops.summary["loops"]
+    truth = read_trajectory(_truth_file(path))
+    poses = {int(s): p for s, p in zip(truth.stamps_ns, truth.world_from_cam, strict=True)}
+    frames = {f: _pose(poses, s) for f, s in loops.frame_stamps.items()}
+    apart = [_apart_m(frames, loop) for loop in found]
+    false = sum(not loop["is_plausible"] for loop in _checked(found, apart))
+    revisits, recalled = _recall(loops, frames, found)
+    same = without.files == loops.files
+    return [
+        name,
+        mode,
+        str(revisits),
+        f"{recalled / revisits:.2f}" if revisits else "–",
+        str(len(found)),
+        str(false),
+        f"{max(apart):.1f}" if apart else "–",
+        _number(without.ate_m),
+        "same bytes" if same else _number(loops.ate_m),
+        f"{len(without.summary['segments'])} → {len(loops.summary['segments'])}",
+        f"{loops.cpu_s / without.cpu_s:.2f}",
+    ], false
+
+
+def _run(path: Path, mode: str, output: Path, *, loops: bool) -> Run:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(
+        [sys.executable, "-m", "vo", "run", str(path), "-o", str(output), "--mode", mode, "-q"]
+        + ["--loops" if loops else "--no-loops"],
+        check=True,
+        cwd=ROOT,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    rows = [line.split(",") for line in (output / "poses.csv").read_text().splitlines()[1:]]
+    return Run(
+        json.loads((output / "summary.json").read_text()),
+        _ate_m(output, path),
+        used,
+        tuple((output / name).read_bytes() for name in _FILES),
+        {int(row[0]): int(row[1]) for row in rows},
+        [int(row[0]) for row in rows if row[3] == "1"],
+    )
+
+
+def _ate_m(output: Path, path: Path) -> float | None:
+    result = subprocess.run(
+        [sys.executable, "-m", "vo", "eval", str(output), str(path), "--json"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+    if result.returncode:
+        return None
+    return float(json.loads(result.stdout)["ate"]["translation_m"]["rmse"])
+
+
+def _truth_file(path: Path) -> Path:
+    names = ("groundtruth.tum", "groundtruth.txt", "poses_cam0.tum", "poses.txt")
+    return next(path / name for name in names if (path / name).is_file())
+
+
+def _pose(poses: dict[int, Floats], stamp_ns: int) -> Floats | None:
+    """The true pose of a stamp, to a microsecond: text has no more digits."""
+    for change in (0, *range(-1000, 1001, 100)):
+        if stamp_ns + change in poses:
+            return poses[stamp_ns + change]
+    nearest = min(poses, key=lambda each: abs(each - stamp_ns))
+    return poses[nearest] if abs(nearest - stamp_ns) < 2_000_000 else None
+
+
+def _apart_m(frames: dict[int, Floats | None], loop: dict[str, Any]) -> float:
+    first, second = frames.get(loop["earlier_frame"]), frames.get(loop["frame"])
+    if first is None or second is None:
+        return float("nan")
+    return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+
+
+def _checked(found: list[dict[str, Any]], apart: list[float]) -> list[dict[str, Any]]:
+    limit = _NEAR_M
+    return [
+        {**loop, "is_plausible": not distance > limit}
+        for loop, distance in zip(found, apart, strict=True)
+    ]
+
+
+def _recall(
+    run: Run, frames: dict[int, Floats | None], found: list[dict[str, Any]]
+) -> tuple[int, int]:
+    """Keyframes that see a place again, and those of them near which a loop was closed."""
+    placed = [(f, frames[f], 1e-9 * run.frame_stamps[f]) for f in sorted(run.frame_stamps)]
+    known = [(pose, at) for _, pose, at in placed if pose is not None]
+    if not known:
+        return 0, 0
+    positions = np.stack([pose[:3, 3] for pose, _ in known])
+    times = np.array([at for _, at in known])
+    closed = np.array([1e-9 * run.frame_stamps[loop["frame"]] for loop in found])
+    revisits = recalled = 0
+    for number in run.keyframes:
+        pose, now = frames[number], 1e-9 * run.frame_stamps[number]
+        if pose is None:
+            continue
+        near = np.linalg.norm(positions - pose[:3, 3], axis=1) < _NEAR_M
+        rows = np.flatnonzero(near & (times < now - _AGAIN_S))
+        limit = np.radians(_NEAR_DEG)
+        if any(rotation_angle((inverse(known[r][0]) @ pose)[:3, :3]) < limit for r in rows[::5]):
+            revisits += 1
+            recalled += bool(len(closed)) and bool((np.abs(closed - now) < _FOUND_S).any())
+    return revisits, recalled
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4f}"
+
+
+def _write(rows: list[list[str]]) -> None:
+    heading = ["recording", "cameras", "revisits", "recall", "loops", "false", "farthest, m"]
+    heading += ["ATE without, m", "with, m", "worlds", "CPU time"]
+    lines = ["| " + " | ".join(heading) + " |", "|" + " --- |" * 2 + " ---: |" * 9]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    text = PAGE.read_text()
+    begin, end = "<!-- loops: begin -->", "<!-- loops: end -->"
+    table = "\n".join([begin, "", *lines, "", end])
+    PAGE.write_text(re.sub(f"{begin}.*?{end}", lambda _: table, text, flags=re.DOTALL))
+
+
+if __name__ == "__main__":
+    main()
