@@ -228,13 +228,19 @@ def _normal_equations(
     back = sim3.inverse(relation)
     # relation @ exp(xi) moves p in the later frame by r x p + t + l p, and back(p) by the opposite.
     forward = _one_way(
-        *(relation, pairs.later, pairs.later, pairs.earlier_xy, pairs.later_sigma),
-        *(pairs.sigma_px, cameras[0], relation[:3, :3], limit),
+        _Moved(
+            *(relation, pairs.later, pairs.later, pairs.earlier_xy, pairs.later_sigma),
+            *(pairs.sigma_px, cameras[0], relation[:3, :3]),
+        ),
+        limit,
     )
     at_later = pairs.earlier @ back[:3, :3].T + back[:3, 3]
     backward = _one_way(
-        *(back, pairs.earlier, at_later, pairs.later_xy, pairs.earlier_sigma),
-        *(pairs.sigma_px, cameras[1], -np.eye(3), limit),
+        _Moved(
+            *(back, pairs.earlier, at_later, pairs.later_xy, pairs.earlier_sigma),
+            *(pairs.sigma_px, cameras[1], -np.eye(3)),
+        ),
+        limit,
     )
     return (
         forward[0] + backward[0],
@@ -243,20 +249,10 @@ def _normal_equations(
     )
 
 
-def _one_way(
-    transform: Floats,
-    points: Floats,
-    tangent_at: Floats,
-    xy: Floats,
-    sigma: Floats,
-    sigma_px: Floats,
-    camera: Intrinsics,
-    by_motion: Floats,
-    limit: float,
-) -> tuple[Floats, Floats, Floats]:
-    """Normal equations of the projections of moved points.
+class _Moved(NamedTuple):
+    """Points that are moved to the other camera, and where it observes them.
 
-    Args:
+    Attributes:
         transform: (4, 4) of the points.
         points: (N, 3).
         tangent_at: (N, 3) where the tangent acts, in the later frame.
@@ -265,22 +261,28 @@ def _one_way(
         sigma_px: (N,) of the pixels.
         camera: of the image.
         by_motion: (3, 3) derivative of a moved point by a motion in the later frame.
-        limit: squared errors without weight.
     """
-    p = points @ transform[:3, :3].T + transform[:3, 3]
-    ok = p[:, 2] > MIN_DEPTH
-    z = np.where(ok, p[:, 2], 1.0)
-    u, v = p[:, 0] / z, p[:, 1] / z
-    error = np.stack(
-        [camera.fx * u + camera.cx - xy[:, 0], camera.fy * v + camera.cy - xy[:, 1]], 1
-    )
-    by_point = np.zeros((len(p), 2, 3))
-    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * u / z
-    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * v / z
+
+    transform: Floats
+    points: Floats
+    tangent_at: Floats
+    xy: Floats
+    sigma: Floats
+    sigma_px: Floats
+    camera: Intrinsics
+    by_motion: Floats
+
+
+def _one_way(moved: _Moved, limit: float) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of the projections of moved points, and squared errors (N,).
+
+    Squared errors of `limit` or more have no weight.
+    """
+    error, by_point, ok = _projected(moved)
     # Error of a depth moves the point along its ray, and its projection by `along`.
-    ray = (points @ transform[:3, :3].T * sigma[:, None])[:, :, None]
+    ray = (moved.points @ moved.transform[:3, :3].T * moved.sigma[:, None])[:, :, None]
     along = (by_point @ ray)[:, :, 0]
-    variance = sigma_px**2
+    variance = moved.sigma_px**2
     inner = variance + (along**2).sum(axis=1)
     weight = (np.eye(2) - along[:, :, None] * along[:, None, :] / inner[:, None, None]) / (
         variance[:, None, None]
@@ -290,13 +292,34 @@ def _one_way(
         squared < limit, np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squared, 1e-12))), 0.0
     )
     robust = np.where(ok, robust, 0.0)
-    moved = np.zeros((len(p), 3, 7))
-    x, y, w = tangent_at[:, 0], tangent_at[:, 1], tangent_at[:, 2]
-    moved[:, 0, 1], moved[:, 0, 2], moved[:, 1, 2] = w, -y, x
-    moved[:, 1, 0], moved[:, 2, 0], moved[:, 2, 1] = -w, y, -x
-    moved[:, 0, 3] = moved[:, 1, 4] = moved[:, 2, 5] = 1.0
-    moved[:, :, 6] = tangent_at
-    jacobian = by_point @ (by_motion @ moved)
+    jacobian = by_point @ (moved.by_motion @ _tangents(moved.tangent_at))
     weighted = (weight * robust[:, None, None]) @ jacobian
     rows = weighted.reshape(-1, 7)
     return rows.T @ jacobian.reshape(-1, 7), -rows.T @ error.reshape(-1), squared
+
+
+def _projected(moved: _Moved) -> tuple[Floats, Floats, Bools]:
+    """Errors (N, 2) in pixels, their derivatives (N, 2, 3) by the point, and valid points (N,)."""
+    camera = moved.camera
+    p = moved.points @ moved.transform[:3, :3].T + moved.transform[:3, 3]
+    ok = p[:, 2] > MIN_DEPTH
+    z = np.where(ok, p[:, 2], 1.0)
+    u, v = p[:, 0] / z, p[:, 1] / z
+    error = np.stack(
+        [camera.fx * u + camera.cx - moved.xy[:, 0], camera.fy * v + camera.cy - moved.xy[:, 1]], 1
+    )
+    by_point = np.zeros((len(p), 2, 3))
+    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * u / z
+    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * v / z
+    return error, by_point, ok
+
+
+def _tangents(points: Floats) -> Floats:
+    """(N, 3, 7) derivatives of points (N, 3) by rotation, translation and logarithm of scale."""
+    by = np.zeros((len(points), 3, 7))
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    by[:, 0, 1], by[:, 0, 2], by[:, 1, 2] = z, -y, x
+    by[:, 1, 0], by[:, 2, 0], by[:, 2, 1] = -z, y, -x
+    by[:, 0, 3] = by[:, 1, 4] = by[:, 2, 5] = 1.0
+    by[:, :, 6] = points
+    return by
