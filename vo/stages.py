@@ -109,20 +109,16 @@ def make_stages(
     frontend = _frontend(config, components, second)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     descriptors = frontend.extractor.descriptor_format
-    memory: MapMemory = NoMemory()
     stores = [] if components.keyframe_store is None else [components.keyframe_store]
+    memory: MapMemory = NoMemory()
     if config.memory.loops:
         from vo.memory.creation import make_memory
 
         memory = own = make_memory(rectified, descriptors, config, trajectory, stopwatch, threads)
         stores.append(own)
-    local_map = LocalMap(
-        rectified,
-        config.smoothing.window + config.smoothing.fixed,
-        descriptors,
-        stores,
-        config.stereo.sigma_disparity_px,
-    )
+    capacity = config.smoothing.window + config.smoothing.fixed
+    sigma_px = config.stereo.sigma_disparity_px
+    local_map = LocalMap(rectified, capacity, descriptors, stores, sigma_px)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or ConstantVelocity()
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
@@ -130,23 +126,12 @@ def make_stages(
     policy = KeyframePolicy(keyframes, config.tracking.max_landmarks)
     start = config.start
     tracker = Tracker(local_map, frontend, motion, config.tracking, start, stopwatch)
-    window = SlidingWindow(
-        local_map,
-        optimizer,
-        config.stereo.sigma_disparity_px,
-        config.smoothing,
-        stopwatch,
-        components.factor_sources,
-    )
+    window = _window(local_map, optimizer, config, components, stopwatch)
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
     updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
     kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
     rescue = Rescue(local_map, tracker, frontend.matcher, kinds, start.min_matches)
-    initializers = Initializers(
-        StereoInitializer(local_map, mapper, start.min_points),
-        _monocular_initializer(local_map, mapper, frontend, config),
-        _monocular_initializer(local_map, mapper, frontend, config),
-    )
+    initializers = _initializers(local_map, mapper, frontend, config)
     return Stages(
         _preprocessor(rectified, frontend, masks, config, threads, second),
         tracker,
@@ -161,6 +146,33 @@ def make_stages(
         optimizer,
         trajectory,
         memory,
+    )
+
+
+def _window(
+    local_map: LocalMap,
+    optimizer: WindowOptimizer,
+    config: Config,
+    components: Components,
+    stopwatch: Stopwatch,
+) -> SlidingWindow:
+    return SlidingWindow(
+        local_map,
+        optimizer,
+        config.stereo.sigma_disparity_px,
+        config.smoothing,
+        stopwatch,
+        components.factor_sources,
+    )
+
+
+def _initializers(
+    local_map: LocalMap, mapper: LocalMapper, frontend: Frontend, config: Config
+) -> Initializers:
+    return Initializers(
+        StereoInitializer(local_map, mapper, config.start.min_points),
+        _monocular_initializer(local_map, mapper, frontend, config),
+        _monocular_initializer(local_map, mapper, frontend, config),
     )
 
 
