@@ -11,7 +11,7 @@ from vo.backend.sliding_window import SlidingWindow
 from vo.backend.window_problem import FactorSource
 from vo.config import Config
 from vo.errors import ConfigError
-from vo.frontend.contracts import FeatureExtractor, Matcher
+from vo.frontend.contracts import DescriptorFormat, FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.orb import OrbExtractor
 from vo.frontend.pair_check import PairCheck
@@ -116,21 +116,17 @@ def make_stages(
 
         memory = own = make_memory(rectified, descriptors, config, trajectory, stopwatch, threads)
         stores.append(own)
-    capacity = config.smoothing.window + config.smoothing.fixed
-    sigma_px = config.stereo.sigma_disparity_px
-    local_map = LocalMap(rectified, capacity, descriptors, stores, sigma_px)
+    local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or ConstantVelocity()
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
-    keyframes = config.keyframes if rig.is_metric else config.keyframes.in_mono()
-    policy = KeyframePolicy(keyframes, config.tracking.max_landmarks)
-    start = config.start
-    tracker = Tracker(local_map, frontend, motion, config.tracking, start, stopwatch)
+    policy = _policy(config, is_metric=rig.is_metric)
+    tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
     window = _window(local_map, optimizer, config, components, stopwatch)
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
     updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
     kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
-    rescue = Rescue(local_map, tracker, frontend.matcher, kinds, start.min_matches)
+    rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
     initializers = _initializers(local_map, mapper, frontend, config)
     return Stages(
         _preprocessor(rectified, frontend, masks, config, threads, second),
@@ -147,6 +143,21 @@ def make_stages(
         trajectory,
         memory,
     )
+
+
+def _local_map(
+    rectified: RectifiedRig,
+    descriptors: DescriptorFormat,
+    stores: Sequence[KeyframeStore],
+    config: Config,
+) -> LocalMap:
+    capacity = config.smoothing.window + config.smoothing.fixed
+    return LocalMap(rectified, capacity, descriptors, stores, config.stereo.sigma_disparity_px)
+
+
+def _policy(config: Config, *, is_metric: bool) -> KeyframePolicy:
+    keyframes = config.keyframes if is_metric else config.keyframes.in_mono()
+    return KeyframePolicy(keyframes, config.tracking.max_landmarks)
 
 
 def _window(
