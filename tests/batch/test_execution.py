@@ -68,19 +68,6 @@ def results(walks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return output
 
 
-@pytest.fixture
-def hanging(walks: Path, tmp_path: Path) -> Path:
-    """A good recording, and before it one whose list of images is a pipe."""
-    folder = tmp_path / "logs"
-    shutil.copytree(walks / "walk0", folder / "good")
-    shutil.copytree(walks / "walk0", folder / "hang")
-    table = folder / "hang" / "mav0" / "cam0" / "data" / "0.png"
-    for image in table.parent.iterdir():
-        image.unlink()
-        os.mkfifo(image)
-    return folder
-
-
 def test_results_are_those_of_a_run_alone(walks: Path, results: Path, tmp_path: Path) -> None:
     run(str(walks / "walk1"), tmp_path / "alone", config=load_config("fast"))
     for name in SAME_BYTES:
@@ -123,33 +110,36 @@ def test_bad_recordings_cost_only_themselves(walks: Path, tmp_path: Path) -> Non
     assert (tmp_path / "out" / "failed" / "cut" / "result.json").is_file()
 
 
-def test_one_that_hangs_is_ended(hanging: Path, tmp_path: Path) -> None:
-    hang = Job("hang", str(hanging / "hang"), "fast")
-    result = run_job(hang, tmp_path / "out", Limits(timeout_s=3.0, retries=0))
-    assert result.status is JobStatus.TIMED_OUT
-    assert result.error is not None
-    assert "more than 3 s" in result.error
-    assert not (tmp_path / "out" / "hang").exists()
-
-
-def test_one_that_is_killed_is_started_again(hanging: Path, tmp_path: Path) -> None:
+def run_with(walk: Path, output: Path, limits: Limits, number: int) -> JobResult:
+    """Run a job, and send a signal to each of its processes as soon as it is there."""
     found: list[JobResult] = []
+    job = Job("walk", str(walk), "fast")
     known = children()
-
-    def work() -> None:
-        hang = Job("hang", str(hanging / "hang"), "fast")
-        found.append(run_job(hang, tmp_path / "out", Limits(retries=1)))
-
-    thread = threading.Thread(target=work)
+    thread = threading.Thread(target=lambda: found.append(run_job(job, output, limits)))
     thread.start()
-    for _ in range(2):
+    for _ in range(limits.retries + 1):
         wait_until(lambda: children() - known)
         [child] = children() - known
-        os.kill(child, signal.SIGKILL)
+        os.kill(child, number)
         known.add(child)
     thread.join(60)
-    assert [(each.status, each.attempts) for each in found] == [(JobStatus.CRASHED, 2)]
-    assert "SIGKILL" in (found[0].error or "")
+    assert not (output / "walk").exists()
+    return found[0]
+
+
+def test_one_that_hangs_is_ended(
+    walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vo.batch.execution._GRACE_S", 0.5)
+    result = run_with(walks / "walk0", tmp_path, Limits(timeout_s=1.0, retries=0), signal.SIGSTOP)
+    assert result.status is JobStatus.TIMED_OUT
+    assert "more than 1 s" in (result.error or "")
+
+
+def test_one_that_is_killed_is_started_again(walks: Path, tmp_path: Path) -> None:
+    result = run_with(walks / "walk0", tmp_path, Limits(retries=1), signal.SIGKILL)
+    assert (result.status, result.attempts) == (JobStatus.CRASHED, 2)
+    assert "SIGKILL" in (result.error or "")
 
 
 def test_one_that_needs_too_much_memory_fails_alone(walks: Path, tmp_path: Path) -> None:
@@ -205,15 +195,15 @@ def test_finished_results_are_kept_until_something_changes(walks: Path, tmp_path
     assert [each.status.value for each in done.results] == ["done", "done", "failed"]
 
 
-def test_ctrl_c_keeps_what_is_finished(hanging: Path, tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_is_finished(walks: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
-    process = started(hanging, output)
-    wait_until(lambda: "good" in finished(output))
+    process = started(walks, output)
+    wait_until(lambda: "walk0" in finished(output))
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in errors
-    assert [each.status.value for each in read_batch(output)] == ["done", "not run"]
+    assert [each.status.value for each in read_batch(output)] == ["done", "not run", "not run"]
     assert not (output / ".work").exists()
 
 

@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from vo.cli.batch import batch_command
 from vo.cli.calibrate import calibrate_command
 from vo.cli.command import Command
+from vo.cli.compare import compare_command
 from vo.cli.convert import convert_command
 from vo.cli.demo import demo_command
 from vo.cli.echo import echo
@@ -142,6 +143,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     _RESULTS: {
         "eval": eval_command,
         "report": report_command,
+        "compare": compare_command,
         "view": view_command,
         "map": map_command,
     },
