@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from vo.settings import Section, expert
 
@@ -29,6 +30,19 @@ DetectorName = Literal[
     "disk",
     "superpoint",
 ]
+OWN_NETWORK = "onnx:"
+"""Begins the name of a detector that is a file of the user's own (docs/learned.md)."""
+
+
+def _known_detector(name: str) -> str:
+    known = get_args(DetectorName)
+    if name not in known and not name.startswith(OWN_NETWORK):
+        names = ", ".join(f"'{each}'" for each in known)
+        message = "Input should be {names} or 'onnx:FILE'"
+        raise PydanticCustomError("literal_error", message, {"names": names})
+    return name
+
+
 DescriptorName = Literal[
     "auto",
     "rbrief",
@@ -50,7 +64,9 @@ class FeaturesConfig(Section):
     """Features: by default ORB, spread over the image by a grid."""
 
     count: int = Field(1500, ge=50, le=20000, description="features per image")
-    detector: DetectorName = Field("orb", description="what finds features (docs/features.md)")
+    detector: Annotated[str, AfterValidator(_known_detector)] = Field(
+        "orb", description="what finds features (docs/features.md)"
+    )
     descriptor: DescriptorName = Field(
         "auto", description="what describes them; auto for the one that suits the detector"
     )

@@ -13,6 +13,7 @@ from vo.cli.features_table import FeaturesResult
 from vo.cli.progress import counting
 from vo.config import Config, load_config
 from vo.errors import CalibrationError, ConfigError
+from vo.feature_settings import OWN_NETWORK
 from vo.features.comparison import compare, one_thread
 from vo.features.detectors import DETECTORS
 from vo.features.methods import KLT, Method, expand, make_method, missing_detectors
@@ -139,6 +140,8 @@ def _examine(request: Request, methods: Sequence[Method], console: Console) -> F
 
 
 def _features_of(name: str) -> str:
+    if name.startswith(OWN_NETWORK):
+        return name
     features, _, matcher = name.partition("/")
     return name if matcher == KLT else features
 

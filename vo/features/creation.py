@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 from vo.config import DetectorName, FeaturesConfig
 from vo.errors import ConfigError
+from vo.feature_settings import OWN_NETWORK
 from vo.features.extractor import make_extractor
 from vo.frontend.contracts import DescriptorFormat
 from vo.given_images import ColourOrder, grey_image, grey_mask, shown
@@ -66,7 +67,7 @@ class Features:
 def features_by_name(name: str, settings: dict[str, Any]) -> Features:
     """See `vo.features.create`."""
     known = get_args(DetectorName)
-    if name not in known:
+    if name not in known and not str(name).startswith(OWN_NETWORK):
         raise ConfigError(
             f"there is no detector {shown(name)}; known: {', '.join(known)}"
             f"{nearest(str(name), known)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 
 from vo.config import FeaturesConfig
 from vo.errors import ConfigError
+from vo.feature_settings import OWN_NETWORK
 from vo.features.descriptors import DESCRIPTORS, Described, Descriptor, make_descriptor
 from vo.features.detections import Detector
 from vo.features.detectors import DETECTORS, DetectorOptions
@@ -113,6 +115,8 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
         return OrbExtractor(config)
     if config.detector in LEARNED:
         return _learned(config)
+    if config.detector.startswith(OWN_NETWORK):
+        return _of_file(config)
     kind = DETECTORS[config.detector]
     name = kind.descriptor if config.descriptor == "auto" else config.descriptor
     allowed = DESCRIPTORS[name].detectors
@@ -151,16 +155,28 @@ def _learned(config: FeaturesConfig) -> FeatureExtractor:
     return AlikedExtractor(network, config.count)
 
 
-def _network(config: FeaturesConfig) -> Inference:
-    from vo.learned.catalog import find_model
-    from vo.learned.files import require_model
-    from vo.learned.inference import load
+def _of_file(config: FeaturesConfig) -> FeatureExtractor:
+    from vo.learned.own_network import load_own_network
 
+    _check_own_descriptor(config)
+    path = Path(config.detector.removeprefix(OWN_NETWORK)).expanduser()
+    return load_own_network(path, config.backend, config.device, config.count)
+
+
+def _check_own_descriptor(config: FeaturesConfig) -> None:
     if config.descriptor != "auto":
         raise ConfigError(
             f"features.detector '{config.detector}' has its own descriptor, not "
             f"'{config.descriptor}'"
         )
+
+
+def _network(config: FeaturesConfig) -> Inference:
+    from vo.learned.catalog import find_model
+    from vo.learned.files import require_model
+    from vo.learned.inference import load
+
+    _check_own_descriptor(config)
     path = require_model(find_model(LEARNED[config.detector]))
     return load(path, config.backend, config.device)
 

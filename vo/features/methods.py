@@ -14,6 +14,7 @@ import numpy as np
 
 from vo.config import DescriptorName, FeaturesConfig, MatchingConfig, MatchingName
 from vo.errors import ConfigError
+from vo.feature_settings import OWN_NETWORK
 from vo.features.detections import Detections, Detector
 from vo.features.detectors import (
     CORNER_SIZE_PX,
@@ -188,6 +189,8 @@ def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -
     Raises:
         ConfigError: there is no such method, or this build of OpenCV lacks it.
     """
+    if text.startswith(OWN_NETWORK):
+        return _own_network(text, features, matching)
     written = f"shi_tomasi/{KLT}" if text == KLT else text
     rest, _, matcher = written.partition("/")
     detector, _, descriptor = rest.partition("+")
@@ -206,6 +209,16 @@ def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -
         features.model_copy(update=chosen),
         matching.model_copy(update={"method": matcher}) if matcher else matching,
     )
+
+
+def _own_network(text: str, features: FeaturesConfig, matching: MatchingConfig) -> Method:
+    """Features of a file, whose path may contain `/` itself."""
+    path, _, matcher = text.rpartition("/")
+    if matcher in get_args(MatchingName):
+        matching = matching.model_copy(update={"method": matcher})
+    else:
+        path = text
+    return DescribedFeatures(text, features.model_copy(update={"detector": path}), matching)
 
 
 def expand(texts: Sequence[str]) -> list[str]:
