@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from vo.faults import Fault, FaultKind
+from vo.frontend.dark_border import DarkBorder
 from vo.frontend.fixed_depth import is_scene
 from vo.frontend.image_gradients import (
     Gradients,
@@ -123,6 +124,8 @@ class ImageFixedDetector:
         self._fixed: Bools
         self._background: Bools | None = None  # has stood still while something passed
         self._has_moved: Bools
+        self._dark = DarkBorder()
+        self._border: Bools | None = None  # that is fixed, with what is near it
         self._overlay = OverlayDetector()
         self._still_majority = StillMajority()
         self._standing = 0  # comparisons in which most of the image stood, since it has moved
@@ -147,6 +150,7 @@ class ImageFixedDetector:
         if self._frames > self._next and pyramid:
             self._shape = shape
             self._next = self._frames - 1 + self._step()
+            self._dark.update(pyramid[-1])
             self._compare(gradients_of(pyramid[0]), used)
         return self.found
 
@@ -251,19 +255,25 @@ class ImageFixedDetector:
         """Mask what has not changed for long enough."""
         self._comparisons += 1
         fixed, unclear = self._run >= _MIN_RUN, False
+        self._border = self._border_along(fixed, count)
         if self._background is not None:
-            never = np.count_nonzero(fixed & self._background & ~self._has_moved)
+            scene = self._background if self._border is None else self._background & ~self._border
+            never = np.count_nonzero(fixed & scene & ~self._has_moved)
             unclear = bool(never > _MIN_SHARE * count)
-            fixed &= ~self._background
+            fixed &= ~scene
         self._fixed |= fixed
         share = float(np.count_nonzero(self._fixed)) / count
         is_new = self.found.mask is None
         if is_new and (share >= _MIN_SHARE or unclear) and not self._lies_still(now, count):
             share, unclear = 0.0, False
-        is_ambiguous = unclear or share > _MAX_SHARE or _is_everywhere(self._fixed)
+        is_border = self._border is not None and (share >= _MIN_SHARE or not is_new)
+        others = self._fixed if self._border is None else self._fixed & ~self._border
+        is_ambiguous = unclear or bool(np.count_nonzero(others) > _MAX_SHARE * count)
+        is_ambiguous = is_ambiguous or _is_everywhere(others)
         if is_new and share >= _MIN_SHARE and not is_ambiguous:
-            is_ambiguous = is_scene(self._fixed, self._points, self._baseline_px)
-        if share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE) and not unclear:
+            is_ambiguous = is_scene(others, self._points, self._baseline_px)
+        few = share < (_MIN_SHARE if is_new else 0.5 * _MIN_SHARE)
+        if few and not unclear and not is_border:
             is_settled = self._finds == 0 and self._comparisons >= _SETTLED
             self.found = ImageFixed(finds=self._finds, is_settled=is_settled)
         elif is_ambiguous and is_new:
@@ -280,6 +290,15 @@ class ImageFixedDetector:
                 self._mask(), self._area(), finds=self._finds, place=place_of(self._fixed)
             )
 
+    def _border_along(self, fixed: Bools, count: int) -> Bools | None:
+        """A dark border, with what is near it, if most of what is fixed lies along it."""
+        if self._border is None and np.count_nonzero(fixed) < _MIN_SHARE * count:
+            return None
+        near = self._dark.near(fixed.shape, _GROWTH_PX)
+        is_known = self._border is not None and bool(near.any())
+        is_along = 2 * np.count_nonzero(fixed & near) > np.count_nonzero(fixed)
+        return near if is_known or is_along else None
+
     def _lies_still(self, now: Gradients, count: int) -> bool:
         """Whether enough of what has not changed is where it was when its run began."""
         drift = displacement(now, *self._first).squared_px
@@ -292,6 +311,8 @@ class ImageFixedDetector:
     def _mask(self) -> Bytes:
         side = 2 * _GROWTH_PX + 1
         grown = cv2.dilate(self._fixed.astype(np.uint8), np.ones((side, side), np.uint8))
+        if self._border is not None:
+            grown |= self._border
         full = cv2.resize(grown, self._shape[::-1], interpolation=cv2.INTER_NEAREST)
         return np.asarray(1 - full, dtype=np.uint8)
 
