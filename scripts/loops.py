@@ -2,9 +2,8 @@
 
 The recordings are rendered once, into --cache. For each keyframe that sees a place again (within
 2 m and 30° of a pose at least ten seconds before) it is counted whether a loop was closed within a
-second of it. A loop is false where the true poses of its two frames are further apart than 2 m, or
-a quarter of the median depth of what the camera sees if that is more. The exit status is 1 if a
-loop is false. Paths given as arguments are used instead of the recordings made here.
+second of it. A loop is false where the true poses of its two frames are further apart than 2 m. The
+exit status is 1 if a loop is false. Recordings given as arguments are used instead of these.
 """
 
 from __future__ import annotations
@@ -131,7 +130,7 @@ def _measure(name: str, path: Path, mode: str) -> tuple[list[str], int]:
     poses = {int(s): p for s, p in zip(truth.stamps_ns, truth.world_from_cam, strict=True)}
     frames = {f: _pose(poses, s) for f, s in loops.frame_stamps.items()}
     apart = [_apart_m(frames, loop) for loop in found]
-    false = sum(not loop["is_plausible"] for loop in _checked(found, apart))
+    false = sum(distance > _NEAR_M for distance in apart)
     revisits, recalled = _recall(loops, frames, found)
     same = without.files == loops.files
     return [
@@ -201,14 +200,6 @@ def _apart_m(frames: dict[int, Floats | None], loop: dict[str, Any]) -> float:
     if first is None or second is None:
         return float("nan")
     return float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
-
-
-def _checked(found: list[dict[str, Any]], apart: list[float]) -> list[dict[str, Any]]:
-    limit = _NEAR_M
-    return [
-        {**loop, "is_plausible": not distance > limit}
-        for loop, distance in zip(found, apart, strict=True)
-    ]
 
 
 def _recall(
