@@ -25,6 +25,7 @@ from vo.batch.job import Job, JobResult, JobStatus
 from vo.batch.worker import RESULT, write_result
 from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
+from vo.compiling.processor import use_common_instructions
 from vo.config import load_config
 from vo.errors import OutputError, VoError
 
@@ -164,8 +165,19 @@ def _started(log: int) -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,  # closed by its end, which wakes the batch up
         stderr=log,
+        env=_environment(),
         process_group=0,  # Ctrl-C in a terminal is sent to a whole group
     )
+
+
+def _environment() -> dict[str, str]:
+    """Variables of `vo run`, so that results have the same bytes; workers of Ray lack them."""
+    environment = dict(os.environ)
+    environment.setdefault("OPENBLAS_NUM_THREADS", "1")
+    environment.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
+    environment.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    use_common_instructions(environment)
+    return environment
 
 
 def _wait(

@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import resource
+import signal
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ _ABANDONED = 75  # exit status after the end of the batch
 
 def main() -> None:
     """Run the job of the request on standard input."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # workers of Ray block it
     request = json.loads(_first_line())
     threading.Thread(target=_end_with_batch, daemon=True).start()
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
