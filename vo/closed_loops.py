@@ -1,4 +1,4 @@
-"""Loops that were closed, as they are reported."""
+"""Loops that were closed and the use of a map, as they are reported."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ class ClosedLoop:
     """A place that was seen again, and what the pose graph made of it.
 
     Attributes:
-        kind: `loop` within a world, `merge` where it connected two segments.
+        kind: `loop` within a world, `merge` where it connected two segments,
+            `session` to a keyframe of the loaded map.
         frame: number of the later keyframe's frame.
-        earlier_frame: number of the earlier keyframe's frame.
+        earlier_frame: number of the earlier keyframe's frame, in the recording of its session.
         segment: of the later frame.
         earlier_segment: of the earlier frame.
         inliers: landmarks that agree.
         corrected_from: first frame whose causal pose is corrected by it; None at the end of a run.
         correction_m: distance by which the later keyframe was moved in the map frame, in metres, or
-            in units of the map; None for a merge.
-        correction_deg: angle by which it was turned; None for a merge.
+            in units of the map; None for what connected two worlds.
+        correction_deg: angle by which it was turned; None for what connected two worlds.
+        earlier_session: number of the session in the loaded map; None for the run itself.
     """
 
     kind: str
@@ -31,3 +33,19 @@ class ClosedLoop:
     corrected_from: int | None
     correction_m: float | None
     correction_deg: float | None
+    earlier_session: int | None = None
+
+
+@dataclass(frozen=True)
+class MapUse:
+    """The loaded map of a run, and whether the run has met it.
+
+    Attributes:
+        file: its path.
+        sessions: names of its recordings.
+        met: segments of the run that are in the map's world, by the number of their first segment.
+    """
+
+    file: str
+    sessions: tuple[str, ...]
+    met: tuple[int, ...]

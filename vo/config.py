@@ -236,6 +236,8 @@ class MemoryConfig(Section):
     vocabulary: str = expert(
         "", description="file of the words by which places are recognised; empty for the built-in"
     )
+    map: str = expert("", description="file of a map to continue in, empty for none")
+    localize: bool = expert(False, description="only find poses in `memory.map`, add nothing to it")
 
 
 class Config(Section):

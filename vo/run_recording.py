@@ -159,6 +159,13 @@ def _check_outputs(
     """Refuse outputs that would overwrite the input, files of others, or each other."""
     if options.get("save_map") is not None and not config.memory.loops:
         raise ConfigError("--save-map saves what is stored with --loops; give both")
+    memory = config.memory
+    if memory.map and not memory.loops:
+        raise ConfigError("--map needs --loops; leave out --no-loops")
+    if memory.localize and not memory.map:
+        raise ConfigError("--localize finds poses in a map; give it by --map FILE")
+    if memory.localize and options.get("save_map") is not None:
+        raise ConfigError("--localize adds nothing to the map; leave out --save-map")
     rrd = options.get("rrd")
     path = Path(source) if isinstance(source, str | Path) else None
     files = (
@@ -170,7 +177,9 @@ def _check_outputs(
         options.get("save_map"),
     )
     masks = [Path(split_cameras(text)[1]) for text in config.masks.files]
-    refuse_to_overwrite((path, options.get("calibration"), *masks), (Path(output), *files))
+    read = [Path(memory.map)] if memory.map and memory.localize else []
+    inputs = (path, options.get("calibration"), *masks, *read)
+    refuse_to_overwrite(inputs, (Path(output), *files))
     refuse_to_collide(Path(output), files)
 
 

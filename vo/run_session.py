@@ -312,6 +312,7 @@ class RunSession:
             live=self._live_state(),
             hidden=self._odometry.hidden,
             loops=self._odometry.memory.closed_loops,
+            map_use=self._odometry.memory.map_use,
             networks=self._odometry.networks,
         )
         summary = summarise(state)

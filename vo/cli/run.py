@@ -127,6 +127,23 @@ Vocabulary = Annotated[
         rich_help_panel=_ODOMETRY,
     ),
 ]
+Map = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="FILE",
+        help="Continue in a map from --save-map: find its places again; --loops is included.",
+        rich_help_panel=_ODOMETRY,
+    ),
+]
+Localize = Annotated[
+    bool,
+    typer.Option(
+        "--localize",
+        help="Only find poses in --map, and add nothing to it.",
+        rich_help_panel=_ODOMETRY,
+    ),
+]
 SaveMap = Annotated[
     Path | None,
     typer.Option(
@@ -248,6 +265,8 @@ def run_command(
     threads: Threads = None,
     loops: Loops = None,
     vocabulary: Vocabulary = None,
+    map_file: Map = None,
+    localize: Localize = False,
     save_map: SaveMap = None,
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
@@ -340,6 +359,8 @@ def run_command(
                 threads,
                 loops,
                 vocabulary,
+                map_file,
+                localize,
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
             ),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),

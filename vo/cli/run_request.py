@@ -40,15 +40,21 @@ class Settings(NamedTuple):
     threads: int | None
     loops: bool | None
     vocabulary: Path | None
+    map: Path | None
+    localize: bool
     masks: Mapping[str, Sequence[str]]
 
     @property
     def all_overrides(self) -> list[str]:
         """Overrides of settings, including those that have options of their own."""
         threads = [] if self.threads is None else [f"threads={self.threads}"]
-        loops = [] if self.loops is None else [f"memory.loops={json.dumps(self.loops)}"]
+        recognises = True if self.loops is None and self.map is not None else self.loops
+        loops = [] if recognises is None else [f"memory.loops={json.dumps(recognises)}"]
         words = [] if self.vocabulary is None else [str(self.vocabulary)]
         loops += [f"memory.vocabulary={json.dumps(word)}" for word in words]
+        maps = [] if self.map is None else [str(self.map)]
+        loops += [f"memory.map={json.dumps(path)}" for path in maps]
+        loops += ["memory.localize=true"] if self.localize else []
         masks = [f"masks.{k}={json.dumps(texts)}" for k, texts in self.masks.items() if texts]
         return [*self.overrides, *threads, *loops, *masks]
 

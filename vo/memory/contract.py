@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from vo.closed_loops import ClosedLoop
+from vo.closed_loops import ClosedLoop, MapUse
 from vo.errors import OutputError
 from vo.mapping.local_map import LocalMap
 
@@ -16,6 +16,11 @@ class MapMemory(Protocol):
     @property
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
         """Loops that were closed so far."""
+        ...
+
+    @property
+    def map_use(self) -> MapUse | None:
+        """The loaded map, None without one."""
         ...
 
     def begin_frame(self, index: int) -> None:
@@ -47,6 +52,7 @@ class NoMemory:
     """Forgets everything."""
 
     closed_loops: tuple[ClosedLoop, ...] = ()
+    map_use: MapUse | None = None
 
     def begin_frame(self, index: int) -> None:
         """Nothing to do."""

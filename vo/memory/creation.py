@@ -9,6 +9,8 @@ from vo.config import Config
 from vo.errors import ConfigError
 from vo.frontend.contracts import DescriptorFormat
 from vo.geometry.rectification import RectifiedRig
+from vo.memory.loaded_map import load_map
+from vo.memory.map_worlds import WorldsInMap
 from vo.memory.memory import Memory
 from vo.memory.place_maker import PlaceMaker
 from vo.memory.recognition import Recogniser
@@ -41,7 +43,7 @@ def make_memory(
 
     Raises:
         ConfigError: places cannot be recognised by these descriptors.
-        InputError: the vocabulary cannot be read.
+        InputError: the vocabulary or the map cannot be read.
     """
     if descriptors.width != DESCRIPTOR_BYTES or descriptors.dtype != "uint8":
         raise ConfigError(
@@ -55,10 +57,22 @@ def make_memory(
     scale_factor = config.features.scale_factor
     verifier = LoopVerifier(scale_factor, sigma_px=config.patches.sigma_px, seed=config.seed)
     camera = Camera(rig.width, rig.height, rig.fx, rig.fy, rig.cx, rig.cy)
+    database, graph = KeyframeDatabase(vocabulary), PoseGraph(threads)
+    file, loaded, session = config.memory.map, None, 0
+    if file:
+        try:
+            loaded = load_map(Path(file), database, is_metric=rig.is_stereo)
+        except BaseException:
+            database.close()
+            raise
+        graph.add_map(loaded.placed, loaded.is_metric)
+        session = len(loaded.sessions)
+    localizes = config.memory.localize
     return Memory(
-        PlaceMaker(0, scale_factor, is_metric=rig.is_stereo),
-        Recogniser(KeyframeDatabase(vocabulary), verifier, camera, threads),
-        PoseGraph(threads),
+        PlaceMaker(session, scale_factor, is_metric=rig.is_stereo),
+        Recogniser(database, verifier, camera, threads, loaded, localizes=localizes),
+        graph,
         trajectory,
         stopwatch,
+        WorldsInMap(file, loaded),
     )

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from vo.backend.pose_graph import PoseGraph
-from vo.closed_loops import ClosedLoop
+from vo.closed_loops import ClosedLoop, MapUse
 from vo.geometry.transforms import inverse, rotation_angle
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
+from vo.memory.map_worlds import WorldsInMap
 from vo.memory.place_maker import PlaceMaker
 from vo.memory.recognition import Recogniser
 from vo.places.records import Loop, PlacedKeyframes, PlaceKey
@@ -44,6 +45,7 @@ class Memory:
         graph: places them in the map frame.
         trajectory: follows.
         stopwatch: measures the stages.
+        worlds: those of a loaded map.
     """
 
     def __init__(
@@ -53,12 +55,14 @@ class Memory:
         graph: PoseGraph,
         trajectory: TrajectoryBuilder,
         stopwatch: Stopwatch,
+        worlds: WorldsInMap,
     ) -> None:
         self.stopwatch = stopwatch
         self._maker = maker
         self._recogniser = recogniser
         self._graph = graph
         self._trajectory = trajectory
+        self._worlds = worlds
         self._frames: dict[PlaceKey, FrameId] = {}
         self._loops: list[Loop] = []
         self._closed: dict[int, ClosedLoop] = {}  # by index of the loop
@@ -73,6 +77,11 @@ class Memory:
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
         """Loops that the pose graph believes, in the order in which they were found."""
         return tuple(self._closed[n] for n in sorted(self._closed))
+
+    @property
+    def map_use(self) -> MapUse | None:
+        """The loaded map, None without one."""
+        return self._worlds.use
 
     @timed("memory")
     def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
@@ -173,16 +182,19 @@ class Memory:
         before = {n: self._pose(loops[n].later) for n in new}
         apart = {n: self._is_apart(loops[n]) for n in new}
         connected = _of_worlds(placed, [loops[n] for n in touched])
+        connected = self._worlds.numbered(connected, self._frames)
         self._trajectory.place(connected, self._maker.session)
         for n in new:
             self._closed[n] = self._report(loops[n], before[n], is_merge=apart[n])
         self._unmarked = [n for n in self._unmarked if n in self._closed] + new
 
     def _report(self, loop: Loop, before: Floats, *, is_merge: bool) -> ClosedLoop:
-        later, earlier = self._frames[loop.later], self._frames[loop.earlier]
+        later, known = self._frames[loop.later], self._worlds.frame(loop.earlier)
+        earlier = known or self._frames[loop.earlier]
+        kind = "merge" if is_merge else "loop"
         change = inverse(before) @ self._pose(loop.later)
         return ClosedLoop(
-            kind="merge" if is_merge else "loop",
+            kind=kind if known is None else "session",
             frame=later.index,
             earlier_frame=earlier.index,
             segment=later.segment,
@@ -191,11 +203,14 @@ class Memory:
             corrected_from=None,
             correction_m=None if is_merge else float(np.linalg.norm(change[:3, 3])),
             correction_deg=None if is_merge else math.degrees(rotation_angle(change[:3, :3])),
+            earlier_session=None if known is None else loop.earlier.session,
         )
 
     def _is_apart(self, loop: Loop) -> bool:
-        """Whether a loop connects segments that were not connected before."""
+        """Whether a loop connects worlds that were not connected before."""
         store = self._trajectory.store
+        if self._worlds.frame(loop.earlier) is not None:
+            return store.world(self._frames[loop.later].segment) not in self._worlds.met
         worlds = {store.world(self._frames[k].segment) for k in (loop.earlier, loop.later)}
         return len(worlds) > 1
 

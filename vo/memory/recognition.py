@@ -8,6 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from vo.errors import OutputError
+from vo.memory.loaded_map import LoadedMap, with_covariance_of
 from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapHeader, write_map
@@ -46,14 +48,25 @@ class Recogniser:
         verifier: decides on candidates.
         camera: ideal (rectified) camera of the keyframes.
         threads: with one, keyframes are looked for when the result is requested.
+        loaded: map whose keyframes are in the database, or None.
+        localizes: whether keyframes are looked for in the map alone and not stored.
     """
 
     def __init__(
-        self, database: KeyframeDatabase, verifier: LoopVerifier, camera: Camera, threads: int
+        self,
+        database: KeyframeDatabase,
+        verifier: LoopVerifier,
+        camera: Camera,
+        threads: int,
+        loaded: LoadedMap | None = None,
+        *,
+        localizes: bool = False,
     ) -> None:
         self._database = database
         self._verifier = verifier
         self._camera = camera
+        self._loaded = loaded
+        self._localizes = localizes
         self._recent: deque[Place] = deque(maxlen=_SUCCESSION)  # newest first, of one segment
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
         self._future: Future[Recognised] | None = None
@@ -87,9 +100,19 @@ class Recogniser:
         """Write all stored keyframes that are placed; none may be without a result.
 
         Raises:
-            OutputError: the file cannot be written.
+            OutputError: the file cannot be written, or the loaded map is of another camera.
         """
-        header = MapHeader(self._camera, self._database.vocabulary.id, (source,))
+        sessions: tuple[str, ...] = (source,)
+        if self._loaded is not None:
+            if self._loaded.camera != self._camera:
+                raise OutputError(
+                    f"the map {path} is not saved: the loaded one was made with another camera, "
+                    "and a map has one camera"
+                )
+            sessions = (*self._loaded.sessions, source)
+            placed = with_covariance_of(placed, self._loaded.placed)
+            loops = [*self._loaded.loops, *loops]
+        header = MapHeader(self._camera, self._database.vocabulary.id, sessions)
         known = set(placed.keys)
         keyframes = ((k, self._database.encoded(k)) for k in self._database if k in known)
         kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]
@@ -105,13 +128,14 @@ class Recogniser:
         if self._recent and self._recent[0].frame.segment != place.frame.segment:
             self._recent.clear()
         self._recent.appendleft(place)
-        removed = self._database.add(place)
+        removed = () if self._localizes else self._database.add(place)
         loop = None
         for candidate in self._database.query(place)[:_MAX_CANDIDATES]:
             loop = self._verified(candidate)
             if loop is not None:
                 self._database.protect(loop.earlier)
-                self._database.protect(loop.later)
+                if not self._localizes:
+                    self._database.protect(loop.later)
                 break
         return Recognised(place, removed, loop)
 
@@ -123,5 +147,8 @@ class Recogniser:
             place = self._database.get(key)
             if place.frame.segment == earlier.frame.segment and len(beside) <= _NEIGHBOURS:
                 beside.append(place)
-        result = self._verifier.verify(list(self._recent), beside, self._camera)
+        loaded = self._loaded
+        is_loaded = loaded is not None and candidate.key in loaded.frames
+        camera = loaded.camera if loaded is not None and is_loaded else None
+        result = self._verifier.verify(list(self._recent), beside, self._camera, camera)
         return result if isinstance(result, Loop) else None

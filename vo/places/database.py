@@ -94,8 +94,12 @@ class KeyframeDatabase:
         """Bag of words of the (N, width) descriptors of an image."""
         return self.vocabulary.bag(descriptor)
 
-    def add(self, place: Place) -> tuple[PlaceKey, ...]:
+    def add(self, place: Place, *, removes_redundant: bool = True) -> tuple[PlaceKey, ...]:
         """Store a keyframe; returns the keys of those removed because they became redundant.
+
+        Args:
+            place: the keyframe.
+            removes_redundant: false for one of a loaded map, of which all are needed.
 
         Raises:
             OutputError: the temporary file cannot be written, such as on a full disk. The keyframe
@@ -118,7 +122,8 @@ class KeyframeDatabase:
             total, count = self._consecutive
             self._consecutive = total + similarity(self._latest, bag), count + 1
         self._latest = bag
-        return self._remove_redundant(number) if self._removes_redundant else ()
+        removes = removes_redundant and self._removes_redundant
+        return self._remove_redundant(number) if removes else ()
 
     def get(self, key: PlaceKey) -> Place:
         """A stored keyframe.

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
-from vo.closed_loops import ClosedLoop
+from vo.closed_loops import ClosedLoop, MapUse
 from vo.failures import Failure, describe
 from vo.printable import counted
 from vo.results.environment import peak_rss_mb, versions
@@ -24,6 +24,7 @@ from vo.results.warnings import (
     calibration_warnings,
     far_scene_warnings,
     image_defect_warnings,
+    map_warnings,
 )
 from vo.types import Ints, PlacedFrames, Skipped, State
 
@@ -76,6 +77,7 @@ class RunState:
         live: None for a recording.
         hidden: ratio of the recorded images that masks hide, by camera.
         loops: that were closed.
+        map_use: the loaded map, None without one.
         networks: what is known of each network in use.
     """
 
@@ -93,6 +95,7 @@ class RunState:
     live: LiveState | None = None
     hidden: tuple[float, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
+    map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
 
 
@@ -147,6 +150,7 @@ class Summary:
     live: LiveSummary | None = None
     hidden: tuple[float, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
+    map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
 
     @property
@@ -184,6 +188,7 @@ class Summary:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
+        del fields["map_use"]
         del fields["main_failure"]  # without_pose has the reasons
         profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
         live: LiveSummary | None = fields.pop("live")
@@ -196,6 +201,7 @@ class Summary:
             "topics": list(facts.topics),
             "hidden": list(self.hidden),
             "loops": [_loop_fields(loop) for loop in self.loops],
+            **({} if self.map_use is None else {"map": asdict(self.map_use)}),
             "networks": [dict(network) for network in self.networks],
             "skipped": [asdict(s) for s in self.skipped],
             "faults": [record.to_dict() for record in self.faults],
@@ -255,6 +261,7 @@ def summarise(state: RunState) -> Summary:
         hidden=tuple(round(ratio, 4) for ratio in state.hidden),
         networks=state.networks,
         loops=state.loops,
+        map_use=state.map_use,
         profile=state.profile,
         live=None
         if state.live is None
@@ -279,6 +286,8 @@ def _range_fields(range_: FrameRange) -> dict[str, Any]:
 
 def _loop_fields(loop: ClosedLoop) -> dict[str, Any]:
     fields = asdict(loop)
+    if loop.earlier_session is None:
+        del fields["earlier_session"]
     for name in ("correction_m", "correction_deg"):
         fields[name] = None if fields[name] is None else round(fields[name], 4)
     return fields
@@ -322,6 +331,7 @@ def _warnings(summary: Summary) -> list[str]:
             [record.kind for record in summary.faults if not record.is_handled],
         ),
         *far_scene_warnings(summary.median_disparity_px),
+        *map_warnings(summary.map_use, [s.segment for s in summary.segments]),
         *_world_warnings(summary),
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from vo.calibration_errors import LensError, RightCameraError
+from vo.closed_loops import MapUse
 from vo.failures import ImageDefect
 from vo.faults import FaultKind
 from vo.results.frames_without_pose import FrameRange
@@ -51,6 +52,24 @@ def calibration_warnings(
     if lens is not None and FaultKind.WRONG_LENS not in open_faults:
         warnings.append(_lens_warning(lens))
     return warnings
+
+
+def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
+    """A warning if parts of the path are not in the world of the loaded map.
+
+    Args:
+        use: the loaded map, None without one.
+        segments: numbers of the worlds of the run.
+    """
+    if use is None or not segments:
+        return []
+    apart = [segment for segment in segments if segment not in use.met]
+    if not apart:
+        return []
+    if len(apart) == len(segments):
+        return [f"the run never met the map {use.file}: the path is in a world of its own"]
+    numbers = ", ".join(str(segment) for segment in apart)
+    return [f"not in the world of the map {use.file}, in worlds of their own: segments {numbers}"]
 
 
 def far_scene_warnings(median_disparity_px: float | None) -> list[str]:

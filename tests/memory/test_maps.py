@@ -1,0 +1,150 @@
+"""Second sessions in the map of a first one."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_synth.frame_rendering import render_frames
+from data_synth.plan import make_plan
+from data_synth.recipe import load_recipe
+from data_synth.writers import euroc
+from vo.config import load_config
+from vo.errors import ConfigError, SourceError
+from vo.formats.trajectory import read_tum
+from vo.places.map_file import MapFile
+from vo.run_recording import run
+from vo.types import Floats, Trajectory
+
+END = 45
+
+
+def _render(folder: Path, session: int) -> Path:
+    """A part of a round through a room at 10 Hz, as EuRoC, in stereo images of 301 x 192."""
+    settings = ["motion=loop", "seconds=40", "fps=10", "scale=0.4", f"session={session}"]
+    plan = make_plan(load_recipe("demo", settings))
+    taken = slice(END)
+    truth = plan.recording.cam0_truth
+    recording = replace(
+        plan.recording,
+        stamps_ns=tuple(stamps[taken] for stamps in plan.recording.stamps_ns),
+        dropped=tuple(dropped[taken] for dropped in plan.recording.dropped),
+        cam0_truth=Trajectory(truth.stamps_ns[taken], truth.world_from_cam[taken]),
+    )
+    with ThreadPoolExecutor() as pool:
+        euroc.write(folder, recording, render_frames(plan, pool, range(END)), "png")
+    return folder
+
+
+def _run(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:
+    run(
+        recording,
+        output,
+        config=load_config("default", ["memory.loops=true", *settings]),
+        **options,
+    )
+    summary: dict[str, Any] = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    return summary
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the first session, and its map."""
+    folder = tmp_path_factory.mktemp("maps")
+    _render(folder / "room", 0)
+    _run(folder / "room", folder / "out", save_map=folder / "room.map", mode="stereo")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def second(first: Path) -> Path:
+    """The second session: other light, noise and path."""
+    return _render(first / "again", 1)
+
+
+def _world_from_map(recording: Path) -> Floats:
+    """Pose of the map frame in the true world: the first pose of the first session."""
+    return np.asarray(read_tum(recording / "groundtruth.tum").world_from_cam[0])
+
+
+def _errors(output: Path, recording: Path, world_from_map: Floats) -> Floats:
+    """Position errors in metres, in the world of the map, without alignment."""
+    path, truth = read_tum(output / "trajectory.tum"), read_tum(recording / "groundtruth.tum")
+    rows = np.searchsorted(truth.stamps_ns, path.stamps_ns)
+    positions = (world_from_map @ path.world_from_cam)[:, :3, 3]
+    return np.asarray(np.linalg.norm(positions - truth.world_from_cam[rows][:, :3, 3], axis=1))
+
+
+@pytest.mark.parametrize("localize", [False, True])
+def test_a_second_session_is_in_the_world_of_the_map(
+    first: Path, second: Path, tmp_path: Path, localize: bool
+) -> None:
+    file = first / "room.map"
+    before = file.read_bytes()
+    saved = tmp_path / "both.map"
+    options = {} if localize else {"save_map": saved}
+    settings = [f"memory.map={json.dumps(str(file))}", f"memory.localize={json.dumps(localize)}"]
+    summary = _run(second, tmp_path / "out", *settings, mode="stereo", **options)
+    assert summary["map"]["met"] == [0]
+    loops = [loop for loop in summary["loops"] if loop["kind"] == "session"]
+    assert len(loops) >= 3
+    assert {loop["earlier_session"] for loop in loops} == {0}
+    errors = _errors(tmp_path / "out", second, _world_from_map(first / "room"))
+    assert len(errors) >= 0.9 * END
+    assert np.median(errors) < 0.03
+    assert file.read_bytes() == before
+    if localize:
+        assert len(loops) == len(summary["loops"])
+        return
+    with MapFile(file) as old, MapFile(saved) as both:
+        assert both.header.sessions == (str(first / "room"), str(second))
+        assert {key.session for key in both.keys} == {0, 1}
+        assert set(old.keys) <= set(both.keys)
+        assert set(both.placed.world.tolist()) == {0}
+        row_of = {key: n for n, key in enumerate(both.keys)}
+        kept = both.placed.world_from_cam[[row_of[key] for key in old.keys]]
+        np.testing.assert_allclose(kept, old.placed.world_from_cam, atol=1e-6)
+
+
+def test_a_run_that_never_meets_the_map_keeps_its_own_world_and_says_so(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    setting = f"memory.map={json.dumps(str(first / 'room.map'))}"
+    summary = _run(second, tmp_path / "with", setting, mode="stereo", end=4)
+    _run(second, tmp_path / "without", mode="stereo", end=4)
+    assert summary["map"]["met"] == []
+    assert any("never met the map" in text for text in summary["warnings"])
+    for name in ("trajectory.tum", "causal.tum", "covariance.csv"):
+        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+
+
+def test_maps_of_another_kind_are_refused(first: Path, tmp_path: Path) -> None:
+    file = first / "room.map"
+    setting = f"memory.map={json.dumps(str(file))}"
+    with pytest.raises(ConfigError, match=r"made with stereo or depth, this run has one camera"):
+        _run(first / "room", tmp_path / "mono", setting, mode="mono")
+    with pytest.raises(SourceError, match=r"cannot read the map .*none\.map"):
+        _run(first / "room", tmp_path / "none", 'memory.map="none.map"')
+    cut = tmp_path / "cut.map"
+    cut.write_bytes(file.read_bytes()[:-100])
+    with pytest.raises(SourceError, match="damaged or cut off"):
+        _run(first / "room", tmp_path / "cut", f"memory.map={json.dumps(str(cut))}")
+
+
+def test_settings_that_contradict_each_other_are_refused(first: Path, tmp_path: Path) -> None:
+    setting = f"memory.map={json.dumps(str(first / 'room.map'))}"
+    with pytest.raises(ConfigError, match="--loops"):
+        _run(first / "room", tmp_path / "a", setting, "memory.loops=false")
+    with pytest.raises(ConfigError, match="--map FILE"):
+        _run(first / "room", tmp_path / "b", "memory.localize=true")
+    with pytest.raises(ConfigError, match="--save-map"):
+        _run(
+            *(first / "room", tmp_path / "c", setting, "memory.localize=true"),
+            save_map=tmp_path / "x.map",
+        )

@@ -1,0 +1,62 @@
+"""Worlds of a run that goes on in a loaded map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vo.closed_loops import MapUse
+from vo.mapping.keyframe import FrameId
+from vo.memory.loaded_map import LoadedMap
+from vo.places.records import PlacedKeyframes, PlaceKey
+
+
+class WorldsInMap:
+    """Which worlds of the run are in the map, and the frames of its keyframes.
+
+    The pose graph numbers the worlds of the map first. For the run a world has the number of the
+    first of its own segments, as without a map.
+
+    Attributes:
+        met: numbers of the worlds of the run that are in the map.
+
+    Args:
+        file: of the map.
+        loaded: the map, None without one.
+    """
+
+    def __init__(self, file: str, loaded: LoadedMap | None) -> None:
+        self.met: tuple[int, ...] = ()
+        self._file = file
+        self._loaded = loaded
+
+    @property
+    def use(self) -> MapUse | None:
+        """What is reported, None without a map."""
+        if self._loaded is None:
+            return None
+        return MapUse(self._file, self._loaded.sessions, self.met)
+
+    def frame(self, key: PlaceKey) -> FrameId | None:
+        """The frame of a keyframe of the map, None for another one."""
+        return None if self._loaded is None else self._loaded.frames.get(key)
+
+    def numbered(self, placed: PlacedKeyframes, frames: dict[PlaceKey, FrameId]) -> PlacedKeyframes:
+        """Placed keyframes with the run's numbers of worlds; notes which of them are in the map.
+
+        Args:
+            placed: keyframes of the connected worlds.
+            frames: those of the keyframes of the run.
+        """
+        if self._loaded is None:
+            return placed
+        last = int(self._loaded.placed.world.max(initial=-1))
+        number: dict[int, int] = {}
+        for key, world in zip(placed.keys, placed.world.tolist(), strict=True):
+            if key in frames:
+                segment = frames[key].segment
+                number[world] = min(number.get(world, segment), segment)
+        self.met = tuple(sorted(n for world, n in number.items() if world <= last))
+        world = np.array([number.get(w, w) for w in placed.world.tolist()], np.int64)
+        return replace(placed, world=world)
