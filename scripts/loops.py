@@ -42,11 +42,11 @@ COURSES = {
         "effects.kidnap=2",
     ),
     "office corridor, two laps": (
-        *("world=corridor", "camera=euroc", "seconds=150", "fps=8", "seed=3"),
+        *("world=corridor", "camera=euroc", "seconds=180", "fps=5", "seed=3"),
         "laps=[forward,forward]",
     ),
     "warehouse aisles, two laps": (
-        *("world=warehouse", "camera=pinhole", "seconds=170", "fps=6", "seed=4"),
+        *("world=warehouse", "camera=pinhole", "seconds=240", "fps=5", "seed=4"),
         "laps=[forward,forward]",
     ),
     "street block, two laps": (
