@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
 
 from vo.settings import Section, expert
 
@@ -38,8 +37,7 @@ def _known_detector(name: str) -> str:
     known = get_args(DetectorName)
     if name not in known and not name.startswith(OWN_NETWORK):
         names = ", ".join(f"'{each}'" for each in known)
-        message = "Input should be {names} or 'onnx:FILE'"
-        raise PydanticCustomError("literal_error", message, {"names": names})
+        raise ValueError(f"Input should be {names} or 'onnx:FILE' (found {name!r})")
     return name
 
 

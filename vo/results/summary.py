@@ -173,11 +173,16 @@ class Summary:
                 self.tracked + self.interpolated,
                 len(self.segments),
                 self.median_inliers,
-                not all(record.is_handled for record in self.faults),
+                self.merges > 0 or not all(record.is_handled for record in self.faults),
                 self.disparity_offset_px,
                 bool(self.warnings),
             )
         )
+
+    @property
+    def merges(self) -> int:
+        """Number of places by which segments were joined."""
+        return sum(loop.kind == "merge" for loop in self.loops)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -362,6 +367,11 @@ def _world_warnings(summary: Summary) -> list[str]:
     warnings = []
     if len(summary.segments) > 1:
         warnings.append(f"{len(summary.segments)} segments, each in its own world frame")
+    if summary.merges:
+        warnings.append(
+            "segments were joined where they seem to show the same place: places that look alike, "
+            "such as corridors, can be joined wrongly; compare with --no-loops"
+        )
     if summary.facts.mode == "mono" and summary.tracked:
         warnings.append(
             "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
