@@ -26,7 +26,9 @@ _ROOMS_WITH_KERNELS = (
     "formats",
     "frontend",
     "geometry",
+    "learned",
     "mapping",
+    "places",
     "tracking",
 )
 _SIZE = (240, 320)  # of the images, rows and columns

@@ -19,10 +19,10 @@ _WORSE = 4  # exit status
 _MAX_ROWS = 40
 
 Before = Annotated[
-    Path, typer.Argument(metavar="DIR1", help="Output of the first batch.", show_default=False)
+    Path, typer.Argument(metavar="BEFORE", help="Output of the first batch.", show_default=False)
 ]
 After = Annotated[
-    Path, typer.Argument(metavar="DIR2", help="Output of the second batch.", show_default=False)
+    Path, typer.Argument(metavar="AFTER", help="Output of the second batch.", show_default=False)
 ]
 Output = Annotated[
     Path | None,
