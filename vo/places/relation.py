@@ -19,7 +19,7 @@ _CONVERGED = 1e-4  # squared Mahalanobis length of a step
 
 
 class LandmarkPairs(NamedTuple):
-    """N landmarks of an earlier keyframe and the same ones as a later one knows them.
+    """N landmarks of an earlier keyframe and the same ones of a later keyframe.
 
     Attributes:
         earlier: (N, 3) in the frame of the earlier keyframe.
@@ -49,12 +49,10 @@ class Relation(NamedTuple):
 
     Attributes:
         earlier_from_later: (4, 4) similarity.
-        squared: (N,) squared errors of the pairs in standard deviations, the larger of both images.
         information: (7, 7) of the tangent in the frame of the later keyframe.
     """
 
     earlier_from_later: Floats
-    squared: Floats
     information: Floats
 
 
@@ -83,7 +81,7 @@ def sample_relation(
     triples = (
         np.argsort(rng.random((_SAMPLES, count)), axis=1)[:, :3]
         if count < 64
-        else (rng.integers(0, count, (_SAMPLES, 3)))
+        else rng.integers(0, count, (_SAMPLES, 3))
     )
     relations = _of_triples(pairs.earlier[triples], pairs.later[triples], with_scale)
     if len(relations) == 0:
@@ -204,8 +202,8 @@ def refine_relation(
         relation = relation @ sim3.retract(step)
         if step[:size] @ damped @ step[:size] < _CONVERGED:
             break
-    normal, _, squared = _normal_equations(relation, pairs, cameras, 9.0)
-    return Relation(relation, squared, normal)
+    normal, _, _ = _normal_equations(relation, pairs, cameras, 9.0)
+    return Relation(relation, normal)
 
 
 def pair_errors(

@@ -1,4 +1,4 @@
-"""Landmarks that several keyframes of a segment know, in the frame of the first one."""
+"""Landmarks of several keyframes of a segment, merged in the frame of the first one."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _MAX_SIGMA = 0.3  # relative standard deviation of a depth, above which a landma
 
 
 @dataclass(frozen=True, eq=False)
-class KnownLandmarks:
-    """Landmarks as structs of arrays; those that the first keyframe observes come first.
+class MergedLandmarks:
+    """Landmarks of some keyframes; rows belong together, those of the first keyframe come first.
 
     Attributes:
         own: number of landmarks that the first keyframe observes.
@@ -43,10 +43,10 @@ class KnownLandmarks:
     patch: Bytes
 
 
-def know_landmarks(places: Sequence[Place]) -> KnownLandmarks:
+def merge_landmarks(places: Sequence[Place]) -> MergedLandmarks:
     """Landmarks of keyframes of one segment, each taken from the first keyframe that observes it.
 
-    Only those in front of the first keyframe, whose depths are known.
+    Only those in front of the first keyframe, whose depths are landmarks.
     """
     first = places[0]
     xyz, parts = [], []
@@ -63,7 +63,7 @@ def know_landmarks(places: Sequence[Place]) -> KnownLandmarks:
         counts.append(len(rows))
         xyz.append(points[rows])
         parts.append((landmarks, rows))
-    return KnownLandmarks(
+    return MergedLandmarks(
         counts[0],
         np.concatenate(xyz),
         np.concatenate([p.xy[r].astype(np.float64) for p, r in parts]),
@@ -76,12 +76,12 @@ def know_landmarks(places: Sequence[Place]) -> KnownLandmarks:
 
 
 class LandmarksInView(NamedTuple):
-    """Known landmarks that another keyframe should see.
+    """Landmarks that another keyframe should see.
 
     Attributes:
-        rows: (n,) of them.
+        rows: (n,) of the merged landmarks.
         xy: (n, 2) pixels there.
-        size: (n,) their sizes there, relative to those here.
+        size: (n,) their sizes there relative to those here.
     """
 
     rows: Ints
@@ -90,23 +90,25 @@ class LandmarksInView(NamedTuple):
 
 
 def in_view(
-    there_from_here: Floats, known: KnownLandmarks, here: Camera, there: Camera
+    there_from_here: Floats, landmarks: MergedLandmarks, here: Camera, there: Camera
 ) -> LandmarksInView:
     """Landmarks that the camera `there` should see.
 
     Args:
         there_from_here: (4, 4) similarity.
-        known: landmarks of a keyframe here.
+        landmarks: of a keyframe here.
         here: its camera.
         there: the other camera.
     """
-    moved = known.xyz @ there_from_here[:3, :3].T + there_from_here[:3, 3]
+    moved = landmarks.xyz @ there_from_here[:3, :3].T + there_from_here[:3, 3]
     unit = float(sim3.scale_of(there_from_here))
     depth = np.maximum(moved[:, 2], 1e-9)
     u = there.fx * moved[:, 0] / depth + there.cx
     v = there.fy * moved[:, 1] / depth + there.cy
     size = (
-        unit * np.linalg.norm(known.xyz, axis=1) / np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
+        unit
+        * np.linalg.norm(landmarks.xyz, axis=1)
+        / np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
     )
     size *= there.fx / here.fx
     inside = (u >= 0) & (u < there.width) & (v >= 0) & (v < there.height) & (moved[:, 2] > 1e-6)
@@ -115,13 +117,13 @@ def in_view(
     return LandmarksInView(rows, np.stack([u[rows], v[rows]], axis=1), size[rows])
 
 
-def observed_xy(known: KnownLandmarks, rows: Ints, camera: Camera) -> Floats:
+def observed_xy(landmarks: MergedLandmarks, rows: Ints, camera: Camera) -> Floats:
     """Pixels (n, 2) where the earlier keyframe observes landmarks, or should."""
-    p = known.xyz[rows]
+    p = landmarks.xyz[rows]
     depth = np.where(np.abs(p[:, 2]) > 1e-9, p[:, 2], 1e-9)
     xy = np.stack(
         [camera.fx * p[:, 0] / depth + camera.cx, camera.fy * p[:, 1] / depth + camera.cy], axis=1
     )
-    own = rows < known.own
-    xy[own] = known.xy[rows[own]]
+    own = rows < landmarks.own
+    xy[own] = landmarks.xy[rows[own]]
     return xy
