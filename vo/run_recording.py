@@ -118,7 +118,8 @@ def run(
             cannot be used.
         OutputError: the folder or the recording cannot be written, another run is writing there,
             it holds files of others with names of a run's, two outputs are the same file or
-            one is the input, no viewer answers, or poses cannot be sent.
+            one is an input, the map is of another camera and cannot be saved, no viewer answers,
+            or poses cannot be sent.
         KeyboardInterrupt: a stop signal came before the last frame, or the reader of the poses on
             standard output is gone.
     """
@@ -136,6 +137,9 @@ def run(
         locked_folder(Path(output)),
         closing(Odometry(stream.rig, config, components, process)) as odometry,
     ):
+        save_map = options.get("save_map")
+        if save_map is not None:
+            odometry.memory.check_savable(save_map)
         if every > 1 and isinstance(stream, Recording):
             interpolated = InterpolatedFrames(stream.stamps_ns, request.stride, every)
             odometry.trajectory.interpolated = interpolated
@@ -168,19 +172,15 @@ def _check_outputs(
         raise ConfigError("--localize adds nothing to the map; leave out --save-map")
     rrd = options.get("rrd")
     path = Path(source) if isinstance(source, str | Path) else None
-    files = (
-        rrd,
-        exports.mcap,
-        exports.ply,
-        exports.colmap,
-        options.get("record"),
-        options.get("save_map"),
-    )
+    files = (rrd, exports.mcap, exports.ply, exports.colmap, options.get("record"))
+    save_map = options.get("save_map")
     masks = [Path(split_cameras(text)[1]) for text in config.masks.files]
-    read = [Path(memory.map)] if memory.map and memory.localize else []
-    inputs = (path, options.get("calibration"), *masks, *read)
-    refuse_to_overwrite(inputs, (Path(output), *files))
-    refuse_to_collide(Path(output), files)
+    vocabulary = Path(memory.vocabulary) if memory.vocabulary else None
+    inputs = (path, options.get("calibration"), vocabulary, *masks)
+    refuse_to_overwrite(inputs, (Path(output), *files, save_map))
+    # Only the new map may replace the old one.
+    refuse_to_overwrite([Path(memory.map) if memory.map else None], (Path(output), *files))
+    refuse_to_collide(Path(output), (*files, save_map))
 
 
 def _open(source: str | Path | FrameStream, config: Config, options: RunOptions) -> FrameStream:

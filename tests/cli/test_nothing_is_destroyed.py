@@ -47,6 +47,7 @@ def names_in(folder: Path) -> list[str]:
         ["calibrate", "images", "-o", "images/camera.yaml"],
         ["calibrate", "images", "--picture", "images/coverage.png"],
         ["eval", "estimate.tum", "images", "--picture", "images/errors.png"],
+        ["vocabulary", "train", "images", "-o", "images/new.words"],
     ],
 )
 def test_nothing_is_written_inside_a_recording(
@@ -82,6 +83,25 @@ def test_images_of_a_pattern_are_not_replaced(images: Path) -> None:
         refused = vo("info", pattern, "--picture", images / name)
         assert_refused(refused, "is an input and would be replaced")
     refuse_to_overwrite([pattern], [images / "out" / "sheet.png", images.parent / "0.png"])
+
+
+@pytest.mark.parametrize("option", ["--rrd", "--mcap", "--ply", "--colmap"])
+@pytest.mark.parametrize("read", ["--map", "--vocabulary"])
+def test_a_map_and_a_vocabulary_are_not_replaced_by_another_output(
+    read: str, option: str, images: Path, out: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "precious"
+    path.write_text("mine", encoding="utf-8")
+    refused = vo_run(images, out, "--loops", read, path, option, path)
+    assert_refused(refused, "precious is an input and would be replaced")
+    assert path.read_text(encoding="utf-8") == "mine"
+
+
+def test_an_exported_map_does_not_replace_the_map(tmp_path: Path) -> None:
+    path = tmp_path / "a.map"
+    path.write_text("mine", encoding="utf-8")
+    assert_refused(vo("map", "export", path, "-o", path), "is an input and would be replaced")
+    assert path.read_text(encoding="utf-8") == "mine"
 
 
 def test_a_calibration_is_replaced_only_when_asked_for(

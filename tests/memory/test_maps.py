@@ -16,9 +16,9 @@ from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from data_synth.writers import euroc
 from vo.config import load_config
-from vo.errors import ConfigError, SourceError
+from vo.errors import ConfigError, OutputError, SourceError
 from vo.formats.trajectory import read_tum
-from vo.places.map_file import MapFile
+from vo.places.map_file import MapFile, write_map
 from vo.run_recording import run
 from vo.types import Floats, Trajectory
 
@@ -135,6 +135,20 @@ def test_maps_of_another_kind_are_refused(first: Path, tmp_path: Path) -> None:
     cut.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(SourceError, match="damaged or cut off"):
         _run(first / "room", tmp_path / "cut", f"memory.map={json.dumps(str(cut))}")
+
+
+def test_a_map_of_another_camera_is_not_saved_and_the_run_does_not_begin(
+    first: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.map"
+    with MapFile(first / "room.map") as stored:
+        camera = replace(stored.header.camera, fx=1.01 * stored.header.camera.fx)
+        keyframes = [(key, stored.encoded(key)) for key in stored.keys]
+        write_map(other, replace(stored.header, camera=camera), keyframes, stored.placed)
+    setting = f"memory.map={json.dumps(str(other))}"
+    with pytest.raises(OutputError, match="made with another camera"):
+        _run(first / "room", tmp_path / "out", setting, mode="stereo", save_map=other)
+    assert not list((tmp_path / "out").glob("*.*"))
 
 
 def test_settings_that_contradict_each_other_are_refused(first: Path, tmp_path: Path) -> None:

@@ -72,7 +72,9 @@ def map_command(
     from vo.errors import ConfigError
     from vo.places.map_file import MapFile
     from vo.places.map_points import export_ply
+    from vo.results.output_paths import refuse_to_overwrite
 
+    refuse_to_overwrite([file], [output])
     if (action is MapAction.EXPORT) != (output is not None):
         raise ConfigError("-o FILE.ply belongs to `vo map export`, which needs it")
     with MapFile(file) as map_file:

@@ -65,12 +65,14 @@ def vocabulary_command(
     """
     from vo.laboratory.vocabulary_training import train_on
     from vo.places.vocabulary_file import write_vocabulary
+    from vo.results.output_paths import refuse_to_overwrite
 
-    def say(name: str, count: int) -> None:
+    def report(name: str, count: int) -> None:
         if not quiet:
             echo(f"{name}: {count} images", err=True)
 
-    vocabulary = train_on(sources, every, on_recording=say)
+    refuse_to_overwrite(sources, [output])
+    vocabulary = train_on(sources, every, on_recording=report)
     write_vocabulary(output, vocabulary)
     result = {
         "output": str(output),

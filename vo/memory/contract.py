@@ -35,11 +35,19 @@ class MapMemory(Protocol):
         """After the last frame: take over the keyframes of the map, and take in all results."""
         ...
 
+    def check_savable(self, path: Path) -> None:
+        """Check before the first frame that there will be one map to save.
+
+        Raises:
+            OutputError: there will be none, or the loaded map is of another camera.
+        """
+        ...
+
     def save_map(self, path: Path, source: str) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
 
         Raises:
-            OutputError: the file cannot be written.
+            OutputError: the file cannot be written; errors of `check_savable`.
         """
         ...
 
@@ -64,6 +72,10 @@ class NoMemory:
         """Nothing to take over."""
 
     def save_map(self, path: Path, source: str) -> None:
+        """Nothing to save; errors as for `check_savable`."""
+        self.check_savable(path)
+
+    def check_savable(self, path: Path) -> None:
         """Nothing to save.
 
         Raises:

@@ -127,6 +127,14 @@ class Memory:
             self._take_placed()
         self._unmarked.clear()
 
+    def check_savable(self, path: Path) -> None:
+        """Check before the first frame that the run can be saved with the loaded map.
+
+        Raises:
+            OutputError: the loaded map is of another camera.
+        """
+        self._recogniser.check_savable(path)
+
     def save_map(self, path: Path, source: str) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
 
@@ -135,7 +143,7 @@ class Memory:
             source: name of the recording.
 
         Raises:
-            OutputError: the file cannot be written.
+            OutputError: the file cannot be written, or the loaded map is of another camera.
         """
         self._graph.submit()
         placed = self._graph.result()

@@ -94,6 +94,18 @@ class Recogniser:
                 self._database.remove(key)
         self._recent.clear()
 
+    def check_savable(self, path: Path) -> None:
+        """Check that keyframes of the run can be saved with those of the loaded map.
+
+        Raises:
+            OutputError: the loaded map is of another camera.
+        """
+        if self._loaded is not None and self._loaded.camera != self._camera:
+            raise OutputError(
+                f"the map {path} cannot be saved: the loaded map was made with another camera, "
+                "and a map has one camera; leave out --save-map"
+            )
+
     def save_map(
         self, path: Path, source: str, placed: PlacedKeyframes, loops: Sequence[Loop]
     ) -> None:
@@ -102,13 +114,9 @@ class Recogniser:
         Raises:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
+        self.check_savable(path)
         sessions: tuple[str, ...] = (source,)
         if self._loaded is not None:
-            if self._loaded.camera != self._camera:
-                raise OutputError(
-                    f"the map {path} is not saved: the loaded one was made with another camera, "
-                    "and a map has one camera"
-                )
             sessions = (*self._loaded.sessions, source)
             placed = with_covariance_of(placed, self._loaded.placed)
             loops = [*self._loaded.loops, *loops]
