@@ -41,6 +41,7 @@ def test_a_plane_gives_its_homography(detector: str) -> None:
     moved = [cv2.perspectiveTransform(corners, matrix)[0] for matrix in (found, truth)]
     assert np.abs(moved[0] - moved[1]).max() < 1.0
     assert pair.pose is None and pair.pose_failure is None
+    assert pair.matcher == "brute_force"
     assert set(pair.stage_ms) == {"features", "matching", "geometry"}
 
 
@@ -56,6 +57,7 @@ def test_a_scene_with_depth_gives_the_motion(detector: str, matcher: str) -> Non
     direction = MOTION[:3, 3] / np.linalg.norm(MOTION[:3, 3])
     assert float(motion[:3, 3] @ direction) > np.cos(np.deg2rad(5.0))
     assert pair.pose.in_front > 0.9 * pair.inlier.sum()
+    assert pair.matcher == matcher
 
 
 def test_the_model_can_be_chosen() -> None:

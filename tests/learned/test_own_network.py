@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from learned_cases import BACKENDS, require_backend, textured
@@ -113,9 +114,15 @@ def test_a_method_may_name_a_matcher_behind_the_path(tmp_path: Path) -> None:
         assert len(matched.first) == 4
 
 
-def test_the_command_says_what_is_wrong(tmp_path: Path) -> None:
-    import cv2
+@pytest.mark.parametrize(("choice", "used"), [([], "mnn"), (["--matcher", "flann"], "flann")])
+def test_the_matcher_that_was_used_is_printed(choice: list[str], used: str, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), textured((64, 64)))
+    image, detector = str(tmp_path / "a.png"), f"onnx:{network(tmp_path / 'own.onnx')}"
+    result = CliRunner().invoke(app, ["match", image, image, "--detector", detector, *choice])
+    assert f"4 ({used})" in result.stdout, result.stderr
 
+
+def test_the_command_reports_what_is_wrong(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), textured((64, 64)))
     words = ["features", str(tmp_path / "a.png"), "--detector"]
     good = CliRunner().invoke(app, [*words, f"onnx:{network(tmp_path / 'own.onnx')}"])

@@ -79,9 +79,10 @@ MatcherOption = Annotated[
     Matcher | None,
     typer.Option(
         "--matcher",
-        help="Exact search, approximate search (flann, ann), or exact search and the support of "
-        "neighbours instead of a ratio test (gms).",
-        show_default="brute_force",
+        help="Exact search with or without a ratio test (brute_force, mnn), approximate search "
+        "(flann, ann), exact search and the support of neighbours instead of a ratio test (gms), "
+        "or a learned network.",
+        show_default="brute_force, for learned features mnn",
         rich_help_panel=_FEATURES,
     ),
 ]

@@ -48,15 +48,13 @@ def print_failures(pair: ImagePair, console: Console) -> None:
 def _facts(
     pair: ImagePair, options: PairOptions, names: tuple[str, str]
 ) -> Iterator[tuple[str, str]]:
-    features, matching = options.config.features, options.config.matching
+    features = options.config.features
     for side, (name, size) in enumerate(zip(names, pair.sizes, strict=True)):
         yield "" if side else "images", f"{name} ({size[0]}x{size[1]})"
     descriptor = "" if features.descriptor == "auto" else f"+{features.descriptor}"
     counts = " and ".join(str(len(each)) for each in pair.keypoints)
     yield "keypoints", f"{counts} ({features.detector}{descriptor})"
-    matcher = "gms" if options.grid_motion else matching.method
-    exact = "brute_force" if matcher == "auto" else matcher
-    yield "matches", f"{len(pair.matches.query)} ({exact})"
+    yield "matches", f"{len(pair.matches.query)} ({pair.matcher})"
     fit = pair.fit
     if fit is None:
         return

@@ -12,7 +12,7 @@ import numpy as np
 
 from vo.config import Config
 from vo.features.extractor import make_extractor
-from vo.features.matching import grid_motion_consistent, make_matcher
+from vo.features.matching import grid_motion_consistent, make_matcher, method_of
 from vo.frontend.contracts import FeatureExtractor, Matches, feature_set
 from vo.geometry.cameras import ideal_pixels
 from vo.geometry.model_selection import fit_best
@@ -51,6 +51,7 @@ class ImagePair:
         sizes: (width, height) of both images.
         keypoints: features of both images.
         matches: rows of the features that belong together.
+        matcher: what found them: a value of `matching.method` other than `auto`, or `gms`.
         fit: the model of the matches; of cameras with a lens, its pixels are those of ideal pinhole
             cameras with the same matrix.
         failure: why there is no model, None if there is one.
@@ -63,6 +64,7 @@ class ImagePair:
     sizes: tuple[tuple[int, int], tuple[int, int]]
     keypoints: tuple[Keypoints, Keypoints]
     matches: Matches
+    matcher: str
     fit: Fit | None
     failure: FitFailure | None
     pose: RelativePose | None
@@ -111,9 +113,10 @@ def match_images(
     sizes = tuple((image.shape[1], image.shape[0]) for image in images)
     with watch("matching"):
         matches = _matches(extractor, (first, second), (sizes[0], sizes[1]), options)
+    matcher = "gms" if options.grid_motion else method_of(config.matching, extractor)
     pair = ImagePair(
         (sizes[0], sizes[1]),
-        *((first, second), matches, None, None, None, None, options.cameras, watch.ms),
+        *((first, second), matches, matcher, None, None, None, None, options.cameras, watch.ms),
     )
     with watch("geometry"):
         return _with_geometry(pair, options)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.compiling.function import compiled
-from vo.config import FeaturesConfig, MatchingConfig
+from vo.config import FeaturesConfig, MatchingConfig, MatchingName
 from vo.features.nearest import Nearest, make_search
 from vo.features.opencv import require_function
 from vo.frontend.contracts import (
@@ -111,12 +111,18 @@ def make_matcher(
 
         near = DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
         return make_learned_matcher(config.method, features, near)
-    if config.method == "auto" and getattr(extractor, "suits_mutual_matching", False):
-        return DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
+    method = method_of(config, extractor)
     is_default = extractor.descriptor_format == HammingMatcher.descriptor_format
-    if config.method == "auto" and config.cross_check and is_default:
+    if config.method == "auto" and method != "mnn" and config.cross_check and is_default:
         return HammingMatcher(config)
-    return DescriptorMatcher(config)
+    return DescriptorMatcher(config.model_copy(update={"method": method}))
+
+
+def method_of(config: MatchingConfig, extractor: FeatureExtractor) -> MatchingName:
+    """The configured method; for `auto` the one that suits an extractor's descriptors."""
+    if config.method != "auto":
+        return config.method
+    return "mnn" if getattr(extractor, "suits_mutual_matching", False) else "brute_force"
 
 
 def distances(query: Descriptors, train: Descriptors, q: Ints, t: Ints) -> Floats:
