@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from learned_cases import BACKENDS, require_backend
 
-from vo.errors import ConfigError
+from vo.errors import ConfigError, ModelError
 from vo.learned import inference
 from vo.learned.inference import load, networks_used
 
@@ -65,6 +66,18 @@ def test_auto_takes_what_works_and_tells_it(
     assert network.model == "doubling"
     assert network.sha256 == hashlib.sha256(doubling.read_bytes()).hexdigest()
     assert caplog.messages == [f"doubling runs in {network.runs_in}"]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_inputs_that_a_network_cannot_compute_are_one_line(doubling: Path, backend: Any) -> None:
+    require_backend(backend)
+    network = load(doubling, backend)
+    x = np.zeros((1, 3), np.float32)
+    for inputs, outputs in (({"z": x}, ["y"]), ({"x": x}, ["z"])):
+        with pytest.raises(ModelError, match=r"doubling\.onnx fails in O.*: .*z") as caught:
+            network.run(inputs, outputs)
+        assert "\n" not in str(caught.value)
+    np.testing.assert_array_equal(network.run({"x": x + 1}, ["y"])[0], [[2, 2, 2]])
 
 
 def test_networks_loaded_elsewhere_are_not_counted(doubling: Path) -> None:

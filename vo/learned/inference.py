@@ -60,7 +60,11 @@ class Inference(Protocol):
         ...
 
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
-        """The outputs of these names; may be called from several threads."""
+        """The outputs of these names; may be called from several threads.
+
+        Raises:
+            ModelError: the network cannot compute these inputs.
+        """
         ...
 
 
@@ -71,18 +75,22 @@ class OpenCvInference:
     device = "cpu"
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         try:
             self._net = cv2.dnn.readNetFromONNX(str(path))
         except cv2.error as error:
-            raise ModelError(f"{path} cannot be loaded by OpenCV: {error.err}") from error
+            raise ModelError(f"{path} cannot be loaded by OpenCV: {_reason(error)}") from error
         self._lock = threading.Lock()
 
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
         """See `Inference.run`."""
         with self._lock:
-            for name, value in inputs.items():
-                self._net.setInput(value, name)
-            return [np.asarray(each) for each in self._net.forward(list(outputs))]
+            try:
+                for name, value in inputs.items():
+                    self._net.setInput(value, name)
+                return [np.asarray(each) for each in self._net.forward(list(outputs))]
+            except cv2.error as error:
+                raise ModelError(f"{self._path} fails in OpenCV: {_reason(error)}") from error
 
 
 class OnnxRuntimeInference:
@@ -101,6 +109,7 @@ class OnnxRuntimeInference:
     def __init__(self, path: Path, device: Device = "auto", threads: int = 0) -> None:
         import onnxruntime
 
+        self._path = path
         available = onnxruntime.get_available_providers()
         wanted = _AUTOMATIC if device == "auto" else (device,)
         providers = [_PROVIDERS[name] for name in wanted if _PROVIDERS[name] in available]
@@ -112,7 +121,9 @@ class OnnxRuntimeInference:
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=providers)
         except Exception as error:  # of several kinds, none of them exported
-            raise ModelError(f"{path} cannot be loaded by ONNX Runtime: {error}") from error
+            raise ModelError(
+                f"{path} cannot be loaded by ONNX Runtime: {_reason(error)}"
+            ) from error
         # A provider whose libraries are missing is left out without an error.
         used = self._session.get_providers()[0]
         if device != "auto" and used != _PROVIDERS[device]:
@@ -126,7 +137,10 @@ class OnnxRuntimeInference:
 
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
         """See `Inference.run`."""
-        results: list[Any] = self._session.run(list(outputs), dict(inputs))
+        try:
+            results: list[Any] = self._session.run(list(outputs), dict(inputs))
+        except Exception as error:  # of several kinds, none of them exported
+            raise ModelError(f"{self._path} fails in ONNX Runtime: {_reason(error)}") from error
         return [np.asarray(each) for each in results]
 
 
@@ -180,6 +194,11 @@ def networks_used() -> Iterator[list[Network]]:
         yield networks
     finally:
         _used.reset(token)
+
+
+def _reason(error: Exception) -> str:
+    """The end of a backend's message, which has the cause, as one line."""
+    return " ".join(str(error).split())[-160:]
 
 
 def _no_device(device: Device, available: Sequence[str]) -> str:

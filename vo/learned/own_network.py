@@ -74,9 +74,9 @@ class OwnExtractor:
         repeated = np.repeat(given, self._channels, axis=1)
         try:
             found = self._inference.run({"image": repeated}, OWN_OUTPUTS)
-        except Exception as error:  # of several kinds, by backend
-            reason = " ".join(str(error).split())[-160:]
-            raise _refused(self._name, f"an error with the input 'image': {reason}") from error
+        except ModelError as error:
+            reason = str(error).removeprefix(f"{self._name} ")
+            raise _refused(self._name, f"an error with the input 'image': it {reason}") from error
         shapes = ", ".join(f"{n} {a.shape}" for n, a in zip(OWN_OUTPUTS, found, strict=True))
         xy, score, descriptor = (
             a[0] if a.ndim > axes and len(a) == 1 else a
