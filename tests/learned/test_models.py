@@ -48,7 +48,6 @@ def replace_model(sha256: str) -> catalog.Model:
         member="tiny/weights.pt",
         weights_sha256=sha256,
         make=tiny_model,
-        outputs=("y",),
     )
 
 

