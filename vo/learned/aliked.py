@@ -12,16 +12,23 @@ import numpy as np
 
 from vo.compiling.function import compiled
 from vo.frontend.contracts import DescriptorFormat
-from vo.learned.aliked_graph import HEAD, POSITIONS, SCALES
+from vo.learned.aliked_graph import ALIKED_OUTPUTS, HEAD, POSITIONS
 from vo.learned.inference import Inference
-from vo.learned.maps import bilinear, network_input, without_border, without_neighbours
+from vo.learned.maps import (
+    bilinear,
+    masked,
+    network_input,
+    no_keypoints,
+    strongest,
+    unit_keypoints,
+    without_border,
+    without_neighbours,
+)
 from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
 
 _MULTIPLE = 32  # of both sides of the network's input
 _RADIUS = 2  # of the square in which a keypoint is the maximum, and is found between pixels
 _TEMPERATURE = 0.1  # of the soft-argmax
-_LEVELS = tuple(f"level{n + 1}" for n in range(len(SCALES)))
-_OUTPUTS = ("score", *_LEVELS, *HEAD)  # OpenCV wants all outputs of a network to be asked for
 _SELU_ALPHA, _SELU_SCALE = 1.6732632423543772, 1.0507009873554805
 
 
@@ -40,7 +47,7 @@ class AlikedExtractor:
         self._inference = inference
         self._count = count
         blank = np.zeros((1, 1, _MULTIPLE, _MULTIPLE), np.float32)
-        self._head = inference.run({"image": blank}, _OUTPUTS)[-len(HEAD) :]
+        self._head = inference.run({"image": blank}, ALIKED_OUTPUTS)[-len(HEAD) :]
         self.descriptor_format = DescriptorFormat(self._head[-1].shape[-1], np.dtype(np.float32))
 
     def extract(
@@ -48,33 +55,19 @@ class AlikedExtractor:
     ) -> Keypoints:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
         if min(image.shape) < _MULTIPLE:
-            return self._keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, 0), np.float32))
+            return no_keypoints(self.descriptor_format.width)
         given = network_input(image, _MULTIPLE)
-        score, *levels = self._inference.run({"image": given}, _OUTPUTS)[: -len(HEAD)]
+        score, *levels = self._inference.run({"image": given}, ALIKED_OUTPUTS)[: -len(HEAD)]
         height, width = image.shape
         score = np.ascontiguousarray(score[0, 0, :height, :width])
         peaks = without_border(without_neighbours(score, _RADIUS), _RADIUS)
-        if mask is not None:
-            peaks = np.where(mask > 0, peaks, np.float32(0.0))
-        v, u = np.nonzero(peaks > 0)
-        order = np.lexsort((u, v, -peaks[v, u]))[: self._count]
-        v, u = v[order], u[order]
+        v, u = strongest(masked(peaks, mask), self._count)
         xy = np.stack([u, v], axis=1) + soft_argmax_offsets(score, v, u)
         strength = bilinear(score, xy)
         order = np.lexsort((u, v, -strength))
         xy, strength = xy[order], strength[order]
         maps = tuple(np.ascontiguousarray(level[0]) for level in levels)
-        return self._keypoints(xy, strength, describe(maps, (width, height), xy, self._head))
-
-    def _keypoints(self, xy: Floats, strength: Floats, descriptor: Floats32) -> Keypoints:
-        count = len(xy)
-        return Keypoints(
-            xy.astype(np.float32),
-            np.zeros(count, np.int32),
-            np.full(count, np.nan, np.float32),
-            strength.astype(np.float32),
-            descriptor.reshape(count, self.descriptor_format.width).astype(np.float32),
-        )
+        return unit_keypoints(xy, strength, describe(maps, (width, height), xy, self._head))
 
 
 def soft_argmax_offsets(score: Floats32, v: Ints, u: Ints) -> Floats:

@@ -21,6 +21,8 @@ _TAPS = 9  # of a kernel of 3 x 3
 SCALES = (1, 2, 8, 32)  # pixels of the image a side for each cell of the four levels
 HEAD = ("head1", "bias1", "head2", "bias2", "single", "mixing")
 """Outputs that do not depend on the image: weights of the head that describes keypoints."""
+# OpenCV computes either all outputs of a network or none.
+ALIKED_OUTPUTS = ("score", *(f"level{n + 1}" for n in range(len(SCALES))), *HEAD)
 _HEAD_WEIGHTS = (
     "offset_conv.0.weight",
     "offset_conv.0.bias",

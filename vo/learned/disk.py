@@ -13,7 +13,14 @@ import numpy as np
 from vo.frontend.contracts import DescriptorFormat
 from vo.learned.disk_graph import DISK_OUTPUTS
 from vo.learned.inference import Inference
-from vo.learned.maps import learned_keypoints, network_input, parabola_offsets, strongest
+from vo.learned.maps import (
+    learned_keypoints,
+    masked,
+    network_input,
+    no_keypoints,
+    parabola_offsets,
+    strongest,
+)
 from vo.types import Bytes, Floats32, Ints, Keypoints
 
 _MULTIPLE = 16  # of both sides of the network's input
@@ -45,17 +52,14 @@ class DiskExtractor:
     ) -> Keypoints:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
         if min(image.shape) < _MIN_SIDE:
-            nothing = np.empty((0, self.descriptor_format.width))
-            return learned_keypoints(np.empty((0, 2)), np.empty(0), nothing)
+            return no_keypoints(self.descriptor_format.width)
         given = network_input(image, _MULTIPLE)
         heat, features, weight, bias = self._inference.run({"image": given}, DISK_OUTPUTS)
         height, width = image.shape
         inner = np.ascontiguousarray(heat[0, 0, :height, :width])
         highest = cv2.dilate(inner, np.ones((_SUPPRESSION_PX,) * 2, np.uint8))
         peaks = np.where((inner == highest) & (inner > _MIN_HEAT), inner, np.float32(0.0))
-        if mask is not None:
-            peaks = np.where(mask > 0, peaks, np.float32(0.0))
-        v, u = strongest(peaks, self._count)
+        v, u = strongest(masked(peaks, mask), self._count)
         xy = np.stack([u, v], axis=1) + parabola_offsets(inner, v, u)
         described = convolved_at(features[0], weight, bias.reshape(-1), v, u)
         return learned_keypoints(xy, inner[v, u], described)

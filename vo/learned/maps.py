@@ -23,6 +23,11 @@ def network_input(image: Bytes, multiple: int) -> Floats32:
     return padded(image, multiple).astype(np.float32)[None, None] / np.float32(255.0)
 
 
+def masked(values: Floats32, mask: Bytes | None) -> Floats32:
+    """The map (H, W) with 0 where a mask is 0; without a mask the map itself."""
+    return values if mask is None else np.where(mask > 0, values, np.float32(0.0))
+
+
 def without_neighbours(score: Floats32, radius: int) -> Floats32:
     """The map (H, W) where it is the maximum of the square around it, 0 elsewhere.
 
@@ -77,13 +82,25 @@ def learned_keypoints(
 ) -> Keypoints:
     """Features without scale and angle; descriptors (N, D) are made unit vectors."""
     length = np.maximum(np.linalg.norm(descriptor, axis=1, keepdims=True), 1e-12)
+    return unit_keypoints(xy, score, descriptor / length)
+
+
+def unit_keypoints(
+    xy: Floats, score: Floats | Floats32, descriptor: Floats | Floats32
+) -> Keypoints:
+    """Features without scale and angle, with descriptors (N, D) of unit length."""
     return Keypoints(
         xy.astype(np.float32),
         np.zeros(len(xy), np.int32),
         np.full(len(xy), np.nan, np.float32),
         score.astype(np.float32),
-        (descriptor / length).astype(np.float32),
+        descriptor.astype(np.float32),
     )
+
+
+def no_keypoints(width: int) -> Keypoints:
+    """No features, of descriptors of a width."""
+    return unit_keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, width)))
 
 
 def to_cells(xy: Floats) -> Floats:

@@ -16,7 +16,7 @@ from vo.errors import ModelError
 from vo.extras import require
 from vo.frontend.contracts import DescriptorFormat
 from vo.learned.inference import Backend, Device, Inference, load
-from vo.learned.maps import learned_keypoints, network_input
+from vo.learned.maps import learned_keypoints, network_input, no_keypoints
 from vo.types import Bytes, Floats32, Keypoints
 
 OWN_OUTPUTS = ("keypoints", "scores", "descriptors")
@@ -56,7 +56,7 @@ class OwnExtractor:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
         width = self.descriptor_format.width
         if min(image.shape) < _MULTIPLE:
-            return learned_keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, width)))
+            return no_keypoints(width)
         xy, score, descriptor = self._run(network_input(image, _MULTIPLE))
         if descriptor.shape[1] != width:
             raise _refused(

@@ -16,7 +16,9 @@ from vo.learned.inference import Inference
 from vo.learned.maps import (
     bilinear,
     learned_keypoints,
+    masked,
     network_input,
+    no_keypoints,
     strongest,
     without_border,
     without_neighbours,
@@ -54,17 +56,14 @@ class SuperPointExtractor:
     ) -> Keypoints:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
         if min(image.shape) < _MIN_SIDE:
-            nothing = np.empty((0, self.descriptor_format.width))
-            return learned_keypoints(np.empty((0, 2)), np.empty(0), nothing)
+            return no_keypoints(self.descriptor_format.width)
         given = network_input(image, _MULTIPLE)
         score, cells = self._inference.run({"image": given}, SUPERPOINT_OUTPUTS)
         height, width = image.shape
         score = np.ascontiguousarray(score[0, 0, :height, :width])
         peaks = without_border(without_neighbours(score, _RADIUS), _BORDER)
         peaks = np.where(peaks > _MIN_SCORE, peaks, np.float32(0.0))
-        if mask is not None:
-            peaks = np.where(mask > 0, peaks, np.float32(0.0))
-        v, u = strongest(peaks, self._count)
+        v, u = strongest(masked(peaks, mask), self._count)
         xy = np.stack([u, v], axis=1).astype(np.float64)
         return learned_keypoints(xy, score[v, u], described_at(cells[0], xy))
 

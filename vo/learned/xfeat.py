@@ -16,10 +16,13 @@ from vo.learned.maps import (
     bicubic,
     bilinear,
     learned_keypoints,
+    masked,
     network_input,
+    no_keypoints,
     parabola_offsets,
     to_cells,
 )
+from vo.learned.xfeat_graph import XFEAT_OUTPUTS
 from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
 
 _MULTIPLE = 32  # of both sides of the network's input
@@ -55,17 +58,14 @@ class XFeatExtractor:
     ) -> tuple[Keypoints, Keypoints]:
         """Features of an image, and given pixels (N, 2) of it as features."""
         if min(image.shape) < _MULTIPLE:
-            nothing = learned_keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, _WIDTH)))
             unknown = learned_keypoints(xy, np.zeros(len(xy)), np.zeros((len(xy), _WIDTH)))
-            return nothing, unknown
+            return no_keypoints(_WIDTH), unknown
         given = network_input(image, _MULTIPLE)
-        features, heat, reliability = self._inference.run(
-            {"image": given}, ["feats", "heat", "rel"]
-        )
+        features, heat, reliability = self._inference.run({"image": given}, XFEAT_OUTPUTS)
         height, width = image.shape
-        heat = heat[0, 0, :height, :width]
-        if mask is not None:
-            heat = np.where(mask > 0, heat, np.float32(0.0))
+        # Before the search for maxima, so that results with masks keep their bits; other networks'
+        # maxima are masked after it, so that no slope at the edge of a mask counts as one.
+        heat = masked(heat[0, 0, :height, :width], mask)
         v, u = maxima(heat)
         found = np.stack([u, v], axis=1) + peak_offsets(heat, v, u)
         score = heat[v, u] * bilinear(reliability[0, 0], to_cells(found))

@@ -16,6 +16,7 @@ from vo.learned.torch_archive import Tensor
 if TYPE_CHECKING:
     from onnx import ModelProto
 
+XFEAT_OUTPUTS = ("feats", "heat", "rel")
 _CELL = 8  # pixels of the image a side for each cell of the feature map
 _LAYERS = {  # stride and side of the kernel of each layer of a block
     "block1": [(1, 3), (2, 3), (1, 3), (2, 3)],
