@@ -15,6 +15,7 @@ from vo.frontend.contracts import DescriptorFormat
 from vo.learned.aliked_graph import ALIKED_OUTPUTS, HEAD, POSITIONS
 from vo.learned.inference import Inference
 from vo.learned.maps import (
+    MIN_SIDE_OF_32,
     bilinear,
     masked,
     network_input,
@@ -46,7 +47,7 @@ class AlikedExtractor:
     def __init__(self, inference: Inference, count: int) -> None:
         self._inference = inference
         self._count = count
-        blank = np.zeros((1, 1, _MULTIPLE, _MULTIPLE), np.float32)
+        blank = np.zeros((1, 1, 2 * _MULTIPLE, 2 * _MULTIPLE), np.float32)
         self._head = inference.run({"image": blank}, ALIKED_OUTPUTS)[-len(HEAD) :]
         self.descriptor_format = DescriptorFormat(self._head[-1].shape[-1], np.dtype(np.float32))
 
@@ -54,7 +55,7 @@ class AlikedExtractor:
         self, image: Bytes, mask: Bytes | None = None, helper: Executor | None = None
     ) -> Keypoints:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
-        if min(image.shape) < _MULTIPLE:
+        if min(image.shape) < MIN_SIDE_OF_32:
             return no_keypoints(self.descriptor_format.width)
         given = network_input(image, _MULTIPLE)
         score, *levels = self._inference.run({"image": given}, ALIKED_OUTPUTS)[: -len(HEAD)]

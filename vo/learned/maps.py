@@ -7,6 +7,11 @@ import numpy as np
 
 from vo.types import Bytes, Floats, Floats32, Ints, Keypoints
 
+MIN_SIDE_OF_32 = 33
+"""Smallest side of an image for networks whose coarsest cells have 32 pixels: two cells.
+
+With one row or column of cells OpenCV 5.0 gives wrong values, which change from call to call.
+"""
 _CELL = 8  # pixels of the image a side for each cell of a map of descriptors
 _CUBIC = -0.75  # parameter of the interpolation kernel (Keys 1981)
 

@@ -16,7 +16,7 @@ from vo.errors import ModelError
 from vo.extras import require
 from vo.frontend.contracts import DescriptorFormat
 from vo.learned.inference import Backend, Device, Inference, load
-from vo.learned.maps import learned_keypoints, network_input, no_keypoints
+from vo.learned.maps import MIN_SIDE_OF_32, learned_keypoints, network_input, no_keypoints
 from vo.types import Bytes, Floats32, Keypoints
 
 OWN_OUTPUTS = ("keypoints", "scores", "descriptors")
@@ -55,7 +55,7 @@ class OwnExtractor:
     ) -> Keypoints:
         """See `vo.frontend.contracts.FeatureExtractor.extract`."""
         width = self.descriptor_format.width
-        if min(image.shape) < _MULTIPLE:
+        if min(image.shape) < MIN_SIDE_OF_32:
             return no_keypoints(width)
         xy, score, descriptor = self._run(network_input(image, _MULTIPLE))
         if descriptor.shape[1] != width:

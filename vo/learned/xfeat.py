@@ -13,6 +13,7 @@ import numpy as np
 from vo.frontend.contracts import DescriptorFormat
 from vo.learned.inference import Inference
 from vo.learned.maps import (
+    MIN_SIDE_OF_32,
     bicubic,
     bilinear,
     learned_keypoints,
@@ -57,7 +58,7 @@ class XFeatExtractor:
         self, image: Bytes, xy: Floats, mask: Bytes | None = None
     ) -> tuple[Keypoints, Keypoints]:
         """Features of an image, and given pixels (N, 2) of it as features."""
-        if min(image.shape) < _MULTIPLE:
+        if min(image.shape) < MIN_SIDE_OF_32:
             unknown = learned_keypoints(xy, np.zeros(len(xy)), np.zeros((len(xy), _WIDTH)))
             return no_keypoints(_WIDTH), unknown
         given = network_input(image, _MULTIPLE)
