@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from learned_cases import BACKENDS, fetched, require_backend, saved, textured
+from learned_cases import BACKENDS, check_extractor, fetched, require_backend, saved, textured
 
 from vo.learned.disk import DiskExtractor, convolved_at
 from vo.learned.disk_graph import DISK_OUTPUTS, disk_model
@@ -102,24 +102,7 @@ def test_the_graph_is_the_network(backend: str, tmp_path: Path) -> None:
 def test_images_of_any_size_and_masks(backend: str, tmp_path: Path) -> None:
     require_backend(backend)
     extractor = DiskExtractor(saved(disk_model(random_weights()), tmp_path, backend), 40)
-    assert extractor.descriptor_format == (DIM, np.dtype(np.float32))
-    for shape in ((32, 32), (33, 70), (61, 129)):
-        image = textured(shape)
-        found = extractor.extract(image)
-        assert 0 < len(found) <= 40
-        assert (found.xy >= 0).all()
-        assert (found.xy <= [shape[1] - 1, shape[0] - 1]).all()
-        np.testing.assert_allclose(np.linalg.norm(found.descriptor, axis=1), 1, atol=1e-5)
-        assert (np.diff(found.response) <= 0).all()
-        again = extractor.extract(image)
-        np.testing.assert_array_equal(found.xy, again.xy)
-        np.testing.assert_array_equal(found.descriptor, again.descriptor)
-        mask = np.full(shape, 255, np.uint8)
-        mask[:, : shape[1] // 2] = 0
-        kept = extractor.extract(image, mask)
-        assert (kept.xy[:, 0] > shape[1] // 2 - 1).all()
-        assert len(extractor.extract(image, np.zeros_like(mask))) == 0
-    assert extractor.extract(textured((31, 200))).descriptor.shape == (0, DIM)
+    check_extractor(extractor, DIM, min_side=32, max_beyond_mask_px=1)
 
 
 def test_peaks_are_found_between_pixels() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from learned_cases import fetched
 from typer.testing import CliRunner
 
 from vo.cli.app import app
@@ -17,8 +18,6 @@ from vo.errors import ConfigError, ModelError
 from vo.features.matching import DescriptorMatcher, make_matcher
 from vo.frontend.contracts import Circles, FeatureSet
 from vo.frontend.orb import OrbExtractor
-from vo.learned.catalog import find_model
-from vo.learned.files import require_model
 from vo.learned.inference import Inference, load
 from vo.learned.lightglue import AssignmentMatcher, LightGlue, matches_of, normalised
 from vo.learned.xfeat import XFeatExtractor
@@ -167,11 +166,7 @@ def test_a_missing_model_names_the_command(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.fixture(scope="module")
 def lighterglue() -> Path:
-    try:
-        require_model(find_model("xfeat"))
-        return require_model(find_model("lighterglue"))
-    except ModelError as error:
-        pytest.skip(str(error))
+    return fetched("lighterglue")
 
 
 def test_an_image_matches_itself_feature_by_feature(
@@ -179,7 +174,7 @@ def test_an_image_matches_itself_feature_by_feature(
 ) -> None:
     image = cv2.imread(str(next(synthetic_stereo.rglob("cam0/data/*.png"))), 0)
     assert image is not None
-    found = XFeatExtractor(load(require_model(find_model("xfeat"))), 400).extract(image)
+    found = XFeatExtractor(load(fetched("xfeat")), 400).extract(image)
     size = (image.shape[1], image.shape[0])
     every = features(found.xy, size, found.descriptor)
     matches = light_glue(load(lighterglue)).match(every, every)

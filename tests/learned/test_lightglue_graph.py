@@ -9,17 +9,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from learned_cases import BACKENDS, SHARED, exported, fetched, require_backend, saved
 from numpy.typing import NDArray
 
-from vo.errors import ModelError
-from vo.learned.catalog import find_model
-from vo.learned.files import require_model
-from vo.learned.inference import Backend, load
+from vo.learned.inference import load
+from vo.learned.lightglue import matches_of, normalised
+from vo.learned.lightglue_graph import lightglue_model
+from vo.learned.xfeat import XFeatExtractor
 from vo.types import Floats32
 
 pytest.importorskip("onnx")
 
-SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 Array = NDArray[Any]
 DIM, HEADS, LAYERS, WIDTH = 16, 2, 3, 10
 
@@ -134,19 +134,15 @@ class Reference:
         return np.asarray(np.log(both * z0 * z1.T))
 
 
-@pytest.mark.parametrize("backend", ["opencv", "onnxruntime"])
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("projected", [True, False])
 def test_the_graph_computes_what_the_paper_describes(
-    backend: Backend, projected: bool, tmp_path: Path
+    backend: str, projected: bool, tmp_path: Path
 ) -> None:
-    from vo.learned.lightglue_graph import lightglue_model
-
-    if backend == "onnxruntime":
-        pytest.importorskip("onnxruntime")
+    require_backend(backend)
     weights = random_weights(projected=projected)
-    path = tmp_path / "lightglue.onnx"
-    path.write_bytes(lightglue_model(weights, HEADS).SerializeToString())
-    network, reference = load(path, backend), Reference(weights)
+    network = saved(lightglue_model(weights, HEADS), tmp_path, backend)
+    reference = Reference(weights)
     for counts in ((30, 40), (1, 1), (1, 7), (50, 2), (30, 40)):
         given = inputs(*counts, WIDTH if projected else DIM)
         (found,) = network.run(given, ["log_assignment"])
@@ -155,20 +151,34 @@ def test_the_graph_computes_what_the_paper_describes(
 
 
 def test_older_names_of_weights_are_known() -> None:
-    from vo.learned.lightglue_graph import lightglue_model
-
     new = lightglue_model(random_weights(), HEADS)
     old = lightglue_model(random_weights(old_names=True), HEADS)
     assert new.SerializeToString() == old.SerializeToString()
 
 
 def test_missing_weights_are_named() -> None:
-    from vo.learned.lightglue_graph import lightglue_model
-
     weights = random_weights()
     del weights["transformers.1.cross_attn.to_v.bias"]
     with pytest.raises(KeyError, match=r"transformers\.1\.cross_attn\.to_v\.bias"):
         lightglue_model(weights, HEADS)
+
+
+@pytest.fixture(scope="module")
+def expected_pairs() -> list[tuple[dict[str, Array], Array, Array]]:
+    """Inputs for ten pairs of images, and the pairs and scores of the authors' file."""
+    runtime = pytest.importorskip("onnxruntime")
+    exported_session = runtime.InferenceSession(str(exported("lighterglue.onnx")))
+    extractor = XFeatExtractor(load(fetched("xfeat")), 512)
+    expected = []
+    for images in image_pairs():
+        given = {}
+        for n, image in enumerate(images):
+            found = extractor.extract(image)
+            size = (image.shape[1], image.shape[0])
+            given[f"kpts{n}"] = normalised(found.xy, size)[None]
+            given[f"desc{n}"] = found.descriptor[None]
+        expected.append((given, *exported_session.run(None, given)))
+    return expected
 
 
 def image_pairs() -> Iterator[tuple[Array, Array]]:
@@ -185,30 +195,14 @@ def image_pairs() -> Iterator[tuple[Array, Array]]:
             yield pair[0], pair[1]
 
 
-@pytest.mark.parametrize("backend", ["opencv", "onnxruntime"])
-def test_our_lighterglue_gives_the_matches_of_the_authors(backend: Backend) -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_our_lighterglue_gives_the_matches_of_the_authors(
+    backend: str, expected_pairs: list[tuple[dict[str, Array], Array, Array]]
+) -> None:
     """Scores differ as much as those of two programs that run the authors' file."""
-    from vo.learned.lightglue import matches_of, normalised
-    from vo.learned.xfeat import XFeatExtractor
-
-    runtime = pytest.importorskip("onnxruntime")
-    theirs = SHARED / "models" / "lighterglue.onnx"
-    if not theirs.is_file():
-        pytest.skip(f"the exported model is not at {theirs}")
-    try:
-        path, xfeat = (require_model(find_model(name)) for name in ("lighterglue", "xfeat"))
-    except ModelError as error:
-        pytest.skip(str(error))
-    ours, exported = load(path, backend), runtime.InferenceSession(str(theirs))
-    extractor = XFeatExtractor(load(xfeat), 512)
+    ours = load(fetched("lighterglue"), backend)  # type: ignore[arg-type]
     differences = []
-    for images in image_pairs():
-        found = [extractor.extract(image) for image in images]
-        given = {f"desc{n}": each.descriptor[None] for n, each in enumerate(found)}
-        for n, image in enumerate(images):
-            size = (image.shape[1], image.shape[0])
-            given[f"kpts{n}"] = normalised(found[n].xy, size)[None]
-        pairs, score = exported.run(None, given)
+    for given, pairs, score in expected_pairs:
         (assignment,) = ours.run(given, ["log_assignment"])
         matches = matches_of(assignment[0], 0.1)
         np.testing.assert_array_equal(np.stack(matches[:2], axis=1), pairs)

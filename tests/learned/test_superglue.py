@@ -7,17 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from learned_cases import BACKENDS, fetch_own_weights, require_backend, saved
 from numpy.typing import NDArray
-from torch_files import old_torch_file, torch_file
 
 from vo.config import MatchingConfig
-from vo.errors import ModelError
 from vo.features.matching import DescriptorMatcher
 from vo.frontend.contracts import FeatureSet
-from vo.learned import files
-from vo.learned.catalog import find_model
-from vo.learned.fetch import fetch
-from vo.learned.inference import Backend, load
+from vo.learned.inference import load
 from vo.learned.lightglue import AssignmentMatcher
 from vo.learned.superglue import SuperGlue, log_assignment, normalised
 from vo.learned.superglue_graph import superglue_model
@@ -117,14 +113,11 @@ def reference(weights: dict[str, Array], given: dict[str, Array]) -> Array:
     return np.asarray(a.T @ b / np.sqrt(DIM))
 
 
-@pytest.mark.parametrize("backend", ["opencv", "onnxruntime"])
-def test_the_graph_computes_what_the_paper_describes(backend: Backend, tmp_path: Path) -> None:
-    if backend == "onnxruntime":
-        pytest.importorskip("onnxruntime")
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_graph_computes_what_the_paper_describes(backend: str, tmp_path: Path) -> None:
+    require_backend(backend)
     weights = random_weights()
-    path = tmp_path / "superglue.onnx"
-    path.write_bytes(superglue_model(weights, HEADS).SerializeToString())
-    network = load(path, backend)
+    network = saved(superglue_model(weights, HEADS), tmp_path, backend)
     for counts in ((30, 40), (1, 1), (7, 1), (30, 40)):
         given = inputs(*counts)
         similarity, bin_score = network.run(given, ["similarity", "bin_score"])
@@ -190,20 +183,7 @@ def test_a_file_of_the_user_becomes_a_matcher(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("VO_MODELS", str(tmp_path / "models"))
-    model = find_model("superglue")
-    source = tmp_path / "superglue_outdoor.pth"
-    source.write_bytes(old_torch_file(random_weights()))  # the format of those years
-    with pytest.raises(ModelError, match="--accept-licence"):
-        fetch(model, str(source))
-    with pytest.raises(ModelError, match="--from FILE"):
-        fetch(model, accept_licence=True)
-    other = tmp_path / "other.pth"
-    other.write_bytes(torch_file({"a": np.zeros(3, np.float32)}))
-    with pytest.raises(ModelError, match=r"weights of 'superglue' lack 'final_proj\.weight'"):
-        fetch(model, str(other), accept_licence=True)
-    assert not files.models_folder().exists()
-    path = fetch(model, str(source), accept_licence=True)
-    assert files.verify(model) == path
+    path = fetch_own_weights("superglue", random_weights(), "final_proj.weight", tmp_path)
     near = DescriptorMatcher(MatchingConfig(method="mnn"))
     matcher = AssignmentMatcher(SuperGlue(load(path)), near, 0.0)
     query, train = features(20, has_response=False), features(20)

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from learned_cases import BACKENDS, require_backend, saved, textured
-from torch_files import old_torch_file
+from learned_cases import (
+    BACKENDS,
+    check_extractor,
+    fetch_own_weights,
+    require_backend,
+    saved,
+    textured,
+)
 
-from vo.errors import ModelError
-from vo.learned import files
-from vo.learned.catalog import find_model
-from vo.learned.fetch import fetch
 from vo.learned.inference import load
 from vo.learned.superpoint import SuperPointExtractor, described_at
 from vo.learned.superpoint_graph import SUPERPOINT_OUTPUTS, superpoint_model
@@ -81,25 +83,13 @@ def test_images_of_any_size_and_masks(backend: str, tmp_path: Path) -> None:
     require_backend(backend)
     model = superpoint_model(random_weights())
     extractor = SuperPointExtractor(saved(model, tmp_path, backend), 40)
-    assert extractor.descriptor_format == (DIM, np.dtype(np.float32))
+    check_extractor(extractor, DIM, min_side=16, max_beyond_mask_px=0)
     for shape in ((16, 17), (33, 70), (61, 129)):
-        image = textured(shape)
-        found = extractor.extract(image)
-        assert 0 < len(found) <= 40
+        found = extractor.extract(textured(shape))
         assert (found.xy >= 4).all()
         assert (found.xy < [shape[1] - 4, shape[0] - 4]).all()
-        np.testing.assert_allclose(np.linalg.norm(found.descriptor, axis=1), 1, atol=1e-5)
-        assert (np.diff(found.response) <= 0).all()
         gap = np.abs(found.xy[:, None] - found.xy[None]).max(axis=2) + 9 * np.eye(len(found))
         assert gap.min() > 4
-        again = extractor.extract(image)
-        np.testing.assert_array_equal(found.xy, again.xy)
-        np.testing.assert_array_equal(found.descriptor, again.descriptor)
-        mask = np.full(shape, 255, np.uint8)
-        mask[:, : shape[1] // 2] = 0
-        assert (extractor.extract(image, mask).xy[:, 0] >= shape[1] // 2).all()
-        assert len(extractor.extract(image, np.zeros_like(mask))) == 0
-    assert extractor.extract(textured((15, 200))).descriptor.shape == (0, DIM)
 
 
 def test_descriptors_between_cells() -> None:
@@ -117,18 +107,5 @@ def test_a_file_of_the_user_is_needed_and_the_licence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("VO_MODELS", str(tmp_path / "models"))
-    model = find_model("superpoint")
-    source = tmp_path / "superpoint_v1.pth"
-    source.write_bytes(old_torch_file(random_weights()))
-    with pytest.raises(ModelError, match="--accept-licence"):
-        fetch(model, str(source))
-    with pytest.raises(ModelError, match="--from FILE"):
-        fetch(model, accept_licence=True)
-    other = tmp_path / "other.pth"
-    other.write_bytes(old_torch_file({"a": np.zeros(3, np.float32)}))
-    with pytest.raises(ModelError, match=r"weights of 'superpoint' lack 'conv1a\.weight'"):
-        fetch(model, str(other), accept_licence=True)
-    assert not files.models_folder().exists()
-    path = fetch(model, str(source), accept_licence=True)
-    assert files.verify(model) == path
+    path = fetch_own_weights("superpoint", random_weights(), "conv1a.weight", tmp_path)
     assert len(SuperPointExtractor(load(path), 50).extract(textured((64, 64)))) > 0

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from learned_cases import BACKENDS, fetched, require_backend, textured
+from learned_cases import BACKENDS, exported, fetched, require_backend, ten_images, textured
 
 from vo.learned.inference import load
 from vo.learned.maps import bicubic, bilinear, to_cells
 from vo.learned.xfeat import XFeatExtractor, maxima, peak_offsets
+from vo.learned.xfeat_graph import XFEAT_OUTPUTS
 from vo.types import Floats32
-
-MODELS = Path(__file__).resolve().parents[2].parent / "shared" / "models"
 
 
 def test_cells_of_pixels() -> None:
@@ -100,32 +98,13 @@ def test_the_smallest_images_give_the_same_in_both_backends(shape: tuple[int, in
         np.testing.assert_allclose(found.descriptor, expected.descriptor, atol=1e-4)
 
 
-@pytest.mark.parametrize("backend", ["opencv", "onnxruntime"])
-def test_our_graph_gives_the_outputs_of_the_authors(
-    backend: str, synthetic_stereo: Path, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_our_graph_gives_the_outputs_of_the_authors(backend: str, synthetic_stereo: Path) -> None:
     """The authors' weights, in our graph, against a file that torch has exported."""
-    if not (MODELS / "xfeat.onnx").is_file():
-        pytest.skip(f"the exported model is not at {MODELS}")
-    pytest.importorskip("onnx")
-    if backend == "onnxruntime":
-        pytest.importorskip("onnxruntime")
-    from vo.errors import ModelError
-    from vo.learned.catalog import find_model
-    from vo.learned.files import require_model
-
-    try:
-        path = require_model(find_model("xfeat"))
-    except ModelError as error:
-        pytest.skip(str(error))
-    ours, theirs = load(path, backend), load(MODELS / "xfeat.onnx", backend)  # type: ignore[arg-type]
-    files = sorted(synthetic_stereo.rglob("cam0/data/*.png"))[:10]
-    assert len(files) == 10
-    for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        assert image is not None
-        height, width = (n // 32 * 32 for n in image.shape)
-        given = {"image": image[None, None, :height, :width].astype(np.float32) / 255}
-        names = ["feats", "heat", "rel"]
-        for a, b in zip(ours.run(given, names), theirs.run(given, names), strict=True):
+    require_backend(backend)
+    ours, theirs = (load(each, backend) for each in (fetched("xfeat"), exported("xfeat.onnx")))  # type: ignore[arg-type]
+    for image in ten_images(synthetic_stereo):
+        given = {"image": image[None, None].astype(np.float32) / 255}
+        both = ours.run(given, XFEAT_OUTPUTS), theirs.run(given, XFEAT_OUTPUTS)
+        for a, b in zip(*both, strict=True):
             np.testing.assert_allclose(a, b, atol=1e-4)

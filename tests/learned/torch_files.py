@@ -8,7 +8,7 @@ import sys
 import types
 import zipfile
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -59,65 +59,66 @@ def _torch_names() -> Iterator[types.ModuleType]:
 _KINDS = {"f4": "FloatStorage", "i8": "LongStorage", "f2": "HalfStorage"}
 
 
+def _content(
+    tensors: Mapping[str, NDArray[Any]], extra: Any
+) -> tuple[dict[str, Any], list[_Storage]]:
+    """What is pickled, and the storages of its tensors."""
+    storages = {n: _Storage(str(i), t) for i, (n, t) in enumerate(tensors.items())}
+    content: dict[str, Any] = OrderedDict(
+        (n, _Tensor(storages[n], 0, t.shape, tuple(s // t.itemsize for s in t.strides)))
+        for n, t in tensors.items()
+    )
+    if extra is not None:
+        content["extra"] = extra
+    return content, list(storages.values())
+
+
+def _pickled(torch: types.ModuleType, content: Any, *view: None) -> bytes:
+    """A pickle that names storages; files of before torch 1.6 add a view to each."""
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, value: Any) -> Any:
+            if not isinstance(value, _Storage):
+                return None
+            kind = getattr(torch, _KINDS[value.numbers.dtype.str[1:]])
+            return ("storage", kind, value.key, "cpu", value.numbers.size, *view)
+
+    data = io.BytesIO()
+    Pickler(data, protocol=2).dump(content)
+    return data.getvalue()
+
+
 def torch_file(
     tensors: Mapping[str, NDArray[Any]], extra: Any = None, group: str | None = None
 ) -> bytes:
     """A file with named tensors, perhaps in a group, and with something else to be pickled."""
-    storages = {n: _Storage(str(i), t) for i, (n, t) in enumerate(tensors.items())}
-    content: dict[str, Any] = OrderedDict(
-        (n, _Tensor(storages[n], 0, t.shape, tuple(s // t.itemsize for s in t.strides)))
-        for n, t in tensors.items()
-    )
-    if extra is not None:
-        content["extra"] = extra
+    content, storages = _content(tensors, extra)
     content = content if group is None else {group: content}
-    return torch_archive(content, storages.values())
+    return torch_archive(content, storages)
 
 
 def old_torch_file(tensors: Mapping[str, NDArray[Any]], extra: Any = None) -> bytes:
     """The same in the format of before torch 1.6: pickles, and the numbers one after the other."""
-    storages = {n: _Storage(str(i), t) for i, (n, t) in enumerate(tensors.items())}
-    content: dict[str, Any] = OrderedDict(
-        (n, _Tensor(storages[n], 0, t.shape, tuple(s // t.itemsize for s in t.strides)))
-        for n, t in tensors.items()
-    )
-    if extra is not None:
-        content["extra"] = extra
+    content, storages = _content(tensors, extra)
     data = io.BytesIO()
     system = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"int": 4}}
     with _torch_names() as torch:
-
-        class Pickler(pickle.Pickler):
-            def persistent_id(self, value: Any) -> Any:
-                if not isinstance(value, _Storage):
-                    return None
-                kind = getattr(torch, _KINDS[value.numbers.dtype.str[1:]])
-                return ("storage", kind, value.key, "cpu", value.numbers.size, None)
-
-        keys = [storage.key for storage in storages.values()]
+        keys = [storage.key for storage in storages]
         for part in (0x1950A86A20F9469CFC6C, 1001, system, content, keys):
-            Pickler(data, protocol=2).dump(part)
-    for storage in storages.values():
+            data.write(_pickled(torch, part, None))
+    for storage in storages:
         data.write(storage.numbers.size.to_bytes(8, "little"))
         data.write(storage.numbers.tobytes(order="A"))
     return data.getvalue()
 
 
-def torch_archive(content: Any, storages: Any) -> bytes:
+def torch_archive(content: Any, storages: Iterable[_Storage]) -> bytes:
+    """A file with any content, and its storages."""
     with _torch_names() as torch:
-
-        class Pickler(pickle.Pickler):
-            def persistent_id(self, value: Any) -> Any:
-                if not isinstance(value, _Storage):
-                    return None
-                kind = getattr(torch, _KINDS[value.numbers.dtype.str[1:]])
-                return ("storage", kind, value.key, "cpu", value.numbers.size)
-
-        pickled = io.BytesIO()
-        Pickler(pickled, protocol=2).dump(content)
+        pickled = _pickled(torch, content)
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w") as archive:
-        archive.writestr("model/data.pkl", pickled.getvalue())
+        archive.writestr("model/data.pkl", pickled)
         for storage in storages:
             numbers = storage.numbers
             archive.writestr(f"model/data/{storage.key}", numbers.tobytes(order="A"))
