@@ -18,7 +18,7 @@ from vo.types import Floats
 
 
 class Initializers(NamedTuple):
-    """What makes a first map.
+    """Creators of a first map.
 
     Attributes:
         stereo: of a pair, or of a depth camera.
@@ -32,12 +32,12 @@ class Initializers(NamedTuple):
 
 
 class MapCreator:
-    """Creates the first map of a segment, with features of the second kind if it must be.
+    """Creates the first map of a segment, from features of the second kind if the first fail.
 
     Args:
         local_map: the map.
-        initializers: what makes it.
-        rescue: knows whether there is a second kind of features.
+        initializers: create it.
+        rescue: decides whether features of the second kind may help.
         tracker: tracks the frames before the second one in the new map.
         updater: optimises the new map.
         trajectory: stores the poses of these frames.
@@ -74,7 +74,7 @@ class MapCreator:
         is_fresh = not self._monocular.waiting
         keyframe = self._create(self._monocular, frame, pose, segment)
         if isinstance(keyframe, Failure) and self._rescue.may_cure(keyframe) and is_fresh:
-            if before is not None and not self._second.has_reference:
+            if not (self._map.rig.is_stereo or before is None or self._second.has_reference):
                 self._second.attempt(before.of_kind(is_second=True))
             again = self._create(self._second, frame.of_kind(is_second=True), pose, segment)
             keyframe = keyframe if isinstance(again, Failure) else again
@@ -89,21 +89,12 @@ class MapCreator:
         pose: Floats,
         segment: int,
     ) -> Keyframe | Failure:
+        """A map from this frame of a pair, or from two frames of a single camera.
+
+        The frames between these two had no map yet; they are tracked now, for the smoothed path.
+        """
         if self._map.rig.is_stereo:
             return self._stereo.create_map(frame, pose, segment)
-        return self._create_mono(initializer, frame, pose, segment)
-
-    def _create_mono(
-        self,
-        initializer: MonocularInitializer,
-        frame: PreprocessedFrame,
-        pose: Floats,
-        segment: int,
-    ) -> Keyframe | Failure:
-        """The second of two keyframes that make a map.
-
-        The frames between them had no map yet; they are tracked now, for the smoothed path.
-        """
         pair = initializer.attempt(frame)
         if isinstance(pair, Failure):
             return pair
