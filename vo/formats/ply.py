@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from vo.formats.complete_file import complete_file
 from vo.types import Bytes, Floats
 
 _ROW = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
@@ -38,21 +38,7 @@ def write_ply(path: Path, count: int, parts: Iterable[tuple[Floats, Bytes]], com
         OSError: the file cannot be written.
     """
     header = _HEADER.format(comment=" ".join(comment.split()), count=count)
-    target = Path(os.path.realpath(path))  # through links
-    if target.exists() and not target.is_file():  # a pipe or a device
-        _write(target, header, parts)
-        return
-    partial = target.with_name(target.name + ".partial")
-    try:
-        _write(partial, header, parts)
-        os.replace(partial, target)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
-
-
-def _write(path: Path, header: str, parts: Iterable[tuple[Floats, Bytes]]) -> None:
-    with path.open("wb") as file:
+    with complete_file(path) as file:
         file.write(header.encode("ascii", "replace"))
         for xyz, grey in parts:
             rows = np.empty(len(xyz), dtype=_ROW)

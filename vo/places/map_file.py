@@ -1,7 +1,7 @@
 """Map files: stored keyframes, where they are placed, and the loops between them.
 
 docs/map-format.md describes the layout. Every part has a checksum, the index is at the end, and
-each keyframe is read alone. A file is written beside its place and renamed when it is complete.
+each keyframe is read alone.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 
 from vo.bounded_documents import load_json
 from vo.errors import OutputError, SourceError
+from vo.formats.complete_file import complete_file
 from vo.places.encoding import decode_place
 from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
 from vo.types import Camera
@@ -51,7 +52,7 @@ _LOOP = np.dtype(
 
 @dataclass(frozen=True)
 class MapHeader:
-    """What a map says of itself.
+    """Description of a map.
 
     Attributes:
         camera: the rectified camera 0 of the last session, whose pixels those of keyframes are.
@@ -75,7 +76,7 @@ def write_map(
 
     Args:
         path: the file.
-        header: what the map says of itself.
+        header: description of the map.
         keyframes: keys and bytes (`KeyframeDatabase.encoded`), all of them placed.
         placed: where keyframes are; those that are not written are left out.
         loops: those that the pose graph believes.
@@ -83,16 +84,10 @@ def write_map(
     Raises:
         OutputError: the file cannot be written; one that was there is as before.
     """
-    target = Path(os.path.realpath(path))  # through links
-    partial = target.with_name(f"{target.name}.partial")
     try:
-        with partial.open("wb") as file:
+        with complete_file(path) as file:
             _write(file, header, keyframes, placed, loops)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, target)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise OutputError(f"cannot write the map {path}: {error.strerror}") from error
 
 
@@ -134,11 +129,11 @@ def _write_part(file: BinaryIO, data: bytes) -> list[int]:
 
 
 class MapFile:
-    """A map that is open for reading; keyframes are read when they are asked for.
+    """A map that is open for reading; keyframes are read on request.
 
     Attributes:
         path: the file.
-        header: what the map says of itself.
+        header: its description.
         placed: where its keyframes are, in the order of the file.
         loops: between its keyframes.
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from vo.bounded_files import read_bytes
 from vo.errors import ModelError, OutputError
+from vo.formats.complete_file import complete_file
 from vo.places.vocabulary import DESCRIPTOR_BYTES, Vocabulary
 
 _MAGIC = b"vo-words"
@@ -43,12 +44,10 @@ def write_vocabulary(path: Path, vocabulary: Vocabulary) -> None:
     data += vocabulary.children.astype("<u1").tobytes()
     data += vocabulary.descriptor.tobytes()
     data += vocabulary.images_with.astype("<u4").tobytes()
-    partial = path.with_name(f"{path.name}.partial")
     try:
-        partial.write_bytes(data + hashlib.sha256(data).digest())
-        partial.replace(path)
+        with complete_file(path) as file:
+            file.write(data + hashlib.sha256(data).digest())
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise OutputError(f"cannot write {path}: {error.strerror}") from error
 
 
