@@ -54,9 +54,9 @@ def test_a_place_seen_again_is_the_first_candidate() -> None:
 
 def test_neighbours_and_covisible_keyframes_are_no_candidates() -> None:
     scenes = _scenes(1) * 40
-    with KeyframeDatabase(VOCABULARY, removes_redundant=False) as database:
+    with KeyframeDatabase(VOCABULARY) as database:
         for n, scene in enumerate(scenes):
-            database.add(make_place(n, scene))
+            database.add(make_place(n, scene), removes_redundant=False)
         found = database.query(database.get(PlaceKey(0, 30)))
         assert len(found) == 1  # all are one group of consecutive keyframes
         assert found[0].key.keyframe < 20
@@ -76,7 +76,7 @@ def test_places_in_the_file_are_as_those_in_memory(tmp_path: Path) -> None:
     with KeyframeDatabase(VOCABULARY, memory_bytes=30_000, folder=tmp_path) as database:
         for place in places:
             database.add(place)
-        assert database._blocks.file_bytes > database._blocks.memory_bytes > 0
+        assert database.file_bytes == 18 * 12_288  # of 10 kB each; two are in memory
         assert list(tmp_path.iterdir()) == []  # the file has no name
         for place in places:
             _assert_equal(place, database.get(place.key))

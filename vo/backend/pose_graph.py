@@ -17,8 +17,6 @@ from vo.types import Floats
 
 _log = logging.getLogger(__name__)
 
-__all__ = ["GraphProblem", "PoseGraph", "optimise_graph"]
-
 
 @dataclass(eq=False)
 class _Node:

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from vo.backend.graph_problem import Edges
+from vo.backend.loop_edges import squared_distance
 from vo.geometry import sim3
 from vo.types import Bools, Floats, Ints
 
@@ -36,7 +37,7 @@ class OptimisedPoses(NamedTuple):
 
 
 def keep_true_loops(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> Bools:
-    """(L,) loops that are inliers, with odometry known to be one.
+    """(L,) loops that are inliers; odometry is known to be true.
 
     The limit of residuals shrinks from the largest one to that of an inlier, and all poses follow.
     `gtsam.GncLMOptimizer` does the same, but begins anew from the first guess each time.
@@ -52,8 +53,7 @@ def keep_true_loops(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -
     """
     known = _graph(start, gauge, odometry)
     weights = np.ones(len(loops.a))
-    values = _values(start)
-    values = _improved(known, loops, weights, values)
+    values = _improved(known, loops, weights, _values(start))
     squared = _squared_residuals(values, loops)
     if squared.max(initial=0.0) <= _INLIER:
         return weights > 0.5
@@ -85,10 +85,9 @@ def _improved(
 
 def _squared_residuals(values: gtsam.Values, loops: Edges) -> Floats:
     """(L,) squared Mahalanobis distances of the loops."""
-    poses = np.stack([_matrix(values.atSimilarity3(n)) for n in range(values.size())])
+    poses = _poses(values)
     error = sim3.local(sim3.inverse(loops.a_from_b) @ sim3.inverse(poses[loops.a]) @ poses[loops.b])
-    solved = np.linalg.solve(loops.covariance, error[:, :, None])[:, :, 0]
-    return np.asarray((error * solved).sum(axis=1))
+    return squared_distance(error, loops.covariance)
 
 
 def optimise(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> OptimisedPoses:
@@ -105,7 +104,7 @@ def optimise(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> Optim
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(_ITERATIONS)
     values = gtsam.LevenbergMarquardtOptimizer(graph, _values(start), params).optimize()
-    world_from = np.stack([_matrix(values.atSimilarity3(n)) for n in range(len(start))])
+    world_from = _poses(values)
     if len(start) > _MAX_MARGINALS:
         unknown = np.full((len(start), 7, 7), np.nan)
         return OptimisedPoses(world_from, unknown, np.full((len(odometry.a), 14, 14), np.nan))
@@ -119,9 +118,9 @@ def optimise(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> Optim
 
 def _graph(start: Floats, gauge: Ints, odometry: Edges) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
-    held = gtsam.noiseModel.Isotropic.Sigma(7, _GAUGE_SIGMA)
+    fixed = gtsam.noiseModel.Isotropic.Sigma(7, _GAUGE_SIGMA)
     for n in gauge.tolist():
-        graph.add(gtsam.PriorFactorSimilarity3(n, _similarity(start[n]), held))
+        graph.add(gtsam.PriorFactorSimilarity3(n, _similarity(start[n]), fixed))
     _add(graph, odometry)
     return graph
 
@@ -139,9 +138,13 @@ def _values(world_from: Floats) -> gtsam.Values:
     return values
 
 
+def _poses(values: gtsam.Values) -> Floats:
+    return np.stack([_matrix(values.atSimilarity3(n)) for n in range(values.size())])
+
+
 def _similarity(a_from_b: Floats) -> gtsam.Similarity3:
     """GTSAM's form is s (R p + t)."""
-    scale = float(np.cbrt(np.linalg.det(a_from_b[:3, :3])))
+    scale = float(sim3.scale_of(a_from_b))
     rotation = gtsam.Rot3(a_from_b[:3, :3] / scale)
     return gtsam.Similarity3(rotation, a_from_b[:3, 3] / scale, scale)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.geometry.transforms import skew
 from vo.types import Floats
 
 
@@ -51,7 +52,7 @@ def adjoint(a_from_b: Floats) -> Floats:
     rotation = scaled / scale_of(a_from_b)[..., None, None]
     result = np.zeros((*a_from_b.shape[:-2], 7, 7))
     result[..., :3, :3] = rotation
-    result[..., 3:6, :3] = _skew(t) @ rotation
+    result[..., 3:6, :3] = skew(t) @ rotation
     result[..., 3:6, 3:6] = scaled
     result[..., 3:6, 6] = -t
     result[..., 6, 6] = 1.0
@@ -65,7 +66,7 @@ def retract(tangent: Floats) -> Floats:
     """
     rotvec = tangent[..., :3]
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
-    cross = _skew(rotvec)
+    cross = skew(rotvec)
     half_sinc = np.sinc(0.5 * angle / np.pi)
     result = np.zeros((*tangent.shape[:-1], 4, 4))
     rotation = np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half_sinc**2 * cross @ cross
@@ -96,11 +97,3 @@ def local(a_from_b: Floats) -> Floats:
     result[..., 3:6] = a_from_b[..., :3, 3]
     result[..., 6] = np.log(scale)
     return result
-
-
-def _skew(vector: Floats) -> Floats:
-    """(..., 3, 3) matrices of the cross products with vectors (..., 3)."""
-    cross = np.zeros((*vector.shape[:-1], 3, 3))
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
-    return np.asarray(cross - np.swapaxes(cross, -1, -2))

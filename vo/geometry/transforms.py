@@ -48,9 +48,12 @@ def transform_points(a_from_b: Floats, points: Floats) -> Floats:
 
 
 def skew(vector: Floats) -> Floats:
-    """The (3, 3) matrix of the cross product with `vector`."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """(..., 3, 3) matrices of the cross products with vectors (..., 3)."""
+    result = np.zeros((*vector.shape, 3))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -z, y, -x
+    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = z, -y, x
+    return result
 
 
 def so3_exp(rotvec: Floats) -> Floats:
@@ -89,11 +92,11 @@ def se3_log(transform: Floats) -> Floats:
 
 
 def adjoint(a_from_b: Floats) -> Floats:
-    """The (6, 6) matrix with exp(adjoint @ xi) = a_from_b @ exp(xi) @ b_from_a, rotation first."""
-    rotation = a_from_b[:3, :3]
-    result = np.zeros((6, 6))
-    result[:3, :3] = result[3:, 3:] = rotation
-    result[3:, :3] = skew(a_from_b[:3, 3]) @ rotation
+    """(..., 6, 6) with exp(adjoint @ xi) = a_from_b @ exp(xi) @ b_from_a, rotation first."""
+    rotation = a_from_b[..., :3, :3]
+    result = np.zeros((*a_from_b.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotation
+    result[..., 3:, :3] = skew(a_from_b[..., :3, 3]) @ rotation
     return result
 
 

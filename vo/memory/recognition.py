@@ -152,8 +152,10 @@ class Recogniser:
         earlier = self._database.get(candidate.key)
         beside = [earlier]
         for key, _ in self._database.covisible(candidate.key, _MIN_SHARED):
+            if len(beside) > _NEIGHBOURS:
+                break
             place = self._database.get(key)
-            if place.frame.segment == earlier.frame.segment and len(beside) <= _NEIGHBOURS:
+            if place.frame.segment == earlier.frame.segment:
                 beside.append(place)
         loaded = self._loaded
         is_loaded = loaded is not None and candidate.key in loaded.frames

@@ -41,7 +41,6 @@ class KeyframeDatabase:
         vocabulary: words by which they are found.
         memory_bytes: size of the keyframes in memory; the others are in a temporary file.
         folder: of that file; None for the system's folder of temporary files.
-        removes_redundant: whether redundant keyframes are removed.
     """
 
     def __init__(
@@ -50,10 +49,8 @@ class KeyframeDatabase:
         *,
         memory_bytes: int = MEMORY_BYTES,
         folder: Path | None = None,
-        removes_redundant: bool = True,
     ) -> None:
         self.vocabulary = vocabulary
-        self._removes_redundant = removes_redundant
         self._blocks = SpilledBlocks(memory_bytes, folder)
         self._index = InvertedIndex(vocabulary.words)
         self._covisibility = Covisibility()
@@ -90,16 +87,13 @@ class KeyframeDatabase:
         """Size of the temporary file."""
         return self._blocks.file_bytes
 
-    def bag(self, descriptor: Descriptors) -> Bag:
-        """Bag of words of the (N, width) descriptors of an image."""
-        return self.vocabulary.bag(descriptor)
-
     def add(self, place: Place, *, removes_redundant: bool = True) -> tuple[PlaceKey, ...]:
         """Store a keyframe; returns the keys of those removed because they became redundant.
 
         Args:
             place: the keyframe.
-            removes_redundant: false for one of a loaded map, of which all are needed.
+            removes_redundant: whether keyframes that become redundant are removed; false for those
+                of a loaded map, of which all are needed.
 
         Raises:
             OutputError: the temporary file cannot be written, such as on a full disk. The keyframe
@@ -110,7 +104,7 @@ class KeyframeDatabase:
             raise ValueError(f"{place.key} is stored already")
         number = len(self._keys)
         self._blocks.add(number, encode_place(place))
-        bag = self.bag(place.descriptor)
+        bag = self.vocabulary.bag(place.descriptor)
         self._index.add(bag)
         self._covisibility.add(place.key.session, place.landmarks.id)
         self._keys.append(place.key)
@@ -122,8 +116,7 @@ class KeyframeDatabase:
             total, count = self._consecutive
             self._consecutive = total + similarity(self._latest, bag), count + 1
         self._latest = bag
-        removes = removes_redundant and self._removes_redundant
-        return self._remove_redundant(number) if removes else ()
+        return self._remove_redundant(number) if removes_redundant else ()
 
     def get(self, key: PlaceKey) -> Place:
         """A stored keyframe.
@@ -162,9 +155,7 @@ class KeyframeDatabase:
         keys = (self._keys[n] for n in shared.number[rows].tolist())
         return list(zip(keys, shared.landmarks[rows].tolist(), strict=True))
 
-    def query(
-        self, query: Place | Descriptors, exclude: tuple[PlaceKey, ...] = ()
-    ) -> list[Candidate]:
+    def query(self, query: Place | Descriptors) -> list[Candidate]:
         """Stored keyframes that may show the place of a query, best first.
 
         Of each group of consecutive keyframes only the best one is returned. Scores are relative to
@@ -172,14 +163,12 @@ class KeyframeDatabase:
 
         Args:
             query: a keyframe, stored or not, or the (N, width) descriptors of an image. For a
-                keyframe that is stored its neighbours in time are excluded, and all that share
-                landmarks with it or with one of those that do.
-            exclude: further keyframes that are no candidates.
+                stored keyframe these are no candidates: its neighbours in time, its covisible
+                keyframes, and those that are covisible with one of them.
         """
         place = query if isinstance(query, Place) else None
-        bag = self.bag(query.descriptor if isinstance(query, Place) else query)
+        bag = self.vocabulary.bag(query.descriptor if isinstance(query, Place) else query)
         scores = self._index.scores(bag)
-        scores[[self._number_of[k] for k in exclude if k in self._number_of]] = 0.0
         expected = self._expected_score()
         if place is not None and place.key in self._number_of:
             number = self._number_of[place.key]
@@ -206,7 +195,7 @@ class KeyframeDatabase:
         return np.asarray(near[near != number])
 
     def _connected(self, number: int) -> Ints:
-        """Keyframes so near in time or in the map that finding them is no news."""
+        """Keyframes near in time or in the map, and the keyframe itself: no loops."""
         direct = self._covisibility.shared(number).number
         further = [self._covisibility.shared(n).number for n in direct.tolist()]
         near = self._neighbours(number, _NEIGHBOURS)

@@ -51,17 +51,8 @@ class InvertedIndex:
         self._kept = np.zeros(_BLOCK, np.bool_)
         self._count = 0
 
-    def __len__(self) -> int:
-        """Number of bags added so far, removed ones included."""
-        return self._count
-
-    @property
-    def kept(self) -> Bools:
-        """(N,) whether each bag is still there."""
-        return self._kept[: self._count]
-
-    def add(self, bag: Bag) -> int:
-        """Add a bag; returns its number."""
+    def add(self, bag: Bag) -> None:
+        """Add a bag."""
         if self._count == len(self._kept):
             self._kept = np.concatenate([self._kept, np.zeros_like(self._kept)])
         self._kept[self._count] = True
@@ -70,7 +61,6 @@ class InvertedIndex:
         if len(self._latest) == _BLOCK:
             self._blocks.append(self._make_block())
             self._latest = []
-        return self._count - 1
 
     def remove(self, number: int) -> None:
         """Forget a bag."""
@@ -94,7 +84,7 @@ class InvertedIndex:
         first = len(self._blocks) * _BLOCK
         for n, other in enumerate(self._latest, first):
             result[n] = _score(weight, other.word, other.weight)
-        result[~self.kept] = 0.0
+        result[~self._kept[: self._count]] = 0.0
         return result
 
     def _make_block(self) -> _Block:

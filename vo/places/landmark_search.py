@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.frontend.contracts import Circles, FeatureSet, Matcher
+from vo.config import MatchingConfig
+from vo.frontend.contracts import Circles, FeatureSet
+from vo.frontend.matching import HammingMatcher
 from vo.geometry import sim3
 from vo.geometry.projection import Intrinsics
 from vo.mapping.octaves import predicted_octave
@@ -77,13 +79,12 @@ class LandmarkSearch:
     Args:
         scale_factor: size ratio of two pyramid levels.
         sigma_px: standard deviation of an observation, pixels.
-        matcher: of the landmarks' descriptors.
     """
 
-    def __init__(self, scale_factor: float, sigma_px: float, matcher: Matcher) -> None:
+    def __init__(self, scale_factor: float, sigma_px: float) -> None:
         self._scale_factor = scale_factor
         self._sigma_px = sigma_px
-        self._matcher = matcher
+        self._matcher = HammingMatcher(MatchingConfig())
 
     def by_descriptor(self, pair: KeyframePair, count: int) -> LandmarkPairs:
         """The first `count` earlier landmarks matched with the later ones, without a relation."""

@@ -7,9 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from vo.config import MatchingConfig
-from vo.frontend.contracts import Matcher
-from vo.frontend.matching import HammingMatcher
 from vo.geometry import sim3
 from vo.places.landmark_search import (
     MAX_NEAR,
@@ -49,7 +46,6 @@ class LoopVerifier:
         scale_factor: size ratio of two pyramid levels.
         sigma_px: standard deviation of an observation, pixels.
         seed: of the random samples.
-        matcher: of the landmarks' descriptors.
     """
 
     def __init__(
@@ -58,11 +54,8 @@ class LoopVerifier:
         *,
         sigma_px: float = 0.5,
         seed: int = 0,
-        matcher: Matcher | None = None,
     ) -> None:
-        self._search = LandmarkSearch(
-            scale_factor, sigma_px, matcher or HammingMatcher(MatchingConfig())
-        )
+        self._search = LandmarkSearch(scale_factor, sigma_px)
         self._seed = seed
 
     def verify(

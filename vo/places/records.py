@@ -90,7 +90,7 @@ class Candidate(NamedTuple):
 
     Attributes:
         key: of the stored keyframe.
-        score: similarity of the bags of words, 0 to 1.
+        score: similarity of the bags of words, relative to that of consecutive keyframes.
     """
 
     key: PlaceKey

@@ -33,11 +33,6 @@ class SpilledBlocks:
         self._free: dict[int, list[int]] = {}  # offsets of removed blocks in the file, by size
 
     @property
-    def memory_bytes(self) -> int:
-        """Total size of the blocks in memory."""
-        return sum(map(len, self._in_memory.values()))
-
-    @property
     def file_bytes(self) -> int:
         """Size of the file."""
         return self._end

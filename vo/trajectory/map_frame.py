@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vo.geometry.transforms import inverse
+from vo.geometry.transforms import adjoint, inverse
 from vo.types import Floats
 
 
@@ -48,7 +48,7 @@ class Anchor:
         scaled = scaled_covariance(covariance, self.scale)
         cam_from_anchor = inverse(odom_from_cam) @ self.odom_from_cam
         cam_from_anchor[..., :3, 3] *= self.scale
-        moved = _adjoints(cam_from_anchor)
+        moved = adjoint(cam_from_anchor)
         total = scaled + moved @ self.added_covariance @ np.swapaxes(moved, -1, -2)
         values, vectors = np.linalg.eigh(0.5 * (total + np.swapaxes(total, -1, -2)))
         floored = np.maximum(values, 1e-3 * np.abs(values[..., -1:]))
@@ -73,16 +73,3 @@ def scaled_covariance(covariance: Floats, scale: float) -> Floats:
     """Covariances (..., 6, 6) of poses in another unit of length."""
     factor = np.array([1.0] * 3 + [scale] * 3)
     return np.asarray(covariance * factor * factor[:, None])
-
-
-def _adjoints(a_from_b: Floats) -> Floats:
-    """Adjoint matrices (n, 6, 6) of transforms (n, 4, 4), rotation first."""
-    rotation, translation = a_from_b[..., :3, :3], a_from_b[..., :3, 3]
-    result = np.zeros((*a_from_b.shape[:-2], 6, 6))
-    result[..., :3, :3] = result[..., 3:, 3:] = rotation
-    x, y, z = np.moveaxis(translation, -1, 0)
-    skew = np.zeros_like(rotation)
-    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -z, y, -x
-    skew[..., 1, 0], skew[..., 2, 0], skew[..., 2, 1] = z, -y, x
-    result[..., 3:, :3] = skew @ rotation
-    return result
