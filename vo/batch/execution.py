@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import IO
 
 from vo.batch.fingerprint import fingerprint
 from vo.batch.job import Job, JobResult, JobStatus
@@ -139,9 +140,7 @@ def _attempt(job: Job, folder: Path, limits: Limits, is_stopped: Callable[[], bo
         process = _started(log.fileno())
         assert process.stdin is not None and process.stdout is not None
         with process.stdin, process.stdout:
-            with suppress(BrokenPipeError):
-                process.stdin.write(json.dumps(request).encode() + b"\n")
-                process.stdin.flush()
+            _send(process.stdin, json.dumps(request).encode() + b"\n")
             ended = _wait(process, limits.timeout_s, is_stopped)
     if ended == "stopped":
         return unfinished
@@ -164,6 +163,7 @@ def _started(log: int) -> subprocess.Popen[bytes]:
         [sys.executable, "-P", "-c", _PROGRAM.format(path=path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,  # closed by its end, which wakes the batch up
+        bufsize=0,
         stderr=log,
         env=_environment(),
         process_group=0,  # Ctrl-C in a terminal is sent to a whole group
@@ -178,6 +178,13 @@ def _environment() -> dict[str, str]:
     environment.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     use_common_instructions(environment)
     return environment
+
+
+def _send(pipe: IO[bytes], request: bytes) -> None:
+    """Write to a pipe without a buffer, which would be written again when it is closed."""
+    with suppress(BrokenPipeError):  # the process has ended already
+        while request:
+            request = request[pipe.write(request) :]
 
 
 def _wait(
