@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from vo.batch import execution
 from vo.batch.batch import LocalEngine, run_batch
 from vo.batch.execution import Limits, run_job
 from vo.batch.job import Job, JobResult, JobStatus
@@ -204,6 +205,7 @@ def test_ctrl_c_keeps_what_is_finished(walks: Path, tmp_path: Path) -> None:
     assert process.returncode == 130
     assert "Traceback" not in errors
     assert [each.status.value for each in read_batch(output)] == ["done", "not run", "not run"]
+    assert sorted(finished(output)) == ["walk0"]  # what ran has been ended
     assert not (output / ".work").exists()
 
 
@@ -221,3 +223,19 @@ def test_an_output_that_is_a_file_is_refused(walks: Path, tmp_path: Path) -> Non
     (tmp_path / "out").write_text("x")
     with pytest.raises(OutputError, match="cannot write to folder"):
         batch(walks, tmp_path / "out")
+
+
+def test_a_process_that_ends_before_its_request_is_a_crash(
+    walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(log: int) -> subprocess.Popen[bytes]:
+        process = start(log)
+        process.wait()
+        return process
+
+    start = execution._started
+    monkeypatch.setattr(execution, "_PROGRAM", "raise SystemExit('no memory')")
+    monkeypatch.setattr(execution, "_started", ended)
+    result = run_job(Job("walk", str(walks / "walk0")), tmp_path, Limits(retries=0))
+    assert (result.status, result.attempts) == (JobStatus.CRASHED, 1)
+    assert "no memory" in (result.error or "")

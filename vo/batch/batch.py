@@ -7,7 +7,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -41,10 +41,11 @@ class BatchProgress(Protocol):
 class Engine(Protocol):
     """Runs jobs somewhere."""
 
-    def results(
-        self, jobs: list[Job], output: Path, is_stopped: Callable[[], bool]
-    ) -> Iterator[JobResult]:
-        """Run all jobs; their results as they come, in any order."""
+    def results(self, jobs: list[Job], output: Path) -> Iterator[JobResult]:
+        """Run all jobs; their results as they come, in any order.
+
+        An exception, such as a KeyboardInterrupt, ends the jobs that run.
+        """
         ...
 
 
@@ -85,17 +86,16 @@ class LocalEngine:
         self.jobs = max(1, cores // 2) if jobs is None else jobs
         self.limits = replace(limits, threads=max(1, cores // self.jobs))
 
-    def results(
-        self, jobs: list[Job], output: Path, is_stopped: Callable[[], bool]
-    ) -> Iterator[JobResult]:
+    def results(self, jobs: list[Job], output: Path) -> Iterator[JobResult]:
         """Run all jobs; their results as they come."""
+        stop = threading.Event()
         with ThreadPoolExecutor(self.jobs) as pool:
             waiting: set[Future[JobResult]] = set()
             following = iter(jobs)
             try:
                 while True:
                     for job in following:
-                        waiting.add(pool.submit(run_job, job, output, self.limits, is_stopped))
+                        waiting.add(pool.submit(run_job, job, output, self.limits, stop.is_set))
                         if len(waiting) >= 2 * self.jobs:
                             break
                     if not waiting:
@@ -104,6 +104,7 @@ class LocalEngine:
                     for future in done:
                         yield future.result()
             finally:
+                stop.set()
                 for future in waiting:
                     future.cancel()
 
@@ -129,28 +130,22 @@ def run_batch(
     with _locked(output), _observed(progress, len(plan.jobs)) as step:
         shutil.rmtree(output / WORK, ignore_errors=True)  # of a batch that was killed
         found: dict[str, JobResult] = {}
-        for job in plan.jobs:
-            result = kept_result(job, output)
-            if result is not None:
-                found[job.name] = result
-                step(result, len(found), is_kept=True)
+        for result in _kept(plan.jobs, output):
+            found[result.name] = result
+            step(result, len(found), is_kept=True)
         kept = len(found)
-        stop = threading.Event()
         tables = _Tables(plan, output)
         is_interrupted = False
-        results = engine.results(
-            [job for job in plan.jobs if job.name not in found], output, stop.is_set
-        )
+        missing = [job for job in plan.jobs if job.name not in found]
         try:
-            for result in results:
+            for result in engine.results(missing, output):
                 found[result.name] = result
                 step(result, len(found), is_kept=False)
                 tables.refresh(found)
         except KeyboardInterrupt:
             is_interrupted = True
-            stop.set()
-            for result in results:  # those that had ended
-                found[result.name] = result
+            ended = _kept([job for job in missing if job.name not in found], output)
+            found |= {result.name: result for result in ended}
         shutil.rmtree(output / WORK, ignore_errors=True)
         tables.write(found)
         return BatchResult(
@@ -160,6 +155,14 @@ def run_batch(
             kept,
             is_interrupted,
         )
+
+
+def _kept(jobs: Sequence[Job], output: Path) -> Iterator[JobResult]:
+    """Finished results of jobs, of an earlier batch too."""
+    for job in jobs:
+        result = kept_result(job, output)
+        if result is not None:
+            yield result
 
 
 class _Tables:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from vo.batch.job import Job, JobResult, JobStatus
 from vo.errors import ConfigError
 from vo.extras import require
 
-_POLL_S = 0.5  # until a request to stop is obeyed
+_POLL_S = 0.5  # until machines that have joined are used
 _AHEAD = 4  # tasks that wait, by core of the cluster
 
 
@@ -56,9 +56,7 @@ class RayEngine:
         """Cores of the cluster at present."""
         return int(self._ray.cluster_resources().get("CPU", 1))
 
-    def results(
-        self, jobs: list[Job], output: Path, is_stopped: Callable[[], bool]
-    ) -> Iterator[JobResult]:
+    def results(self, jobs: list[Job], output: Path) -> Iterator[JobResult]:
         """Run all jobs; their results as they come."""
         ray, limits = self._ray, self.limits
         resources: dict[str, Any] = {"num_cpus": limits.threads, "max_retries": limits.retries + 2}
@@ -69,7 +67,7 @@ class RayEngine:
         following = iter(jobs)
         output = output.absolute()
         try:
-            while not is_stopped():
+            while True:
                 room = _AHEAD * max(1, self.cores // limits.threads) - len(waiting)
                 for _, job in zip(range(room), following, strict=False):
                     waiting[task.remote(job, output, limits)] = job
