@@ -23,3 +23,8 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """A number and what it counts, such as `1 frame` or `2 frames`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def one_line(text: str) -> str:
+    """The text with a single space for each run of white space."""
+    return " ".join(text.split())

@@ -14,6 +14,7 @@ from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.odometry import Odometry
+from vo.printable import one_line
 from vo.progress import Progress
 from vo.recording.recorder import Recorder
 from vo.results.covariance import covariance_line
@@ -357,4 +358,4 @@ def _nothing_readable(stream: FrameStream) -> SourceError:
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    return one_line(f"{type(error).__name__}: {error}")

@@ -11,6 +11,7 @@ from vo.batch.execution import Limits, run_job
 from vo.batch.job import Job, JobResult, JobStatus
 from vo.errors import ConfigError
 from vo.extras import require
+from vo.printable import one_line
 
 _POLL_S = 0.5  # until machines that have joined are used
 _AHEAD = 4  # tasks that wait, by core of the cluster
@@ -46,7 +47,7 @@ class RayEngine:
         try:
             self._ray.init(ignore_reinit_error=True, configure_logging=False, **options)
         except (ConnectionError, ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())[:300]
+            reason = one_line(str(error))[:300]
             raise ConfigError(
                 f"no Ray cluster at {self._address}: {reason}; start one with `ray start --head`"
             ) from error
@@ -84,6 +85,6 @@ class RayEngine:
         try:
             return JobResult.from_dict(self._ray.get(reference).to_dict())
         except self._ray.exceptions.RayError as error:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            reason = one_line(f"{type(error).__name__}: {error}")[:300]
             crashed = JobStatus.CRASHED
             return JobResult(job.name, job.source, crashed, f"Ray: {reason}", tags=job.tags)

@@ -11,6 +11,7 @@ from typing import Any
 
 from vo.errors import SourceError
 from vo.extras import require
+from vo.printable import one_line
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
@@ -30,22 +31,19 @@ def list_recordings(url: str) -> list[str]:
         MissingExtraError: fsspec, or its part for this kind of store, is missing.
     """
     files, path = _opened(url)
-    protocol = url.partition("://")[0]
     with _errors_of(url):
         if any(mark in path for mark in "*?["):
-            found = sorted(files.glob(path))
+            found = files.glob(path)
         elif files.isfile(path):
-            found = [path]
+            return [url]
         else:
-            found = sorted(entry["name"] for entry in files.ls(path, detail=True))
+            # Some stores list the folder itself too.
+            found = [
+                name for name in files.ls(path, detail=False) if name.strip("/") != path.strip("/")
+            ]
     if not found:
         raise SourceError(f"{url} has no files; check bucket and prefix")
-    own = path.rstrip("/")
-    return [
-        f"{protocol}://{name.lstrip('/')}"
-        for name in found
-        if name.rstrip("/") != own or found == [path]
-    ]
+    return [str(files.unstrip_protocol(name)) for name in sorted(found)]
 
 
 def identity(url: str) -> list[tuple[str, int, str]]:
@@ -113,5 +111,5 @@ def _errors_of(url: str) -> Iterator[None]:
     except FileNotFoundError as error:
         raise SourceError(f"{url} does not exist; check bucket and prefix") from error
     except Exception as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = one_line(f"{type(error).__name__}: {error}")
         raise SourceError(f"{url} cannot be read: {reason}") from error

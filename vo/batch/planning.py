@@ -67,16 +67,12 @@ def plan(sources: Sequence[str], options: Job, manifest: Path | None = None) -> 
         jobs += [replace(options, source=each) for each in found]
     if manifest is not None:
         jobs += _of_manifest(manifest, options)
-    unique = list({_identity(job): job for job in jobs}.values())
+    unique = list({repr(job): job for job in jobs}.values())
     if not unique:
         where = ", ".join(sources) or str(manifest)
         raise SourceError(f"there is no recording in {where}; see docs/recordings.md for formats")
     named, renamed = _with_names(unique)
     return Plan(tuple(named), renamed, tuple(left_out))
-
-
-def _identity(job: Job) -> Any:
-    return (job.source, str(sorted(job.to_dict().items(), key=lambda item: item[0])))
 
 
 def _found(text: str) -> tuple[list[str], list[str]]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -18,7 +17,8 @@ from vo.batch.job import JobResult, JobStatus
 from vo.batch.planning import Plan
 from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
-from vo.errors import OutputError, SourceError
+from vo.errors import SourceError
+from vo.results.folder import write_atomically
 
 SUMMARY, TABLE, PAGE = "batch.json", "batch.csv", "index.html"
 SCHEMA_VERSION = 1
@@ -84,7 +84,7 @@ def write_tables(output: Path, results: Sequence[JobResult], plan: Plan) -> None
     values: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "vo": __version__,
-        "totals": over_all.__dict__,
+        "totals": asdict(over_all),
         "renamed": dict(plan.renamed),
         "left_out": list(plan.left_out),
         "results": [result.to_dict() for result in results],
@@ -127,19 +127,3 @@ def read_batch(folder: Path) -> list[JobResult]:
         raise SourceError(
             f"{path} is not the summary of a batch; use the --output of a `vo batch`"
         ) from error
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file under a temporary name and rename it.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(text.encode("utf-8", "backslashreplace"))
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -18,6 +18,9 @@ from typing import Any
 
 from vo.batch.job import Job, JobResult, JobStatus
 from vo.errors import EvaluationError, VoError
+from vo.printable import one_line
+from vo.results.folder import write_atomically
+from vo.types import Trajectory
 
 RESULT = "result.json"
 _STDIN = 0
@@ -62,21 +65,22 @@ def run_job_here(job: Job, folder: Path, threads: int) -> JobResult:
     try:
         return _run(job, folder, threads)
     except VoError as error:
-        return replace(failed, error=_one_line(str(error)))
+        return replace(failed, error=one_line(str(error)))
     except MemoryError:
         return replace(failed, error="it needs more memory than the batch allows (--memory)")
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "
-        return replace(failed, error=_one_line(f"{where}{error.strerror or error}"))
+        return replace(failed, error=one_line(f"{where}{error.strerror or error}"))
 
 
 def write_result(folder: Path, result: JobResult) -> None:
-    """Write `result.json` atomically; the folder is created if it is missing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    partial = folder / f"{RESULT}.partial"
+    """Write `result.json` at once.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
     text = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    partial.write_bytes(text.encode("utf-8", "backslashreplace"))
-    os.replace(partial, folder / RESULT)
+    write_atomically(folder / RESULT, text)
 
 
 def _run(job: Job, folder: Path, threads: int) -> JobResult:
@@ -87,22 +91,16 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
 
     config = load_config(job.config, [*job.overrides, f"threads={threads}"])
     identity = fingerprint(job, config)
-    calibration = None if job.calibration is None else Path(job.calibration)
     with local_copy(job.source) as source:
         summary = run(
             source,
             folder,
             config=config,
-            mode=job.mode,
-            calibration=calibration,
-            format=job.format,
-            topics=job.topics,
             start=job.start,
             end=job.end,
             stride=job.stride,
-            side_by_side=job.side_by_side,
-            right_offset_ns=job.right_offset_ns,
             source_name=None if source == job.source else job.source,
+            **_reading(job),
         )
         ate_m, causal_ate_m, notes = _errors(job, source, folder)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
@@ -135,10 +133,9 @@ def _errors(
 ) -> tuple[float | None, float | None, tuple[str, ...]]:
     """ATE of the smoothed and of the causal path, None without ground truth; remarks."""
     from vo.evaluation.inputs import load_inputs
-    from vo.evaluation.own_truth import inputs_with_own_truth
+    from vo.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
     from vo.evaluation.report import evaluate
     from vo.formats.trajectory import read_tum
-    from vo.types import Trajectory
 
     try:
         if job.truth is not None:
@@ -151,31 +148,23 @@ def _errors(
         evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
     except EvaluationError as error:
         return None, None, (f"not compared with the ground truth: {error}",)
-    stamps_ns = inputs.estimate.stamps_ns
-    causal = read_tum(folder / "causal.tum")
-    kept = (causal.stamps_ns >= stamps_ns[0]) & (causal.stamps_ns <= stamps_ns[-1])
-    causal_ate_m: float | None
-    try:
-        path = Trajectory(causal.stamps_ns[kept], causal.world_from_cam[kept])
-        causal_ate_m = evaluate(path, inputs.reference, mode=inputs.mode).ate.translation.rmse
-    except EvaluationError:
-        causal_ate_m = None
-    return evaluation.ate.translation.rmse, causal_ate_m, ()
+    causal = causal_ate_m(read_tum(folder / "causal.tum"), inputs)
+    return evaluation.ate.translation.rmse, causal, ()
 
 
-def _truth_of(job: Job, source: str) -> Any:
+def _truth_of(job: Job, source: str) -> Trajectory | None:
     from vo.sources.registry import open_source
 
-    return open_source(
-        source,
-        format=job.format,
-        calibration=job.calibration,
-        mode=job.mode,
-        topics=job.topics,
-        right_offset_ns=job.right_offset_ns,
-        side_by_side=job.side_by_side,
-    ).ground_truth
+    return open_source(source, **_reading(job)).ground_truth
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+def _reading(job: Job) -> dict[str, Any]:
+    """How the recording is read, for the run and for its ground truth."""
+    return {
+        "format": job.format,
+        "calibration": None if job.calibration is None else Path(job.calibration),
+        "mode": job.mode,
+        "topics": job.topics,
+        "right_offset_ns": job.right_offset_ns,
+        "side_by_side": job.side_by_side,
+    }

@@ -219,11 +219,13 @@ def _engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
 
 
 def _as_dict(result: BatchResult) -> dict[str, object]:
+    from dataclasses import asdict
+
     from vo.batch.tables import totals
 
     return {
         "output": str(result.output),
-        "totals": totals(result.results).__dict__,
+        "totals": asdict(totals(result.results)),
         "kept": result.kept,
         "wall_s": round(result.wall_s, 3),
         "interrupted": result.is_interrupted,

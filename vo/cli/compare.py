@@ -73,8 +73,9 @@ def compare_command(
     """
     from vo.batch.comparison import compare
     from vo.batch.comparison_page import comparison_page
-    from vo.batch.tables import read_batch, write_atomically
+    from vo.batch.tables import read_batch
     from vo.cli.console import standard_output
+    from vo.results.folder import write_atomically
 
     limit = None if fail_if_worse is None else _ratio(fail_if_worse)
     compared = compare(read_batch(before), read_batch(after))

@@ -11,7 +11,7 @@ import numpy as np
 from vo.cli.eval_inputs import is_log, truth_of_log
 from vo.errors import EvaluationError, SourceError, VoError
 from vo.evaluation.inputs import Inputs, load_inputs
-from vo.evaluation.own_truth import inputs_with_own_truth
+from vo.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
 from vo.evaluation.report import Evaluation, evaluate
 from vo.report.entry import Thumbnail
 from vo.report.events import choose_events, shrink
@@ -107,8 +107,8 @@ def _evaluated(run: RunRecord, inputs: Inputs) -> EvaluatedRun:
     others = _others(run, inputs)
     if others:
         notes = (*notes, "in the figures, each of the other segments is aligned separately")
-    causal_ate_m = _causal_ate_m(run, inputs)
-    return EvaluatedRun(evaluation, inputs.reference, origin, notes, others, causal_ate_m)
+    causal = causal_ate_m(run.causal, inputs)
+    return EvaluatedRun(evaluation, inputs.reference, origin, notes, others, causal)
 
 
 def _others(run: RunRecord, inputs: Inputs) -> tuple[Evaluation, ...]:
@@ -123,20 +123,6 @@ def _others(run: RunRecord, inputs: Inputs) -> tuple[Evaluation, ...]:
         with suppress(EvaluationError):
             found.append(evaluate(segment, inputs.reference, mode=inputs.mode))
     return tuple(found)
-
-
-def _causal_ate_m(run: RunRecord, inputs: Inputs) -> float | None:
-    """ATE of the causal trajectory; None if it cannot be evaluated."""
-    stamps_ns, evaluated_ns = run.causal.stamps_ns, inputs.estimate.stamps_ns
-    kept = (stamps_ns >= evaluated_ns[0]) & (stamps_ns <= evaluated_ns[-1])
-    if not kept.any():
-        return None
-    causal = Trajectory(stamps_ns[kept], run.causal.world_from_cam[kept])
-    try:
-        evaluation = evaluate(causal, inputs.reference, mode=inputs.mode)
-    except EvaluationError:
-        return None
-    return evaluation.ate.translation.rmse
 
 
 def take_thumbnails(run: RunRecord, source: Recording, zero_ns: int) -> tuple[Thumbnail, ...]:

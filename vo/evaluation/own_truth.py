@@ -1,11 +1,12 @@
-"""Evaluation of a run against the ground truth that its recording contains."""
+"""Evaluation of a run: against the ground truth of its recording, and of its causal path."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from vo.errors import SourceError
+from vo.errors import EvaluationError, SourceError
 from vo.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
+from vo.evaluation.report import evaluate
 from vo.types import Trajectory
 
 
@@ -37,3 +38,21 @@ def inputs_with_own_truth(run: Path, recording: Path, truth: Trajectory | None) 
         except SourceError:
             pass
     return None if truth is None else load_inputs(run, GivenTrajectory(truth, recording))
+
+
+def causal_ate_m(causal: Trajectory, inputs: Inputs) -> float | None:
+    """ATE of the part of the causal path that belongs to an estimate; None if there is none.
+
+    Args:
+        causal: the whole causal path of the run.
+        inputs: the smoothed path of a segment, and the ground truth.
+    """
+    stamps_ns, evaluated_ns = causal.stamps_ns, inputs.estimate.stamps_ns
+    kept = (stamps_ns >= evaluated_ns[0]) & (stamps_ns <= evaluated_ns[-1])
+    if not kept.any():
+        return None
+    path = Trajectory(stamps_ns[kept], causal.world_from_cam[kept])
+    try:
+        return evaluate(path, inputs.reference, mode=inputs.mode).ate.translation.rmse
+    except EvaluationError:
+        return None

@@ -58,7 +58,7 @@ class RunFolder:
             raise OutputError(
                 f"cannot write to folder {path}: {error.strerror or error}; choose another --output"
             ) from error
-        _write_atomically(path / CONFIG, config)
+        write_atomically(path / CONFIG, config)
         self._summary_space = ReservedSpace(path)
         self.trajectory = GrowingFile(path / TRAJECTORY)
         self.causal = GrowingFile(path / CAUSAL)
@@ -75,7 +75,7 @@ class RunFolder:
         text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
         path = self.path / SUMMARY
         try:
-            _write_atomically(path, text)
+            write_atomically(path, text)
         except OutputError:
             if not self._summary_space.write(path, _partial(path), _encoded(text)):
                 raise
@@ -104,8 +104,12 @@ class RunFolder:
         self._summary_space.close()
 
 
-def _write_atomically(path: Path, text: str) -> None:
-    """Write to a temporary file and rename it, so that readers never see a partial file."""
+def write_atomically(path: Path, text: str) -> None:
+    """Write to a temporary file and rename it, so that readers never see a partial file.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
     partial = _partial(path)
     try:
         partial.write_bytes(_encoded(text))
