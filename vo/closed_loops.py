@@ -35,6 +35,11 @@ class ClosedLoop:
     correction_deg: float | None
     earlier_session: int | None = None
 
+    @property
+    def joins(self) -> bool:
+        """Whether it joins what only the look of places connects: no odometry speaks for it."""
+        return self.kind != "loop"
+
 
 @dataclass(frozen=True)
 class MapUse:

@@ -193,7 +193,7 @@ def test_a_segment_that_meets_an_older_one_joins_its_world(
     joined = _run(rounds, tmp_path / "joined", "memory.loops=true")
     assert [s["segment"] for s in joined["segments"]] == [0]
     assert "merge" in [loop["kind"] for loop in joined["loops"]]
-    assert joined["verdict"] != "complete"
+    assert joined["verdict"] == "not to be trusted"  # joined only by what places look like
     lost = {f for r in joined["without_pose"] for f in range(r["first"], r["last"] + 1)}
     assert set(BLACK) <= lost
     assert _ate(tmp_path / "joined", rounds) < 1.5 * _ate(plain, rounds)

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vo.cli import completion, options
+from vo.cli import options
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
     from vo.batch.batch import BatchResult, Engine
     from vo.batch.execution import Limits
 
-# Headings of the options in `--help`, besides those in `options`.
-_RUNS, _ENGINE = "Runs", "Where and how they run"
+# Heading of options in `--help`, besides those in `options`.
+_ENGINE = "Where and how they run"
 _SOME_FAILED = 4  # exit status
 
 Sources = Annotated[
@@ -43,24 +43,6 @@ Manifest = Annotated[
         help="CSV or JSON file with a recording in each row: source, and any of name, calibration, "
         "mode, config, set, format, topics, start, end, stride, truth; other columns are tags.",
         rich_help_panel=options.INPUT,
-    ),
-]
-Config = Annotated[
-    str,
-    typer.Option(
-        metavar="PRESET|FILE",
-        help="default, fast or accurate, or a YAML file.",
-        autocompletion=completion.presets,
-        rich_help_panel=_RUNS,
-    ),
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        help="Override a setting of --config; repeatable.",
-        rich_help_panel=_RUNS,
     ),
 ]
 Jobs = Annotated[
@@ -128,8 +110,8 @@ def batch_command(
     calibration: options.Calibration = None,
     mode: options.Mode = options.ModeChoice.AUTO,
     format: options.Format = None,
-    config: Config = "default",
-    overrides: Overrides = None,
+    config: options.Config = "default",
+    overrides: options.Overrides = None,
     jobs: Jobs = None,
     ray: Ray = None,
     threads: Threads = 2,

@@ -11,7 +11,7 @@ import typer
 from vo.cli import completion
 
 # Headings of the options in `--help`.
-INPUT, OUTPUT = "Input", "Output"
+INPUT, OUTPUT, ODOMETRY = "Input", "Output", "Odometry"
 
 
 _MAX_OFFSET_MS = 1e12  # 30 years
@@ -147,6 +147,24 @@ Regions = Annotated[
         metavar="AREA",
         help="Use only this area (region of interest); as --ignore.",
         rich_help_panel=INPUT,
+    ),
+]
+Config = Annotated[
+    str,
+    typer.Option(
+        metavar="PRESET|FILE",
+        help="default, fast or accurate, or a YAML file like configs/default.yaml.",
+        autocompletion=completion.presets,
+        rich_help_panel=ODOMETRY,
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="SECTION.KEY=VALUE",
+        help="Override a setting of --config; repeatable.",
+        rich_help_panel=ODOMETRY,
     ),
 ]
 Start = Annotated[

@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
-from vo.cli import completion, options
+from vo.cli import options
 from vo.cli.run_request import ForScripts, Input, Outputs, RunRequest, Settings, Visualisation
 
 # Headings of the options in `--help`, besides those in `options`.
-_ODOMETRY, _VISUALISATION = "Odometry", "Visualisation with rerun"
+_ODOMETRY, _VISUALISATION = options.ODOMETRY, "Visualisation with rerun"
 
 
 class ImageSize(StrEnum):
@@ -79,24 +79,6 @@ Record = Annotated[
         metavar="FILE",
         help="Live: also write the tracked images to an MCAP file, for another run on them.",
         rich_help_panel=options.OUTPUT,
-    ),
-]
-Config = Annotated[
-    str,
-    typer.Option(
-        metavar="PRESET|FILE",
-        help="default, fast or accurate, or a YAML file like configs/default.yaml.",
-        autocompletion=completion.presets,
-        rich_help_panel=_ODOMETRY,
-    ),
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        help="Override a setting of --config; repeatable.",
-        rich_help_panel=_ODOMETRY,
     ),
 ]
 Threads = Annotated[
@@ -260,8 +242,8 @@ def run_command(
     mask: options.Masks = None,
     ignore: options.Ignored = None,
     roi: options.Regions = None,
-    config: Config = "default",
-    overrides: Overrides = None,
+    config: options.Config = "default",
+    overrides: options.Overrides = None,
     threads: Threads = None,
     loops: Loops = None,
     vocabulary: Vocabulary = None,

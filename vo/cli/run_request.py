@@ -48,15 +48,16 @@ class Settings(NamedTuple):
     def all_overrides(self) -> list[str]:
         """Overrides of settings, including those that have options of their own."""
         threads = [] if self.threads is None else [f"threads={self.threads}"]
-        recognises = True if self.loops is None and self.map is not None else self.loops
-        loops = [] if recognises is None else [f"memory.loops={json.dumps(recognises)}"]
-        words = [] if self.vocabulary is None else [str(self.vocabulary)]
-        loops += [f"memory.vocabulary={json.dumps(word)}" for word in words]
-        maps = [] if self.map is None else [str(self.map)]
-        loops += [f"memory.map={json.dumps(path)}" for path in maps]
-        loops += ["memory.localize=true"] if self.localize else []
+        files = {"vocabulary": self.vocabulary, "map": self.map}
+        given: dict[str, str | bool] = {
+            name: str(path) for name, path in files.items() if path is not None
+        }
+        loops = True if self.loops is None and self.map is not None else self.loops
+        switches = {"loops": loops, "localize": self.localize or None}
+        given |= {name: is_on for name, is_on in switches.items() if is_on is not None}
+        memory = [f"memory.{name}={json.dumps(value)}" for name, value in given.items()]
         masks = [f"masks.{k}={json.dumps(texts)}" for k, texts in self.masks.items() if texts]
-        return [*self.overrides, *threads, *loops, *masks]
+        return [*self.overrides, *threads, *memory, *masks]
 
 
 class Visualisation(NamedTuple):

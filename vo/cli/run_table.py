@@ -90,9 +90,10 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _loops(loops: Sequence[ClosedLoop]) -> str:
-    merges = sum(loop.kind == "merge" for loop in loops)
-    closed = counted(len(loops) - merges, "keyframe") + " at a known place"
-    return f"{closed}, {counted(merges, 'segment')} connected" if merges else closed
+    """How many keyframes see a place again, and how many segments this connects to others."""
+    joined = len({loop.segment for loop in loops if loop.joins})
+    again = counted(len(loops), "keyframe") + " at known places"
+    return f"{again}, {counted(joined, 'segment')} connected by them" if joined else again
 
 
 def _masks(hidden: Sequence[float]) -> str:

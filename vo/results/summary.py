@@ -10,29 +10,20 @@ import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.closed_loops import ClosedLoop, MapUse
-from vo.failures import Failure, describe
-from vo.printable import counted
+from vo.failures import Failure
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
-from vo.results.fault_warnings import fault_warnings
 from vo.results.frames_without_pose import FrameRange, ranges_without_pose
-from vo.results.live_summary import LiveState, LiveSummary, delay_of, live_warnings
+from vo.results.live_summary import LiveState, LiveSummary, delay_of
 from vo.results.profile import Profile
 from vo.results.run_statistics import RunStatistics, StageTime
-from vo.results.verdict import MIN_INLIERS, Verdict, VerdictFacts, assess
-from vo.results.warnings import (
-    calibration_warnings,
-    far_scene_warnings,
-    image_defect_warnings,
-    map_warnings,
-)
+from vo.results.verdict import Verdict, VerdictFacts, assess
+from vo.results.warnings import run_warnings
 from vo.types import Ints, PlacedFrames, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 
 SCHEMA_VERSION = 1
-
-_LONG_START = 0.1  # fraction of the frames before the first map that is reported
 
 
 @dataclass(frozen=True)
@@ -173,21 +164,17 @@ class Summary:
                 self.tracked + self.interpolated,
                 len(self.segments),
                 self.median_inliers,
-                self.merges > 0 or not all(record.is_handled for record in self.faults),
+                any(loop.joins for loop in self.loops)
+                or not all(record.is_handled for record in self.faults),
                 self.disparity_offset_px,
                 bool(self.warnings),
             )
         )
 
     @property
-    def merges(self) -> int:
-        """Number of places by which segments were joined."""
-        return sum(loop.kind == "merge" for loop in self.loops)
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """Conditions that make the result less accurate or incomplete."""
-        return tuple(_warnings(self))
+        return tuple(run_warnings(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -321,59 +308,3 @@ def _segments(path: PlacedFrames) -> list[Segment]:
 
 def _rounded(values: StageTime | RightCameraError | LensError, digits: int = 3) -> dict[str, float]:
     return {name: round(value, digits) for name, value in values._asdict().items()}
-
-
-def _warnings(summary: Summary) -> list[str]:
-    return [
-        *fault_warnings(summary.faults),
-        *_tracking_warnings(summary),
-        *live_warnings(summary.live, summary.frames),
-        *calibration_warnings(
-            summary.right_camera,
-            summary.lens_error,
-            summary.disparity_offset_px,
-            summary.disparity_curve_px,
-            [record.kind for record in summary.faults if not record.is_handled],
-        ),
-        *far_scene_warnings(summary.median_disparity_px),
-        *map_warnings(summary.map_use, [s.segment for s in summary.segments]),
-        *_world_warnings(summary),
-    ]
-
-
-def _tracking_warnings(summary: Summary) -> list[str]:
-    frames, lost, inliers = summary.frames, summary.lost, summary.median_inliers or 0.0
-    warnings = []
-    if summary.tracked == 0:
-        reason = describe(summary.main_failure) or "no frame read"
-        warnings.append(f"no frame was tracked ({reason})")
-    elif summary.starting > _LONG_START * frames:
-        warnings.append(f"{summary.starting} of {frames} frames before the first map")
-    warnings += image_defect_warnings(summary.without_pose)
-    if lost:
-        warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
-    if summary.skipped:
-        warnings.append(
-            f"{counted(len(summary.skipped), 'frame')} skipped: the images cannot be used"
-        )
-    if summary.unpaired:
-        warnings.append(f"{counted(summary.unpaired, 'frame')} used without right or depth image")
-    if summary.tracked and inliers < MIN_INLIERS:
-        warnings.append(f"poor tracking: median of {inliers:.0f} inliers")
-    return warnings
-
-
-def _world_warnings(summary: Summary) -> list[str]:
-    warnings = []
-    if len(summary.segments) > 1:
-        warnings.append(f"{len(summary.segments)} segments, each in its own world frame")
-    if summary.merges:
-        warnings.append(
-            "segments were joined where they seem to show the same place: places that look alike, "
-            "such as corridors, can be joined wrongly; compare with --no-loops"
-        )
-    if summary.facts.mode == "mono" and summary.tracked:
-        warnings.append(
-            "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
-        )
-    return warnings

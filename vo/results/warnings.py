@@ -3,17 +3,83 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 from vo.calibration_errors import LensError, RightCameraError
 from vo.closed_loops import MapUse
-from vo.failures import ImageDefect
+from vo.failures import ImageDefect, describe
 from vo.faults import FaultKind
+from vo.printable import counted
+from vo.results.fault_warnings import fault_warnings
 from vo.results.frames_without_pose import FrameRange
+from vo.results.live_summary import live_warnings
+from vo.results.verdict import MIN_INLIERS
+
+if TYPE_CHECKING:
+    from vo.results.summary import Summary
 
 _MIN_DISPARITY_ERROR_PX = 0.05  # smaller ones are not reported
 _USUAL_OFFSET_PX = 0.1  # disparity offset of a well calibrated pair
 _FAR_SCENE_PX = 2.0  # median disparity at which the usual offset changes lengths by 5 %
+_LONG_START = 0.1  # fraction of the frames before the first map that is reported
 _MAX_RANGES = 3  # listed in a warning
+
+
+def run_warnings(summary: Summary) -> list[str]:
+    """All warnings about a run."""
+    return [
+        *fault_warnings(summary.faults),
+        *_tracking_warnings(summary),
+        *live_warnings(summary.live, summary.frames),
+        *calibration_warnings(
+            summary.right_camera,
+            summary.lens_error,
+            summary.disparity_offset_px,
+            summary.disparity_curve_px,
+            [record.kind for record in summary.faults if not record.is_handled],
+        ),
+        *far_scene_warnings(summary.median_disparity_px),
+        *map_warnings(summary.map_use, [s.segment for s in summary.segments]),
+        *_world_warnings(summary),
+    ]
+
+
+def _tracking_warnings(summary: Summary) -> list[str]:
+    frames, lost, inliers = summary.frames, summary.lost, summary.median_inliers or 0.0
+    warnings = []
+    if summary.tracked == 0:
+        reason = describe(summary.main_failure) or "no frame read"
+        warnings.append(f"no frame was tracked ({reason})")
+    elif summary.starting > _LONG_START * frames:
+        warnings.append(f"{summary.starting} of {frames} frames before the first map")
+    warnings += image_defect_warnings(summary.without_pose)
+    if lost:
+        warnings.append(f"lost in {lost} of {frames} frames ({lost / frames:.0%})")
+    if summary.skipped:
+        warnings.append(
+            f"{counted(len(summary.skipped), 'frame')} skipped: the images cannot be used"
+        )
+    if summary.unpaired:
+        warnings.append(f"{counted(summary.unpaired, 'frame')} used without right or depth image")
+    if summary.tracked and inliers < MIN_INLIERS:
+        warnings.append(f"poor tracking: median of {inliers:.0f} inliers")
+    return warnings
+
+
+def _world_warnings(summary: Summary) -> list[str]:
+    warnings = []
+    if len(summary.segments) > 1:
+        warnings.append(f"{len(summary.segments)} segments, each in its own world frame")
+    if any(loop.joins for loop in summary.loops):
+        warnings.append(
+            "parts of the path are joined only by what places look like; those that look alike, "
+            "such as corridors, can be joined wrongly: compare with a run without --loops and --map"
+        )
+    if summary.facts.mode == "mono" and summary.tracked:
+        warnings.append(
+            "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
+        )
+    return warnings
 
 
 def image_defect_warnings(without_pose: Sequence[FrameRange]) -> list[str]:
