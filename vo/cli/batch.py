@@ -125,9 +125,9 @@ def batch_command(
     """Run the odometry on many recordings, and tabulate the results.
 
     Each recording runs in a process of its own and has a folder of results,
-    the same as of `vo run`. One that is damaged, crashes or hangs costs only
-    itself: it is listed with its error, and its log is in failed/NAME. Called
-    again, the same command runs only what has no finished result of the same
+    the same as of `vo run`. One that is damaged, crashes or hangs does not
+    stop the others: it is listed with its error; its log is in failed/NAME.
+    Called again, the same command runs only what has no finished result of the same
     input, settings and version.
 
     Run on all recordings below a folder, two at a time:
