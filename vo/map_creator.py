@@ -73,7 +73,7 @@ class MapCreator:
         before, self._before = self._before, frame
         is_fresh = not self._monocular.waiting
         keyframe = self._create(self._monocular, frame, pose, segment)
-        if isinstance(keyframe, Failure) and self._rescue.may_cure(keyframe) and is_fresh:
+        if isinstance(keyframe, Failure) and self._rescue.may_avert(keyframe) and is_fresh:
             if not (self._map.rig.is_stereo or before is None or self._second.has_reference):
                 self._second.attempt(before.of_kind(is_second=True))
             again = self._create(self._second, frame.of_kind(is_second=True), pose, segment)

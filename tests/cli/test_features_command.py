@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from vo.cli.app import app
 from vo.features.detectors import available_detectors
-from vo.features.extractor import LEARNED
+from vo.features.extractor import LEARNED_DETECTORS
 from vo.features.methods import missing_detectors
 
 
@@ -65,7 +65,7 @@ def test_all_detectors_are_compared_in_an_image(image: Path) -> None:
     result = features(image, "--compare", "all", "--json")
     rows = json.loads(result.stdout)["results"]
     expected = {"orb", *available_detectors(), "klt", "fast/klt"}
-    assert {row["method"] for row in rows} - set(LEARNED) == expected
+    assert {row["method"] for row in rows} - set(LEARNED_DETECTORS) == expected
     assert len(rows) == len({row["method"] for row in rows})
     warnings = [line for line in result.stderr.splitlines() if line.startswith("warning")]
     assert len(warnings) == (1 if missing_detectors() else 0)

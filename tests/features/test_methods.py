@@ -11,7 +11,7 @@ import vo
 from vo.config import load_config
 from vo.errors import ConfigError
 from vo.features.detectors import DETECTORS, available_detectors
-from vo.features.extractor import LEARNED
+from vo.features.extractor import LEARNED_DETECTORS
 from vo.features.methods import Method, all_methods, expand, make_method, missing_detectors
 from vo.types import Bytes
 
@@ -35,7 +35,7 @@ def test_matches_of_a_shifted_image_are_shifted(name: str, image: Bytes) -> None
     away = np.linalg.norm(found.first - [SHIFT_PX, 0] - found.second, axis=1)
     assert len(found.first) > 20
     # Matches of learned features have no ratio test, and cells of 8 pixels do not move with it.
-    assert np.mean(away < 1.5) > (0.7 if name.partition("/")[0] in LEARNED else 0.95)
+    assert np.mean(away < 1.5) > (0.7 if name.partition("/")[0] in LEARNED_DETECTORS else 0.95)
     assert found.first.shape == found.second.shape
     assert max(found.counts) <= 501  # ORB rounds the number of each level
     assert found.extract_ms > 0

@@ -117,7 +117,7 @@ def test_maxima_are_moved_to_the_mean_of_their_neighbours() -> None:
     score[15, 20] = 1.0
     offset = soft_argmax_offsets(score, np.array([8, 15]), np.array([10, 20]))
     small = np.exp(-9.0)
-    shift = (1 - 5 * small * 0 - 1 * small) / (2 + 23 * small)  # the columns -2 to 2 cancel else
+    shift = (1 - small) / (2 + 23 * small)  # the columns -2 and 2 cancel
     np.testing.assert_allclose(offset[0], [shift, 0], atol=1e-6)
     np.testing.assert_allclose(offset[1], [0, 0], atol=1e-9)
 

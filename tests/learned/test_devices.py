@@ -54,7 +54,7 @@ def test_a_device_that_is_not_there_is_one_line(doubling: Path, device: Any) -> 
     assert "cpu" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_auto_takes_what_works_and_tells_it(
+def test_auto_takes_what_works_and_reports_it(
     doubling: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     providers()
@@ -94,7 +94,7 @@ def test_speed_on_a_gpu() -> None:
     assert measured["frames_per_s"] > 0 and measured["matches"] > 0
 
 
-def test_the_benchmark_says_that_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_benchmark_reports_that_there_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     if "CUDAExecutionProvider" in providers():
         pytest.skip("this machine's ONNX Runtime has CUDA")
     monkeypatch.setattr("sys.argv", ["benchmark_gpu.py"])

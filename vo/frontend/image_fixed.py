@@ -125,7 +125,7 @@ class ImageFixedDetector:
         self._background: Bools | None = None  # has stood still while something passed
         self._has_moved: Bools
         self._dark = DarkBorder()
-        self._border: Bools | None = None  # that is fixed, with what is near it
+        self._border: Bools | None = None  # a dark border that is fixed, with what is near it
         self._overlay = OverlayDetector()
         self._still_majority = StillMajority()
         self._standing = 0  # comparisons in which most of the image stood, since it has moved

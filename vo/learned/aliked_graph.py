@@ -140,14 +140,14 @@ def sampled(graph: GraphBuilder, x: str, offset: str) -> str:
     height, width = (_size(graph, x, axis) for axis in (2, 3))
     limit = graph.node("Mul", graph.node("Max", height, width), graph.constant(0.25))
     limited = graph.node("Max", graph.node("Min", offset, limit), graph.node("Neg", limit))
-    each = graph.node("Concat", _whole(graph, [_TAPS, 2]), _shape(graph, x, 2, 4), axis=0)
+    each = graph.node("Concat", _integers(graph, [_TAPS, 2]), _shape(graph, x, 2, 4), axis=0)
     moves = graph.node("Reshape", limited, each)
     tap = np.arange(_TAPS)
     x_grid = _positions(graph, moves, 1, width, (tap % 3 - 1, [1, 1, 1, -1]))
     y_grid = _positions(graph, moves, 0, height, (tap // 3 - 1, [1, 1, -1, 1]))
     grid = graph.node("Transpose", graph.node("Concat", x_grid, y_grid, axis=1), perm=[0, 2, 3, 1])
     rows = graph.node(
-        "Concat", _whole(graph, [1, -1]), _shape(graph, x, 3, 4), _whole(graph, [2]), axis=0
+        "Concat", _integers(graph, [1, -1]), _shape(graph, x, 3, 4), _integers(graph, [2]), axis=0
     )
     taken = graph.node(
         "GridSample",
@@ -157,7 +157,7 @@ def sampled(graph: GraphBuilder, x: str, offset: str) -> str:
         padding_mode="zeros",
         align_corners=0,
     )
-    together = graph.node("Concat", _whole(graph, [1, -1]), _shape(graph, x, 2, 4), axis=0)
+    together = graph.node("Concat", _integers(graph, [1, -1]), _shape(graph, x, 2, 4), axis=0)
     return graph.node("Reshape", taken, together)
 
 
@@ -175,19 +175,21 @@ def _positions(
     """
     steps, form = tap
     ramp = graph.node("Range", graph.constant(0.0), size, graph.constant(1.0))
-    at = graph.node("Reshape", ramp, _whole(graph, form))
+    at = graph.node("Reshape", ramp, _integers(graph, form))
     at = graph.node("Add", at, graph.constant(steps.reshape(_TAPS, 1, 1, 1)))
-    at = graph.node("Add", at, graph.node("Gather", moves, _whole(graph, [axis]), axis=1))
+    at = graph.node("Add", at, graph.node("Gather", moves, _integers(graph, [axis]), axis=1))
     doubled = graph.node("Add", graph.node("Add", at, at), graph.constant(1.0))
     return graph.node("Sub", graph.node("Div", doubled, size), graph.constant(1.0))
 
 
-def _whole(graph: GraphBuilder, values: list[int]) -> str:
+def _integers(graph: GraphBuilder, values: list[int]) -> str:
     return graph.constant(values, np.int64)
 
 
 def _shape(graph: GraphBuilder, x: str, first: int, end: int) -> str:
-    return graph.node("Slice", graph.node("Shape", x), _whole(graph, [first]), _whole(graph, [end]))
+    return graph.node(
+        "Slice", graph.node("Shape", x), _integers(graph, [first]), _integers(graph, [end])
+    )
 
 
 def _size(graph: GraphBuilder, x: str, axis: int) -> str:

@@ -41,8 +41,8 @@ def attention(graph: GraphBuilder, query: str, key: str, value: str) -> str:
 
     Shapes (1, heads, N, d), (1, heads, M, d), (1, heads, M, d); result (1, heads, N, d).
     """
-    turned = graph.node("Transpose", key, perm=[0, 1, 3, 2])
-    weight = graph.node("Softmax", graph.node("MatMul", query, turned), axis=-1)
+    transposed = graph.node("Transpose", key, perm=[0, 1, 3, 2])
+    weight = graph.node("Softmax", graph.node("MatMul", query, transposed), axis=-1)
     return graph.node("MatMul", weight, value)
 
 

@@ -75,7 +75,7 @@ def _convolution(graph: GraphBuilder, x: str, weight: Tensor, bias: Tensor) -> s
 
 
 def _gate(graph: GraphBuilder, name: str, x: str) -> str:
-    """Each channel with mean 0 and variance 1, its negative values times a factor."""
+    """Instance normalisation and PReLU."""
     slope = graph.weight(f"{name}.1.weight")
     ones, zeros = np.ones(len(slope)), np.zeros(len(slope))
     x = graph.node(

@@ -72,7 +72,7 @@ def described_at(cells: Floats32, xy: Floats) -> Floats:
     """(N, D) descriptors at pixels (N, 2), bilinear between the cells (D, h, w) around them.
 
     The authors' code stretches the cells a little: 3.5, the centre of the first cell, is 0, and the
-    last pixel, half a cell behind the centre of the last cell, is this cell.
+    last pixel, half a cell past the centre of the last cell, is this cell.
     """
     _, rows, columns = cells.shape
     count = np.array([columns, rows])

@@ -161,9 +161,9 @@ class _Archive(_File):
         data = self._read(f"{self._root}data/{key}", _MAX_BYTES)
         return _Storage(np.frombuffer(data, dtype=np.dtype(_TYPES[kind])))
 
-    def _read(self, member: str, most: int) -> bytes:
-        if self._archive.getinfo(member).file_size > most:
-            raise ModelError(f"{self._name}: {member} has more than {most} bytes")
+    def _read(self, member: str, max_bytes: int) -> bytes:
+        if self._archive.getinfo(member).file_size > max_bytes:
+            raise ModelError(f"{self._name}: {member} has more than {max_bytes} bytes")
         return self._archive.read(member)
 
 

@@ -42,7 +42,9 @@ class XFeatExtractor:
 
     descriptor_format = DescriptorFormat(_WIDTH, np.dtype(np.float32))
     scale_factor = 1.0
-    suits_mutual_matching = True  # trained for it; a ratio test drops half of the right matches
+    suits_mutual_matching = (
+        True  # trained for it; a ratio test drops two fifths of the right matches
+    )
 
     def __init__(self, inference: Inference, count: int) -> None:
         self._inference = inference

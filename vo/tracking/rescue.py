@@ -1,4 +1,4 @@
-"""Features of a second kind where those of the first fail, so that their price is paid only there.
+"""Features of a second kind where those of the first fail, so that they cost time only there.
 
 A map has features of one kind at a time, and so have the frames that are tracked in it. Where a
 frame cannot be tracked, those of the map are exchanged for the other kind, extracted from the
@@ -28,7 +28,7 @@ from vo.tracking.tracker import Tracker
 from vo.types import Keypoints
 
 # Failures that other features may avert: those of their number, not those of the motion.
-_CURABLE = (
+_AVERTABLE = (
     FailureReason.FEW_FEATURES,
     FailureReason.FEW_MATCHES,
     FailureReason.FEW_LANDMARKS,
@@ -79,9 +79,9 @@ class Rescue:
         self._others: WeakKeyDictionary[Keyframe, KeyframeFeatures] = WeakKeyDictionary()
         self._before: Keypoints | None = None  # those of the first kind in the last keyframe
 
-    def may_cure(self, failure: Failure) -> bool:
+    def may_avert(self, failure: Failure) -> bool:
         """Whether features of another kind are there and may avert a failure."""
-        return self._kinds is not None and failure.reason in _CURABLE
+        return self._kinds is not None and failure.reason in _AVERTABLE
 
     def of_map(self, frame: PreprocessedFrame) -> PreprocessedFrame:
         """A frame with features of the kind that the map has."""
@@ -97,7 +97,7 @@ class Rescue:
         Returns:
             The frame with features of the map's kind, and its pose or the failure before.
         """
-        if not self.may_cure(failure):
+        if not self.may_avert(failure):
             return frame, failure
         last = self._tracker.last
         counts = self._map.visible.copy(), self._map.found.copy()
