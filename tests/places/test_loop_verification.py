@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from vo.types import Camera, Floats
 
 CAMERA = Camera(640, 480, 400.0, 400.0, 320.0, 240.0)
 SHIFT = np.array([0.02, -0.05, 0.01, 0.15, 0.05, -0.1, 0.0])  # of the second visit
+FAR = np.array([0.0, 0.0, 0.0, 1.8, 0.0, 0.0, 0.0])  # to the side
 
 
 class World:
@@ -64,13 +67,19 @@ def _see(
 
 
 def _visits(
-    earlier: World, later: World, *, noise: float, unit: float = 1.0, metric: bool = True
+    earlier: World,
+    later: World,
+    *,
+    noise: float,
+    unit: float = 1.0,
+    metric: bool = True,
+    shift: Floats = SHIFT,
 ) -> tuple[list[Place], list[Place]]:
     """The keyframes of a second visit, newest first, and that of the first one."""
     first = [_see(earlier, np.eye(4), 1, noise=noise, metric=metric)]
     second = []
     for step in range(3):
-        pose = sim3.retract(SHIFT * (1.0 - 0.2 * step))
+        pose = sim3.retract(shift * (1.0 - 0.2 * step))
         second.append(_see(later, pose, 9 - step, noise=noise, unit=unit, metric=metric))
     return second, first
 
@@ -101,40 +110,57 @@ def test_noise_stays_within_the_covariance(metric: bool) -> None:
         assert error @ np.linalg.solve(loop.covariance[:size, :size], error) < 30.0
 
 
-def test_another_place_is_refused() -> None:
-    verdict = LoopVerifier(1.44).verify(*_visits(World(0), World(1), noise=1.0), CAMERA)
+def _reason(earlier: World, later: World, **options: Any) -> RejectionReason:
+    visits = _visits(earlier, later, **options)
+    verdict = LoopVerifier(1.44).verify(*visits, CAMERA)
     assert isinstance(verdict, Rejection)
+    return verdict.reason
 
 
-def test_the_same_looks_at_other_positions_are_refused() -> None:
+def test_another_place_is_refused() -> None:
+    assert _reason(World(0), World(1), noise=1.0) is RejectionReason.FEW_MATCHES
+
+
+def test_the_same_features_at_other_positions_are_refused() -> None:
     world, other = World(0), World(1)
     other.descriptor, other.patch = world.descriptor, world.patch
-    verdict = LoopVerifier(1.44).verify(*_visits(world, other, noise=1.0), CAMERA)
-    assert isinstance(verdict, Rejection)
+    assert _reason(world, other, noise=1.0) is RejectionReason.NO_RELATION
 
 
 def test_the_same_positions_with_other_patches_are_refused() -> None:
     world, other = World(0), World(0)
     other.patch = World(1).patch
-    verdict = LoopVerifier(1.44).verify(*_visits(world, other, noise=1.0), CAMERA)
-    assert isinstance(verdict, Rejection)
-    assert verdict.reason is RejectionReason.FEW_INLIERS
+    assert _reason(world, other, noise=1.0) is RejectionReason.FEW_INLIERS
 
 
-def test_a_door_alike_in_another_wall_is_refused() -> None:
-    """A part of the image agrees in everything; what should be around it is missing."""
+def test_a_few_equal_landmarks_among_different_ones_are_refused() -> None:
+    """All over the image, as of posters in two rooms; the other expected landmarks are missing."""
     world, other = World(0), World(1)
-    door = np.arange(600) < 45
+    equal = np.arange(600) < 45
+    for name in ("xyz", "descriptor", "patch"):
+        getattr(other, name)[equal] = getattr(world, name)[equal]
+    assert _reason(world, other, noise=0.5) is RejectionReason.MISSING_LANDMARKS
+
+
+def test_the_same_door_in_another_wall_is_refused() -> None:
+    """A small part of the image agrees in everything."""
+    world, other = World(0), World(1)
+    door = np.arange(600) < 60
+    world.xyz[door] = world.xyz[door] * (0.15, 0.3, 0.1) + (1.0, 0.3, 4.0)
     for name in ("xyz", "descriptor", "patch"):
         getattr(other, name)[door] = getattr(world, name)[door]
-    verdict = LoopVerifier(1.44).verify(*_visits(world, other, noise=0.5), CAMERA)
-    assert isinstance(verdict, Rejection)
+    assert _reason(world, other, noise=0.5) is RejectionReason.SMALL_AREA
 
 
-def test_metric_keyframes_that_see_things_of_another_size_are_refused() -> None:
+@pytest.mark.parametrize("metric", [True, False])
+def test_the_same_landmarks_from_far_away_are_refused(metric: bool) -> None:
     world = World(0)
-    verdict = LoopVerifier(1.44).verify(*_visits(world, world, noise=0.5, unit=1.5), CAMERA)
-    assert isinstance(verdict, Rejection)
+    assert _reason(world, world, noise=0.5, metric=metric, shift=FAR) is RejectionReason.FAR_APART
+
+
+def test_metric_keyframes_with_landmarks_of_another_size_are_refused() -> None:
+    world = World(0)
+    assert _reason(world, world, noise=0.5, unit=1.5) is RejectionReason.NO_RELATION
 
 
 def test_one_keyframe_alone_is_not_enough() -> None:
