@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A place that was seen again, and what the pose graph made of it.
+    """An accepted loop, and the correction that followed.
 
     Attributes:
         kind: `loop` within a world, `merge` where it connected two segments,
@@ -43,7 +43,7 @@ class ClosedLoop:
 
 @dataclass(frozen=True)
 class MapUse:
-    """The loaded map of a run, and whether the run has met it.
+    """The loaded map of a run, and which segments were merged with it.
 
     Attributes:
         file: its path.

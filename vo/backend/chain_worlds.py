@@ -1,4 +1,4 @@
-"""Which chains of keyframes have met: the loops between them, and where they lie at first."""
+"""Chains of keyframes connected by loops: which loops are plausible, and initial poses."""
 
 from __future__ import annotations
 

@@ -49,8 +49,8 @@ def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
     poses, covariance = _optimised(problem, chosen, motions, world)
     scale = np.where(problem.is_metric, problem.scale, sim3.scale_of(poses))
     rigid = sim3.rigid_part(poses)
-    met = problem.chain[np.concatenate([chosen.earlier, chosen.later])]
-    alone = ~np.isin(problem.chain, met)  # to the last bit
+    connected = problem.chain[np.concatenate([chosen.earlier, chosen.later])]
+    alone = ~np.isin(problem.chain, connected)  # these keep every bit
     scale[alone], rigid[alone] = problem.scale[alone], problem.odom_from_cam[alone]
     in_world = covariance[:, :6, :6]
     in_world[:, 3:] *= scale[:, None, None]
@@ -66,7 +66,7 @@ def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
 
 
 def _true_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
-    """(L,) loops that are believed."""
+    """(L,) loops that are accepted."""
     kept = plausible_loops(problem, loops, motions)
     while kept.any():
         chosen = loops.select(kept)
@@ -114,7 +114,7 @@ def _gauge(problem: GraphProblem, world: Ints, reduced: ReducedGraph) -> Ints:
 
 
 def unplaced(problem: GraphProblem) -> PlacedKeyframes:
-    """All keyframes where odometry has them, and no loop believed."""
+    """All keyframes where odometry has them, and no loop accepted."""
     count = len(problem.keys)
     return PlacedKeyframes(
         tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),

@@ -32,7 +32,7 @@ class _Node:
 class PoseGraph:
     """Collects stored keyframes and loops, and has them optimised.
 
-    The answer to `submit` is to be taken in by `result` at a fixed keyframe, so that it does not
+    The result of `submit` is to be requested (`result`) at a fixed keyframe, so that it does not
     depend on the load of the machine.
 
     Args:
@@ -120,8 +120,8 @@ class PoseGraph:
     def result(self) -> PlacedKeyframes:
         """Wait for the placed keyframes of the graph that was submitted.
 
-        Loops that the graph does not believe are in `rejected`; they stay in the graph and may be
-        believed later, with more evidence.
+        Loops that the graph takes for false are in `rejected`; they stay in the graph and may be
+        accepted later, with more loops.
 
         Raises:
             RuntimeError: nothing was submitted.

@@ -40,7 +40,7 @@ Every = Annotated[
     typer.Option(
         min=1,
         metavar="N",
-        help="Use every so many-th frame; neighbouring ones teach nothing new.",
+        help="Use every N-th frame; neighbouring frames are nearly the same.",
         rich_help_panel=options.INPUT,
     ),
 ]
@@ -57,9 +57,9 @@ def vocabulary_command(
 ) -> None:
     """Train a vocabulary of ORB features, by which places are recognised.
 
-    The package has one, trained on synthetic recordings. One of your own may recognise more where
-    images look unlike those: train it on other recordings than those it is used on, with a thousand
-    images or more.
+    The built-in vocabulary was trained on synthetic recordings. One of your own may recognise more
+    places where images differ much from those. Train it with a thousand images or more, of other
+    recordings than those it is used on.
 
       vo vocabulary train monday/ tuesday/ -o mine.words
     """

@@ -23,7 +23,7 @@ def train_on(
 
     Args:
         sources: recordings.
-        every: use every so many-th frame; neighbouring frames teach nothing new.
+        every: use every n-th frame; neighbouring frames are nearly the same.
         features: detector and descriptor; binary descriptors of 32 bytes.
         seed: of the training.
         on_recording: called with the name of each recording and its number of images.

@@ -1,4 +1,4 @@
-"""Contract of what receives the keyframes that leave the local map.
+"""Contract of a receiver of keyframes that are removed from the local map.
 
 A keyframe is handed over as it leaves: with its features and their descriptors, its observations,
 its covariance, the landmarks that it observes, and its image. Place recognition and loop closure

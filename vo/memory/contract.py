@@ -11,7 +11,7 @@ from vo.mapping.local_map import LocalMap
 
 
 class MapMemory(Protocol):
-    """Beside tracking, which it never changes; it also is a `KeyframeStore` of the local map."""
+    """A `KeyframeStore` of the local map that works beside tracking, without changing it."""
 
     @property
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
@@ -32,7 +32,7 @@ class MapMemory(Protocol):
         ...
 
     def finish(self, local_map: LocalMap) -> None:
-        """After the last frame: take over the keyframes of the map, and take in all results."""
+        """After the last frame: store the keyframes of the local map, and apply all results."""
         ...
 
     def check_savable(self, path: Path) -> None:
@@ -69,7 +69,7 @@ class NoMemory:
         """Nothing to forget."""
 
     def finish(self, local_map: LocalMap) -> None:
-        """Nothing to take over."""
+        """Nothing to store."""
 
     def save_map(self, path: Path, source: str) -> None:
         """Nothing to save; errors as for `check_savable`."""

@@ -1,4 +1,4 @@
-"""A map of earlier runs, taken into the memory of a run."""
+"""A map of earlier runs that is loaded into the memory of a run."""
 
 from __future__ import annotations
 

@@ -23,17 +23,17 @@ from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Bytes, Floats
 
-# An answer of the pose graph is taken in when so many further keyframes have been stored; the
-# number is fixed, so that the path does not depend on the speed of the optimizer.
+# A result of the pose graph is applied after so many further stored keyframes; the number is fixed,
+# so that the path does not depend on the speed of the optimizer.
 _LATENCY = 3
-_SPACING = 10  # minimum of stored keyframes from one graph to the next,
-_SPACING_RATIO = 0.05  # more in a large one: its optimisation takes longer
+_SPACING = 10  # minimum of stored keyframes from one graph to the next
+_SPACING_RATIO = 0.05  # of all stored keyframes, if that is more: large graphs take longer
 
 
 class Memory:
-    """Receives the keyframes that leave the local map; a `KeyframeStore`.
+    """Receives the keyframes that are removed from the local map; a `KeyframeStore`.
 
-    Neither the local map nor tracking is changed. The result for each keyframe is taken in with the
+    Neither the local map nor tracking is changed. The result for each keyframe is applied with the
     next one, and that of the pose graph a fixed number of keyframes later.
 
     Attributes:
@@ -67,15 +67,15 @@ class Memory:
         self._loops: list[Loop] = []
         self._closed: dict[int, ClosedLoop] = {}  # by index of the loop
         self._submitted: int | None = None  # number of loops of the graph that is optimised
-        self._placed_loops = 0  # number of loops in the newest answer
-        self._due = 0  # number of stored keyframes at which the answer is taken in
+        self._placed_loops = 0  # number of loops in the newest result
+        self._due = 0  # number of stored keyframes at which the result is applied
         self._next = 0  # ... from which the next graph may be submitted
         self._unmarked: list[int] = []  # indices of loops that no frame has been placed by yet
         self._is_finished = False
 
     @property
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
-        """Loops that the pose graph believes, in the order in which they were found."""
+        """Loops that the pose graph accepts, in the order in which they were found."""
         return tuple(self._closed[n] for n in sorted(self._closed))
 
     @property
@@ -85,13 +85,13 @@ class Memory:
 
     @timed("memory")
     def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
-        """Store a keyframe, and take in what is due."""
+        """Store a keyframe, and apply results that are due."""
         if self._is_finished:  # the odometry hands the rest over once more when it is closed
             return
-        self._take_recognised()
+        self._apply_recognised()
         stored = len(self._frames)
         if self._submitted is not None and stored >= self._due:
-            self._take_placed()
+            self._apply_placed()
         has_news = self._placed_loops < len(self._loops)
         if self._submitted is None and has_news and stored >= self._next:
             self._submit()
@@ -105,9 +105,9 @@ class Memory:
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""
-        self._take_recognised()
+        self._apply_recognised()
         if self._submitted is not None:
-            self._take_placed()
+            self._apply_placed()
         gone = tuple(key for key, frame in self._frames.items() if frame.index >= frame_index)
         self._recogniser.remove(gone)
         self._graph.remove_keyframes(gone)
@@ -116,15 +116,15 @@ class Memory:
 
     @timed("memory")
     def finish(self, local_map: LocalMap) -> None:
-        """Take over the keyframes of the map, and take in everything that is left."""
+        """Store the keyframes of the local map, and apply all results."""
         local_map.hand_over([self])
         self._is_finished = True
-        self._take_recognised()
+        self._apply_recognised()
         if self._submitted is not None:
-            self._take_placed()
+            self._apply_placed()
         if self._placed_loops < len(self._loops):
             self._submit()
-            self._take_placed()
+            self._apply_placed()
         self._unmarked.clear()
 
     def check_savable(self, path: Path) -> None:
@@ -147,8 +147,8 @@ class Memory:
         """
         self._graph.submit()
         placed = self._graph.result()
-        believed = [self._loops[n] for n in sorted(self._closed)]
-        self._recogniser.save_map(path, source, placed, believed)
+        accepted = [self._loops[n] for n in sorted(self._closed)]
+        self._recogniser.save_map(path, source, placed, accepted)
 
     def close(self) -> None:
         """End threads and processes."""
@@ -156,7 +156,7 @@ class Memory:
         self._recogniser.close()
         self._graph.close()
 
-    def _take_recognised(self) -> None:
+    def _apply_recognised(self) -> None:
         recognised = self._recogniser.result()
         if recognised is None:
             return
@@ -174,17 +174,17 @@ class Memory:
         self._submitted, self._due = len(self._loops), stored + _LATENCY
         self._next = stored + max(_SPACING, math.ceil(_SPACING_RATIO * stored))
 
-    def _take_placed(self) -> None:
-        """Take in the answer of the pose graph, and move the trajectory."""
+    def _apply_placed(self) -> None:
+        """Apply the result of the pose graph to the trajectory."""
         placed = self._graph.result()
         assert self._submitted is not None
         loops = self._loops[: self._submitted]
         self._placed_loops, self._submitted = self._submitted, None
         rejected = {(loop.earlier, loop.later) for loop in placed.rejected}
-        believed = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
-        touched = sorted({*believed, *self._closed})
-        self._closed = {n: loop for n, loop in self._closed.items() if n in believed}
-        new = [n for n in believed if n not in self._closed]
+        accepted = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
+        touched = sorted({*accepted, *self._closed})
+        self._closed = {n: loop for n, loop in self._closed.items() if n in accepted}
+        new = [n for n in accepted if n not in self._closed]
         if not touched:
             return
         before = {n: self._pose(loops[n].later) for n in new}

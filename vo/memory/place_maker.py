@@ -1,4 +1,4 @@
-"""Places from keyframes that leave the local map."""
+"""Places from keyframes that are removed from the local map."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from vo.places.records import Candidate, Loop, Place, PlacedKeyframes, PlaceKey
 from vo.scheduling import give_way
 from vo.types import Camera
 
-_SUCCESSION = 4  # stored keyframes that have to agree with a loop, at most
+_SUCCESSION = 4  # newest keyframes given to the verifier
 _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
 _MIN_SHARED = 15  # landmarks
 _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
@@ -25,7 +25,7 @@ _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bound
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """What the database and the verifier found for a keyframe.
+    """Result of the search for the place of a keyframe.
 
     Attributes:
         place: the keyframe.
@@ -39,7 +39,7 @@ class Recognised:
 
 
 class Recogniser:
-    """Stores keyframes one by one, and looks for each of them among the earlier ones.
+    """Stores keyframes one by one, and searches for earlier ones of the same place.
 
     All work on the database is done in one thread, in the order of the calls.
 
@@ -47,9 +47,9 @@ class Recogniser:
         database: of stored keyframes.
         verifier: decides on candidates.
         camera: ideal (rectified) camera of the keyframes.
-        threads: with one, keyframes are looked for when the result is requested.
+        threads: with one, the search is done when the result is requested.
         loaded: map whose keyframes are in the database, or None.
-        localizes: whether keyframes are looked for in the map alone and not stored.
+        localizes: whether only the loaded map is searched, and keyframes are not stored.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Recogniser:
         self._place: Place | None = None
 
     def submit(self, place: Place) -> None:
-        """Store a keyframe and look for it, after the result before it."""
+        """Store a keyframe and search for its place, after the last result was requested."""
         if self._pool is None:
             self._place = place
         else:

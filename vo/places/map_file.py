@@ -79,7 +79,7 @@ def write_map(
         header: description of the map.
         keyframes: keys and bytes (`KeyframeDatabase.encoded`), all of them placed.
         placed: where keyframes are; those that are not written are left out.
-        loops: those that the pose graph believes.
+        loops: those that the pose graph accepts.
 
     Raises:
         OutputError: the file cannot be written; one that was there is as before.

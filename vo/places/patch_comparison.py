@@ -1,4 +1,4 @@
-"""Similarity of stored patches, as one of them should look from the other keyframe."""
+"""Similarity of stored patches, one of them warped as the other keyframe should see it."""
 
 from __future__ import annotations
 

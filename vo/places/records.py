@@ -2,7 +2,7 @@
 
 Poses are those of the rectified camera. A *segment* is a connected part of the path with a world of
 its own, the *odometry frame*, in which the local map works; loops never change it. The pose graph
-places stored keyframes in the *map frame*, common to all segments that have met (REP 105 calls the
+places stored keyframes in the *map frame*, common to all merged segments (REP 105 calls the
 two frames `odom` and `map`).
 """
 
@@ -61,7 +61,7 @@ class PlaceLandmarks:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A keyframe as it is stored once it has left the local map.
+    """A keyframe as it is stored when it is removed from the local map.
 
     Attributes:
         key: its identity.
@@ -130,7 +130,7 @@ class PlacedKeyframes:
         world_from_cam: (n, 4, 4), in the unit of the world's first segment.
         scale: (n,) length in that unit of one unit of the keyframe's own segment.
         covariance: (n, 6, 6) in the camera's frame, NaN if unknown.
-        rejected: loops that the graph does not believe.
+        rejected: loops that the graph takes for false.
     """
 
     keys: tuple[PlaceKey, ...]

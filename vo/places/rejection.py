@@ -10,17 +10,17 @@ class RejectionReason(Enum):
     """Why two keyframes are not taken for the same place; the value is the text."""
 
     FEW_LANDMARKS = "{value:.0f} landmarks in one of the keyframes, {needed:.0f} needed"
-    FEW_MATCHES = "{value:.0f} landmarks look alike, {needed:.0f} needed"
+    FEW_MATCHES = "{value:.0f} landmarks have matching descriptors, {needed:.0f} needed"
     NO_RELATION = "{value:.0f} landmarks agree on a relation, {needed:.0f} needed"
-    FEW_INLIERS = "{value:.0f} landmarks lie and look as predicted, {needed:.0f} needed"
+    FEW_INLIERS = "{value:.0f} landmarks agree in position and patch, {needed:.0f} needed"
     SMALL_AREA = "the landmarks that agree cover {value:.2f} of the image, {needed:.2f} needed"
-    MISSING_LANDMARKS = "{value:.2f} of the landmarks that should be seen are, {needed:.2f} needed"
+    MISSING_LANDMARKS = "{value:.2f} of the expected landmarks are found, {needed:.2f} needed"
     UNCERTAIN = "the relation is uncertain by {value:.2f} of the distance, at most {needed:.2f}"
     FAR_APART = (
-        "the keyframes are {value:.2f} of the distance of what they see apart, at most {needed}"
+        "the keyframes are {value:.2f} of the distance of the landmarks apart, at most {needed:.2f}"
     )
     IMPLAUSIBLE_SCALE = "the scales differ by a factor of {value:.2f}, at most {needed:.2f}"
-    ONLY_ONCE = "{value:.0f} of the keyframes in succession agree, {needed:.0f} needed"
+    ONLY_ONCE = "{value:.0f} successive keyframes agree, {needed:.0f} needed"
 
 
 class Rejection(NamedTuple):

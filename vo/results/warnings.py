@@ -133,7 +133,7 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
     if not apart:
         return []
     if len(apart) == len(segments):
-        return [f"the run never met the map {use.file}: the path is in a world of its own"]
+        return [f"no segment was merged with the map {use.file}: the path is in a world of its own"]
     numbers = ", ".join(str(segment) for segment in apart)
     return [f"not in the world of the map {use.file}, in worlds of their own: segments {numbers}"]
 
