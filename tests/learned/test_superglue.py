@@ -117,7 +117,7 @@ def reference(weights: dict[str, Array], given: dict[str, Array]) -> Array:
 def test_the_graph_computes_what_the_paper_describes(backend: str, tmp_path: Path) -> None:
     require_backend(backend)
     weights = random_weights()
-    network = saved(superglue_model(weights, HEADS), tmp_path, backend)
+    network = saved(superglue_model(weights), tmp_path, backend)
     for counts in ((30, 40), (1, 1), (7, 1), (30, 40)):
         given = inputs(*counts)
         similarity, bin_score = network.run(given, ["similarity", "bin_score"])

@@ -27,7 +27,6 @@ class GraphBuilder:
         self._nodes: list[Any] = []
         self._constants: dict[str, Any] = {}
         self._names: dict[tuple[Any, ...], str] = {}
-        self.used: set[str] = set()
 
     def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add an operator with one output."""
@@ -50,7 +49,6 @@ class GraphBuilder:
 
     def weight(self, name: str) -> Tensor:
         """A tensor of the weights by its name there."""
-        self.used.add(name)
         return self._weights[name]
 
     def has_weight(self, name: str) -> bool:

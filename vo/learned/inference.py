@@ -99,14 +99,13 @@ class OnnxRuntimeInference:
     Args:
         path: the ONNX file.
         device: where to compute.
-        threads: of the CPU, 0 for all cores.
 
     Raises:
         ConfigError: this device is not there, or not usable.
         ModelError: the file cannot be loaded.
     """
 
-    def __init__(self, path: Path, device: Device = "auto", threads: int = 0) -> None:
+    def __init__(self, path: Path, device: Device = "auto") -> None:
         import onnxruntime
 
         self._path = path
@@ -116,7 +115,6 @@ class OnnxRuntimeInference:
         if not providers:
             raise ConfigError(_no_device(device, available))
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
         options.log_severity_level = 3
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=providers)
@@ -131,9 +129,9 @@ class OnnxRuntimeInference:
                 f"features.device is {device}, which ONNX Runtime offers but cannot use: are its "
                 "driver and libraries installed? features.device=auto takes what works"
             )
-        self.provider = used.removesuffix("ExecutionProvider")
+        provider = used.removesuffix("ExecutionProvider")
         self.device = next((d for d, name in _PROVIDERS.items() if name == used), "cpu")
-        self.description = f"ONNX Runtime {onnxruntime.__version__} on {self.provider}"
+        self.description = f"ONNX Runtime {onnxruntime.__version__} on {provider}"
 
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
         """See `Inference.run`."""
@@ -144,9 +142,7 @@ class OnnxRuntimeInference:
         return [np.asarray(each) for each in results]
 
 
-def load(
-    path: Path, backend: Backend = "auto", device: Device = "auto", threads: int = 0
-) -> Inference:
+def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Inference:
     """Load a model.
 
     Args:
@@ -154,7 +150,6 @@ def load(
         backend: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
             every other device.
         device: where to compute.
-        threads: of ONNX Runtime, 0 for all cores.
 
     Raises:
         ConfigError: ONNX Runtime is asked for and not installed, or the device is not there.
@@ -176,7 +171,7 @@ def load(
                 f"features.{setting}, which needs ONNX Runtime, and that is not installed: "
                 "pip install 'visual-odometry[onnxruntime]'"
             )
-        inference = OnnxRuntimeInference(path, device, threads)
+        inference = OnnxRuntimeInference(path, device)
     _log.info("%s runs in %s", path.stem, inference.description)
     used = _used.get()
     if used is not None:

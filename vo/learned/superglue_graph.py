@@ -17,10 +17,11 @@ from vo.learned.torch_archive import Tensor
 if TYPE_CHECKING:
     from onnx import ModelProto
 
+_HEADS = 4  # of each attention layer
 _EPSILON = 1e-5  # of torch's batch normalisation
 
 
-def superglue_model(weights: dict[str, Tensor], heads: int = 4) -> ModelProto:
+def superglue_model(weights: dict[str, Tensor]) -> ModelProto:
     """The model, from the weights by their names in the authors' file.
 
     Inputs `kpts0` (1, N, 2) and `kpts1` (1, M, 2) positions, 0 in the middle of the image and 1 at
@@ -30,7 +31,6 @@ def superglue_model(weights: dict[str, Tensor], heads: int = 4) -> ModelProto:
 
     Args:
         weights: of the matcher.
-        heads: of each attention layer.
 
     Raises:
         KeyError: a weight is missing.
@@ -45,7 +45,7 @@ def superglue_model(weights: dict[str, Tensor], heads: int = 4) -> ModelProto:
     for number in range(_layers(weights)):
         name, is_cross = f"gnn.layers.{number}", number % 2 == 1
         sources = x[::-1] if is_cross else x
-        messages = [_message(graph, name, *each, heads) for each in zip(x, sources, strict=True)]
+        messages = [_message(graph, name, *each) for each in zip(x, sources, strict=True)]
         x = [graph.node("Add", each, m) for each, m in zip(x, messages, strict=True)]
     scale = np.sqrt(np.sqrt(np.float64(channels)))
     weight, bias = _layer(graph, "final_proj")
@@ -72,30 +72,30 @@ def _layer(graph: GraphBuilder, name: str) -> tuple[Tensor, Tensor]:
     return graph.weight(f"{name}.weight")[:, :, 0], graph.weight(f"{name}.bias")
 
 
-def _message(graph: GraphBuilder, name: str, x: str, source: str, heads: int) -> str:
+def _message(graph: GraphBuilder, name: str, x: str, source: str) -> str:
     """What features (1, N, C) get from those of a source (equations 3 to 5)."""
     query, key, value = (
-        to_heads(graph, linear(graph, each, *_by_head(graph, name, part, heads)), heads)
+        to_heads(graph, linear(graph, each, *_by_head(graph, name, part)), _HEADS)
         for part, each in enumerate((x, source, source))
     )
     weight, bias = _layer(graph, f"{name}.attn.merge")
-    order = _order(weight.shape[1], heads)
+    order = _order(weight.shape[1])
     merged = from_heads(graph, attention(graph, query, key, value))
     message = linear(graph, merged, weight[:, order], bias)
     return _perceptron(graph, f"{name}.mlp", graph.node("Concat", x, message, axis=-1))
 
 
-def _by_head(graph: GraphBuilder, name: str, part: int, heads: int) -> tuple[Tensor, Tensor]:
+def _by_head(graph: GraphBuilder, name: str, part: int) -> tuple[Tensor, Tensor]:
     """A projection with channels ordered by head; queries (part 0) include the products' scale."""
     weight, bias = _layer(graph, f"{name}.attn.proj.{part}")
-    order = _order(weight.shape[0], heads)
-    scale = np.sqrt(np.float64(weight.shape[0] // heads)) if part == 0 else 1.0
+    order = _order(weight.shape[0])
+    scale = np.sqrt(np.float64(weight.shape[0] // _HEADS)) if part == 0 else 1.0
     return weight[order] / scale, bias[order] / scale
 
 
-def _order(channels: int, heads: int) -> Tensor:
+def _order(channels: int) -> Tensor:
     """Channels by head: in the file, neighbouring channels belong to different heads."""
-    return np.arange(channels).reshape(-1, heads).T.reshape(-1)
+    return np.arange(channels).reshape(-1, _HEADS).T.reshape(-1)
 
 
 def _perceptron(graph: GraphBuilder, name: str, x: str) -> str:

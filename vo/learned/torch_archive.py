@@ -12,7 +12,6 @@ import pickle
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,21 +55,6 @@ def read_tensors(data: bytes, name: str) -> dict[str, Tensor]:
         raise
     except Exception as error:  # whatever damaged bytes make the two formats raise
         raise ModelError(f"{name} is no file of tensors, or damaged: {error}") from error
-
-
-def read_tensors_of_file(path: Path) -> dict[str, Tensor]:
-    """All named tensors of a file.
-
-    Raises:
-        ModelError: see `read_tensors`; or it is missing or too large.
-    """
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ModelError(f"{path} has {path.stat().st_size} bytes; at most {_MAX_BYTES}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path} cannot be read: {error.strerror or error}") from error
-    return read_tensors(data, str(path))
 
 
 class _Storage:
