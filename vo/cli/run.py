@@ -95,7 +95,7 @@ Loops = Annotated[
     bool | None,
     typer.Option(
         "--loops/--no-loops",
-        help="Recognise places that were seen before, and correct the path by them.",
+        help="Recognise places that were seen before, and correct the drift.",
         show_default="that of --config",
         rich_help_panel=_ODOMETRY,
     ),
@@ -104,7 +104,7 @@ Vocabulary = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Words by which places are recognised, from `vo vocabulary train`.",
+        help="Vocabulary of place recognition, from `vo vocabulary train`.",
         show_default="the built-in one",
         rich_help_panel=_ODOMETRY,
     ),
@@ -114,7 +114,7 @@ Map = Annotated[
     typer.Option(
         "--map",
         metavar="FILE",
-        help="Continue in a map from --save-map: find its places again; --loops is included.",
+        help="Continue in a map from --save-map, whose places are recognised; includes --loops.",
         rich_help_panel=_ODOMETRY,
     ),
 ]
@@ -122,7 +122,7 @@ Localize = Annotated[
     bool,
     typer.Option(
         "--localize",
-        help="Only find poses in --map, and add nothing to it.",
+        help="Only localise in --map, and add nothing to it.",
         rich_help_panel=_ODOMETRY,
     ),
 ]
@@ -131,7 +131,7 @@ SaveMap = Annotated[
     typer.Option(
         "--save-map",
         metavar="FILE",
-        help="Also write the stored keyframes and where they are, with --loops, for vo map.",
+        help="Also write the stored keyframes and their poses, with --loops, for --map and vo map.",
         rich_help_panel=options.OUTPUT,
     ),
 ]
