@@ -51,3 +51,11 @@ def test_what_is_missing_or_unknown_is_one_error_line(url: str) -> None:
         pass
     assert url in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_error_names_the_url_not_the_copy(tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"x")
+    url = f"file://{tmp_path}/bad.mcap"
+    result = run_job(Job("bad", url), tmp_path / "out", Limits())
+    assert result.status.value == "failed"
+    assert (result.error or "").startswith(f"{url} is not an MCAP file")

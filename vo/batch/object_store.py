@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from vo.errors import SourceError
+from vo.errors import SourceError, VoError
 from vo.extras import require
 from vo.printable import one_line
 
@@ -80,7 +80,10 @@ def local_copy(source: str) -> Iterator[str]:
                 files.get_file(path, str(target))
             else:
                 files.get(path.rstrip("/") + "/", f"{target}/", recursive=True)
-        yield str(target)
+        try:
+            yield str(target)
+        except VoError as error:  # the copy is gone when the message is read
+            raise type(error)(str(error).replace(str(target), source)) from error
 
 
 def _version(info: dict[str, Any]) -> str:
