@@ -28,6 +28,7 @@ from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
 from vo.places.map_file import MapFile
 from vo.run_recording import run
+from vo.sources.registry import open_source
 from vo.types import Estimate, Floats, Frame, Trajectory
 
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
@@ -169,6 +170,21 @@ def test_without_a_place_seen_again_the_results_have_the_same_bytes(
         assert summary["loops"] == []
     for name in FILES:
         assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "off" / name).read_bytes()
+
+
+def test_loops_of_frames_that_are_tracked_anew_are_forgotten(rounds: Path) -> None:
+    """As where content that is fixed in the image is found late; a graph is optimised meanwhile."""
+    config = load_config("default", ["memory.loops=true"])
+    source = open_source(rounds, mode="mono")
+    with closing(Odometry(source.rig, config)) as odometry:
+        for _ in odometry.track_all(source.frames(0, END)):
+            pass
+        first = odometry.memory.closed_loops[0].frame + 1
+        odometry._map.clear_corrected()
+        odometry.trajectory.remove_from(first)
+        odometry.memory.forget_from(first)
+        odometry.memory.finish(odometry._map)
+        assert [loop.frame for loop in odometry.memory.closed_loops] == [first - 1]
 
 
 class _Kidnapped(Odometry):

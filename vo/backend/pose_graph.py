@@ -87,6 +87,10 @@ class PoseGraph:
         """Add a verified loop between keyframes that were added."""
         self._loops.append(loop)
 
+    def keep_loops(self, count: int) -> None:
+        """Forget all loops but the first `count`."""
+        del self._loops[count:]
+
     def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
         """Remove culled keyframes; the motions before and after each are joined.
 

@@ -104,15 +104,23 @@ class Memory:
         self._unmarked.clear()
 
     def forget_from(self, frame_index: int) -> None:
-        """Forget all keyframes from a frame on, which are tracked anew."""
+        """Forget all keyframes from a frame on, which are tracked anew, and their loops."""
         self._apply_recognised()
         if self._submitted is not None:
-            self._apply_placed()
+            self._graph.result()  # may place forgotten keyframes, so it is not applied
+            self._submitted = None
         gone = tuple(key for key, frame in self._frames.items() if frame.index >= frame_index)
-        self._recogniser.remove(gone)
-        self._graph.remove_keyframes(gone)
         for key in gone:
             del self._frames[key]
+        # Loops are in the order of their later keyframes.
+        kept = sum(loop.later in self._frames for loop in self._loops)
+        del self._loops[kept:]
+        self._placed_loops = min(self._placed_loops, kept)
+        self._closed = {n: loop for n, loop in self._closed.items() if n < kept}
+        self._unmarked = [n for n in self._unmarked if n < kept]
+        self._recogniser.remove(gone)
+        self._graph.keep_loops(kept)
+        self._graph.remove_keyframes(gone)
 
     @timed("memory")
     def finish(self, local_map: LocalMap) -> None:
