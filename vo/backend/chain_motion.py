@@ -1,4 +1,4 @@
-"""Motions along chains of keyframes, with the uncertainty of odometry over long ways."""
+"""Motions along chains of keyframes, with the uncertainty of odometry over long distances."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from vo.geometry import sim3
 from vo.types import Floats, Ints
 
 # Standard deviations of the drift of odometry that the windows' covariances do not contain.
-# Random, for each step: a share of its length, radians, and in mono of the logarithm of the scale.
+# Random, for each step: ratio of its length, radians, and in mono of the logarithm of the scale.
 _STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.002, 1e-4, 0.01
-# Systematic, the same in all steps of a way: shares of their lengths and of their rotations.
+# Systematic, the same in all steps: ratios of their lengths and of their rotations.
 _DRIFT_RATIO, _DRIFT_ROTATION_RATIO = 0.01, 0.005
 # Steps whose covariance is unknown.
 _UNKNOWN_RATIO, _UNKNOWN_RAD = 0.1, 0.02
@@ -21,8 +21,8 @@ FIXED_LOG_SCALE = 1e-6  # standard deviation of a scale that cannot change
 class ChainMotions:
     """Relative poses of the keyframes of one chain, and their covariances, in constant time.
 
-    Errors of steps are summed up in the frame of the chain, where they add: the covariance of a
-    way is the difference of two sums. Systematic errors, equal in all steps, add before they are
+    Errors of steps are summed in the frame of the chain: the covariance of a motion is the
+    difference of two sums. Systematic errors, equal in all steps, add before they are
     squared.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""A pose graph with few poses: only those between which a loop is, and the ways between them."""
+"""A pose graph with few poses: those of the keyframes of loops, and the motions between them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from vo.types import Floats, Ints
 class ReducedGraph:
     """The m poses of a graph of n rows that are optimised.
 
-    The motions between two of them are joined to one, whose covariance is the sum of theirs, so
-    that nothing is lost but the size of the graph. All rows of a rigid chain share one pose.
+    The motions between two of them are composed to one, whose covariance is the sum of theirs. All
+    rows of a rigid chain share one pose.
 
     Attributes:
         knots: (m,) rows of the poses, increasing; the first row of each chain is one.
         pose: (n,) the pose that each row follows: that of its row or of the last one before.
-        odometry: ways between poses that follow each other in a chain.
+        odometry: motions between poses that follow each other in a chain.
         loops: between poses.
     """
 
@@ -61,8 +61,8 @@ def expand(
 ) -> tuple[Floats, Floats]:
     """Poses (n, 4, 4) of all rows, and their covariances (n, 7, 7), of the optimised poses.
 
-    What a way was corrected by is spread over its rows as their uncertainty grows: the expected
-    errors of the rows, given that of the end.
+    The correction of a motion is spread over the rows in between in proportion to their
+    uncertainty: the expected errors of the rows, given that of the last one.
 
     Args:
         reduced: the reduced graph.

@@ -10,8 +10,8 @@ from vo.backend.loop_edges import LoopEdges, agreement, agrees_with_odometry, la
 from vo.geometry import sim3
 from vo.types import Bools, Floats, Ints
 
-# Loops that must agree, of as many later keyframes, before two chains are merged: nothing else
-# shows how they lie. A second set that agrees about another relation must be half as large at most.
+# Loops that must agree, of as many later keyframes, before two chains are merged: there is no
+# odometry between them. A second set that agrees on another relation must be half as large at most.
 _MIN_LOOPS = 3
 _MAX_COMPARED = 200  # newest loops between two chains
 
@@ -55,7 +55,7 @@ def _agreeing_pair(loops: LoopEdges, rows: Ints, motions: ChainMotions) -> Ints:
         return rows[:0]
     agree = agreement(loops.select(rows), motions)
     best = largest_agreeing(agree)
-    # Loops that agree with none of the best speak for another relation, as in a copy of a place.
+    # Loops that agree with none of the best support another relation, as in a copy of a place.
     others = np.flatnonzero(~agree[:, best].any(axis=1))
     second = largest_agreeing(agree[np.ix_(others, others)]) if len(others) else others
     if len(np.unique(loops.later[rows[best]])) < _MIN_LOOPS or 2 * len(second) > len(best):
@@ -77,24 +77,16 @@ def place_chains(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions)
     """(n, 4, 4) first guess of all rows in the frames of their worlds."""
     poses = motions.odom_from_cam
     placed = {int(c): np.eye(4) for c in np.unique(worlds_of(problem, loops))}
-    ends = list(
-        zip(
-            problem.chain[loops.earlier].tolist(),
-            problem.chain[loops.later].tolist(),
-            strict=True,
-        )
-    )
+    earlier, later = problem.chain[loops.earlier].tolist(), problem.chain[loops.later].tolist()
+    ends = list(zip(earlier, later, strict=True))
     while True:
-        found = None
-        for n, (a, b) in enumerate(ends):
-            if (a in placed) != (b in placed):
-                found = n
-                break
-        if found is None:
+        half_placed = (n for n, (a, b) in enumerate(ends) if (a in placed) != (b in placed))
+        n = next(half_placed, None)
+        if n is None:
             break
-        a, b = ends[found]
-        at_earlier, at_later = poses[loops.earlier[found]], poses[loops.later[found]]
-        relation = loops.relation[found]
+        a, b = ends[n]
+        at_earlier, at_later = poses[loops.earlier[n]], poses[loops.later[n]]
+        relation = loops.relation[n]
         if a in placed:
             placed[b] = placed[a] @ at_earlier @ relation @ sim3.inverse(at_later)
         else:

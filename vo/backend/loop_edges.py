@@ -86,7 +86,7 @@ def agrees_with_odometry(loops: LoopEdges, motions: ChainMotions) -> Bools:
 def agreement(loops: LoopEdges, motions: ChainMotions) -> Bools:
     """(L, L) whether loops between the same two chains agree with each other.
 
-    The way from one loop over odometry to the other one and back must end where it began.
+    The cycle of one loop, odometry, the other loop and odometry must be the identity.
 
     Source: Mangelson et al., "Pairwise Consistent Measurement Set Maximization for Robust
         Multi-robot Map Merging", ICRA 2018, eq. 5.

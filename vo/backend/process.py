@@ -69,7 +69,7 @@ class SolverProcess(Generic[Problem, Solution]):
             RuntimeError: nothing was submitted, the process does not start, or it fails.
         """
         if self._problem is None:
-            raise RuntimeError("no window was submitted")
+            raise RuntimeError("no problem was submitted")
         problem, self._problem = self._problem, None
         for attempt in range(_ATTEMPTS):
             if attempt > 0:

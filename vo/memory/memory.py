@@ -92,8 +92,8 @@ class Memory:
         stored = len(self._frames)
         if self._submitted is not None and stored >= self._due:
             self._apply_placed()
-        has_news = self._placed_loops < len(self._loops)
-        if self._submitted is None and has_news and stored >= self._next:
+        has_new_loops = self._placed_loops < len(self._loops)
+        if self._submitted is None and has_new_loops and stored >= self._next:
             self._submit()
         self._recogniser.submit(self._maker.make(keyframe, landmarks, image))
 

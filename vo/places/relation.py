@@ -1,4 +1,4 @@
-"""Relation of two keyframes from pairs of their landmarks: by samples, then by least squares."""
+"""Relation of two keyframes from pairs of landmarks: by random samples, then least squares."""
 
 from __future__ import annotations
 

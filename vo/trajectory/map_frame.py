@@ -43,7 +43,7 @@ class Anchor:
     def covariance(self, odom_from_cam: Floats, covariance: Floats) -> Floats:
         """Covariances (n, 6, 6) in the map of poses (n, 4, 4) with their covariance in odometry.
 
-        The odometry's errors add up along the path, and so does what the graph has changed of them.
+        The covariance of the odometry, plus the change by the pose graph at the anchor.
         """
         scaled = scaled_covariance(covariance, self.scale)
         cam_from_anchor = inverse(odom_from_cam) @ self.odom_from_cam
