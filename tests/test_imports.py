@@ -17,7 +17,7 @@ BASE = {
         *("errors", "types", "failures", "faults", "calibration_errors"),
         *("bounded_documents", "bounded_files", "extras", "printable"),
         *("given_images", "grey_stretch"),
-        *("closed_loops", "feature_settings"),
+        *("closed_loops", "feature_settings", "metric_scale"),
         *("config", "settings", "image_areas", "scheduling", "stopwatch"),
     )
 }

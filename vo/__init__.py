@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from vo.formats.trajectory import read_trajectory
     from vo.formats.trajectory import write_tum as write_trajectory
     from vo.geometry.transforms import quat_xyzw_from_rotation
+    from vo.metric_scale import MetricScale, ScaleFindings, ScaleSource
     from vo.recording.exports import Exports
     from vo.results.summary import Summary
     from vo.sources.registry import open_source as open
@@ -64,10 +65,13 @@ _DEFINED_IN = {
     "FrameStream": "vo.sources.source:FrameStream",
     "InputError": "vo.errors:InputError",
     "KeyframePose": "vo.types:KeyframePose",
+    "MetricScale": "vo.metric_scale:MetricScale",
     "Odometry": "vo.api.odometry:Odometry",
     "OutputError": "vo.errors:OutputError",
     "Recording": "vo.sources.source:Recording",
     "Rig": "vo.types:Rig",
+    "ScaleFindings": "vo.metric_scale:ScaleFindings",
+    "ScaleSource": "vo.metric_scale:ScaleSource",
     "Snapshot": "vo.types:Snapshot",
     "SourceError": "vo.errors:SourceError",
     "State": "vo.types:State",
@@ -107,10 +111,13 @@ __all__ = [
     "FrameStream",
     "InputError",
     "KeyframePose",
+    "MetricScale",
     "Odometry",
     "OutputError",
     "Recording",
     "Rig",
+    "ScaleFindings",
+    "ScaleSource",
     "Snapshot",
     "SourceError",
     "State",

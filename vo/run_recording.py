@@ -13,6 +13,7 @@ from vo.config import Config, dump_config
 from vo.errors import ConfigError, SourceError, VoError
 from vo.extras import require
 from vo.image_areas import split_cameras
+from vo.metric_scale import ScaleSource
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
@@ -62,6 +63,7 @@ class RunOptions(TypedDict, total=False):
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
         optimizer_process: that of `vo.backend.launch`, if it was started already.
+        scale_sources: measure the scale of a mono path, which is converted to metres.
     """
 
     mode: Mode
@@ -89,6 +91,7 @@ class RunOptions(TypedDict, total=False):
     progress: Progress | None
     profile_since: float | None
     optimizer_process: Popen[bytes] | None
+    scale_sources: Sequence[ScaleSource]
 
 
 def run(
@@ -269,6 +272,7 @@ def _request(
         options.get("follow", False),
         options.get("save_map"),
         options.get("profile_since"),
+        tuple(options.get("scale_sources", ())),
     )
 
 

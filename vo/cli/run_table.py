@@ -13,6 +13,7 @@ from rich.markup import escape
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
 from vo.closed_loops import ClosedLoop
+from vo.metric_scale import MetricScale
 from vo.printable import counted
 from vo.results.folder import RESULTS
 from vo.results.profile import Profile
@@ -77,6 +78,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
         *([("loops", _loops(summary.loops))] if summary.loops else []),
         ("keyframes", f"{summary.keyframes}, with {counted(summary.landmarks, 'landmark')}"),
         ("path", f"{summary.path_m:.3f} {unit}"),
+        *([("scale", _scales(summary.scale.scales))] if summary.scale else []),
         ("speed", f"{speed}, peak memory {summary.peak_rss_mb:.0f} MB"),
     ]
     if summary.live is not None and summary.live.delay_ms is not None:
@@ -94,6 +96,16 @@ def _loops(loops: Sequence[ClosedLoop]) -> str:
     joined = len({loop.segment for loop in loops if loop.joins})
     again = counted(len(loops), "keyframe") + " at known places"
     return f"{again}, {counted(joined, 'segment')} connected by them" if joined else again
+
+
+def _scales(scales: Sequence[MetricScale]) -> str:
+    """Scale and relative uncertainty of each world."""
+    parts = [
+        f"{s.value:.4g} m per map unit, ± {s.relative_sigma:.2%} ({s.source})"
+        + (f" in segment {s.segment}" if len(scales) > 1 else "")
+        for s in scales
+    ]
+    return "; ".join(parts) or "unknown"
 
 
 def _masks(hidden: Sequence[float]) -> str:

@@ -32,6 +32,7 @@ _REFERENCE_NAMES = (
     "pose_left.txt",
     "pose_lcam_front.txt",
 )
+_SCALED_NOTE = "mono estimate in metres, by the scale in its summary.json: aligned without scale"
 _TARTANAIR_NOTE = "ground truth read as TartanAir's: camera axes x forward, y right, z down"
 
 
@@ -46,6 +47,7 @@ class Inputs:
         reference: the ground truth.
         mode: mode of the run that made the estimate, `auto` if unknown.
         notes: changes made to them, for the reader of the results.
+        causal_mode: mode of the causal path of the run, which is never converted to metres.
     """
 
     estimate_path: Path
@@ -54,6 +56,7 @@ class Inputs:
     reference: Trajectory
     mode: Mode
     notes: tuple[str, ...] = ()
+    causal_mode: Mode = "auto"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +104,16 @@ def load_inputs(
             _reference_file(Path(reference)),
             _calibration_of_run(summary) if calibration is None else read_calibration(calibration),
         )
+    mode, causal_mode = _modes(summary, estimate.origin)
+    scaled = (_SCALED_NOTE,) if mode != causal_mode else ()
     inputs = Inputs(
         estimate.origin,
         reference.origin,
         estimate.trajectory,
         reference.trajectory,
-        mode=_mode(summary),
-        notes=(*estimate.notes, *reference.notes),
+        mode=mode,
+        notes=(*scaled, *estimate.notes, *reference.notes),
+        causal_mode=causal_mode,
     )
     if estimate.has_stamps and not reference.has_stamps:
         inputs = _with_frame_numbers(inputs, summary)
@@ -150,11 +156,14 @@ def _summary_beside(estimate: Path) -> dict[str, Any]:
     return summary if isinstance(summary, dict) else {}
 
 
-def _mode(summary: dict[str, Any]) -> Mode:
+def _modes(summary: dict[str, Any], estimate: Path) -> tuple[Mode, Mode]:
+    """Modes of the estimate and of the causal path; `auto` for a mono path in metres."""
     mode = summary.get("mode")
     if mode == "mono":
-        return "mono"
-    return "stereo" if mode == "stereo" else "auto"
+        is_smoothed = estimate.name in _ESTIMATE_NAMES
+        return "auto" if is_smoothed and summary.get("length_unit") == "m" else "mono", "mono"
+    known: Mode = "stereo" if mode == "stereo" else "auto"
+    return known, known
 
 
 def _calibration_of_run(summary: dict[str, Any]) -> Calibration | None:

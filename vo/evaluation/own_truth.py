@@ -53,6 +53,6 @@ def causal_ate_m(causal: Trajectory, inputs: Inputs) -> float | None:
         return None
     path = Trajectory(stamps_ns[kept], causal.world_from_cam[kept])
     try:
-        return evaluate(path, inputs.reference, mode=inputs.mode).ate.translation.rmse
+        return evaluate(path, inputs.reference, mode=inputs.causal_mode).ate.translation.rmse
     except EvaluationError:
         return None

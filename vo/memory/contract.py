@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
 from vo.closed_loops import ClosedLoop, MapUse
 from vo.errors import OutputError
 from vo.mapping.local_map import LocalMap
+from vo.metric_scale import MetricScale
 
 
 class MapMemory(Protocol):
@@ -43,8 +45,13 @@ class MapMemory(Protocol):
         """
         ...
 
-    def save_map(self, path: Path, source: str) -> None:
+    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
+
+        Args:
+            path: the file.
+            source: name of the recording.
+            scales: by number of the world, to write those in metres.
 
         Raises:
             OutputError: the file cannot be written; errors of `check_savable`.
@@ -71,7 +78,7 @@ class NoMemory:
     def finish(self, local_map: LocalMap) -> None:
         """Nothing to store."""
 
-    def save_map(self, path: Path, source: str) -> None:
+    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
         """Nothing to save; errors as for `check_savable`."""
         self.check_savable(path)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +18,11 @@ from vo.mapping.local_map import LocalMap
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.place_maker import PlaceMaker
 from vo.memory.recognition import Recogniser
+from vo.metric_scale import MetricScale
 from vo.places.records import Loop, PlacedKeyframes, PlaceKey
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
+from vo.trajectory.map_frame import scaled_covariance
 from vo.types import Bytes, Floats
 
 # A result of the pose graph is applied after so many further stored keyframes; the number is fixed,
@@ -143,18 +145,19 @@ class Memory:
         """
         self._recogniser.check_savable(path)
 
-    def save_map(self, path: Path, source: str) -> None:
+    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
 
         Args:
             path: the file.
             source: name of the recording.
+            scales: by number of the world, to write those in metres.
 
         Raises:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
         self._graph.submit()
-        placed = self._graph.result()
+        placed = self._scaled(self._graph.result(), scales)
         accepted = [self._loops[n] for n in sorted(self._closed)]
         self._recogniser.save_map(path, source, placed, accepted)
 
@@ -163,6 +166,30 @@ class Memory:
         self._is_finished = True
         self._recogniser.close()
         self._graph.close()
+
+    def _scaled(
+        self, placed: PlacedKeyframes, scales: Mapping[int, MetricScale]
+    ) -> PlacedKeyframes:
+        """Keyframes with the worlds of the run that have a scale in metres."""
+        factor = np.ones(len(placed.keys))
+        world_of = self._trajectory.store.world
+        for n, key in enumerate(placed.keys):
+            scale = scales.get(world_of(self._frames[key].segment)) if key in self._frames else None
+            if scale is not None:
+                factor[placed.world == placed.world[n]] = scale.value
+        if (factor == 1.0).all():
+            return placed
+        world_from_cam = placed.world_from_cam.copy()
+        world_from_cam[:, :3, 3] *= factor[:, None]
+        covariance = np.stack(
+            [scaled_covariance(c, f) for c, f in zip(placed.covariance, factor, strict=True)]
+        )
+        return replace(
+            placed,
+            world_from_cam=world_from_cam,
+            scale=placed.scale * factor,
+            covariance=covariance,
+        )
 
     def _apply_recognised(self) -> None:
         recognised = self._recogniser.result()

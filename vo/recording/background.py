@@ -7,10 +7,12 @@ import math
 import queue
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from vo.recording.recorder import Recorder, TakeSnapshot
+from vo.metric_scale import MetricScale
+from vo.recording.recorder import Recorder, ScaledRecorder, TakeSnapshot
 from vo.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
 
 _QUEUE_SIZE = 32  # frames; their images take most of the memory
@@ -56,6 +58,7 @@ class BackgroundRecorder:
         self._thread: threading.Thread | None = None
         self._progress = 0
         self._left_out = 0
+        self._scales: dict[int, MetricScale] = {}
         self._keyframes: dict[int, KeyframePose] = {}  # of frames that were left out
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
@@ -83,6 +86,10 @@ class BackgroundRecorder:
 
     def flush(self) -> None:
         """Do nothing: the thread flushes while it waits for frames."""
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Keep the scales for the recorder, until it finishes."""
+        self._scales = dict(scales)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Wait until all frames are recorded, as long as there is progress."""
@@ -134,6 +141,8 @@ class BackgroundRecorder:
                 if isinstance(item, _Frame):
                     self._recorder.record(item.estimate, _returning(item.snapshot))
                 else:
+                    if self._scales and isinstance(self._recorder, ScaledRecorder):
+                        self._recorder.set_scales(self._scales)
                     self._recorder.finish(*item)
                     return
         except Exception as error:  # of any kind: the run goes on

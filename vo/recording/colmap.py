@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from vo.errors import OutputError
 from vo.formats.colmap import MODEL_FILES, ModelPoints, ModelWriter, has_colmap_model
 from vo.geometry import cameras
 from vo.geometry.rectification import rectified_rig
+from vo.metric_scale import MetricScale
 from vo.recording.checkpoints import Checkpoints
 from vo.recording.image_folder import ImageFolder
 from vo.recording.model import Model
@@ -39,6 +41,7 @@ class ColmapRecorder:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._checkpoints = Checkpoints()
+        self._scales: dict[int, MetricScale] = {}
         self._images = ImageFolder(folder / _IMAGES)
         self._is_rectified = False
         self._names: dict[int, str] = {}
@@ -92,6 +95,10 @@ class ColmapRecorder:
     def flush(self) -> None:
         """Do nothing: what is written during a run is complete."""
 
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Write the final models in metres."""
+        self._scales = dict(scales)
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the models that have points.
 
@@ -104,7 +111,7 @@ class ColmapRecorder:
         self._reconstruction.close()
 
     def _write_models(self, smoothed: Trajectory | None) -> None:
-        models = self._reconstruction.models(smoothed, self._names)
+        models = self._reconstruction.models(smoothed, self._names, self._scales)
         with_points = [model for model in models if model.point_count]
         for number, model in enumerate(with_points or models[:1]):
             folder = self._folder / _MODELS / str(number)

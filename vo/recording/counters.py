@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vo.geometry.quantiles import median
+from vo.metric_scale import MetricScale
 from vo.types import Estimate, Floats, Rig, State
 
 
@@ -22,6 +23,7 @@ class Counters:
     segments: set[int] = field(default_factory=set)
     inliers: list[int] = field(default_factory=list)
     offset_px: float = 0.0
+    scales: Mapping[int, MetricScale] = field(default_factory=dict)
 
     def add(self, estimate: Estimate) -> None:
         """Add a frame."""
@@ -56,6 +58,9 @@ class Counters:
             "path": f"{path_length:.2f} {unit}",
             "inliers, median": f"{median(self.inliers):.0f}" if self.inliers else "-",
         }
+        for segment, scale in self.scales.items():
+            text = f"{scale.value:.4g} m ± {scale.relative_sigma:.2%} ({scale.source})"
+            rows[f"map unit of segment {segment}"] = text
         if self.rig.is_stereo:
             rows["disparity offset"] = f"{self.offset_px:+.2f} px"
         rows |= {f"ATE, {path}": _rms(values) for path, values in errors.items()}

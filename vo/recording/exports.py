@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from vo.metric_scale import MetricScale
 from vo.recording.background import BackgroundRecorder
-from vo.recording.recorder import Recorder, TakeSnapshot
+from vo.recording.recorder import Recorder, ScaledRecorder, TakeSnapshot
 from vo.types import Estimate, Rig, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -98,6 +99,12 @@ class SeveralRecorders:
                 recorder.flush()
             except Exception as error:
                 self._remove(recorder, error)
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Pass the scales to the recorders that use them."""
+        for recorder in self._recorders:
+            if isinstance(recorder, ScaledRecorder):
+                recorder.set_scales(scales)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Finish all recorders."""

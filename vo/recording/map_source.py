@@ -19,16 +19,20 @@ class MapSource:
         landmarks: the map.
         rows: its landmarks as in the spool.
         poses: frames (K,) of all keyframes, and their poses (K, 4, 4).
+        scale: factor of all lengths that are given out.
     """
 
     spool: MapSpool
     landmarks: Landmarks
     rows: LandmarkRows
     poses: tuple[Ints, Floats]
+    scale: float = 1.0
 
     def world_from_cam0(self, frames: Ints) -> Floats:
         """Poses (N, 4, 4) of keyframes."""
-        return np.asarray(self.poses[1][np.searchsorted(self.poses[0], frames)])
+        poses = self.poses[1][np.searchsorted(self.poses[0], frames)]
+        poses[..., :3, 3] *= self.scale
+        return np.asarray(poses)
 
     def observations(self, frame: int) -> tuple[Ints, Floats]:
         """Ids (N,), increasing, and pixels (N, 2) of a keyframe."""
@@ -50,7 +54,7 @@ class MapSource:
         xyz = np.full((len(ids), 3), np.nan)
         known = rows["is_known"]
         poses = self.world_from_cam0(rows["keyframe"][known].astype(np.int64))
-        xyz[known] = transformed(poses, rows["in_keyframe"][known])
+        xyz[known] = transformed(poses, self.scale * rows["in_keyframe"][known])
         return xyz, rows["grey"].copy()
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from vo.errors import OutputError
 from vo.formats.ply import write_ply
+from vo.metric_scale import MetricScale
 from vo.recording.checkpoints import Checkpoints
 from vo.recording.reconstruction import Reconstruction
 from vo.recording.recorder import TakeSnapshot
@@ -22,6 +24,7 @@ class PlyRecorder:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._checkpoints = Checkpoints()
+        self._scales: dict[int, MetricScale] = {}
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Check that the file can be written.
@@ -55,6 +58,10 @@ class PlyRecorder:
     def flush(self) -> None:
         """Do nothing: what is written during a run is complete."""
 
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Write the final points in metres."""
+        self._scales = dict(scales)
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the points.
 
@@ -65,7 +72,7 @@ class PlyRecorder:
         self._reconstruction.close()
 
     def _write(self, smoothed: Trajectory | None) -> None:
-        models = self._reconstruction.models(smoothed)
+        models = self._reconstruction.models(smoothed, scales=self._scales)
         count = sum(model.point_count for model in models)
         parts = ((part.xyz, part.grey) for model in models for part in model.points())
         write_ply(self._path, count, parts, self._name)

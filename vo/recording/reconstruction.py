@@ -7,13 +7,15 @@ with the last keyframe that observed them.
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from vo.geometry.transforms import inverse
+from vo.metric_scale import MetricScale
 from vo.recording.map_source import MapSource, transformed
 from vo.recording.map_spool import LANDMARK_ROW, LandmarkRows, MapSpool
 from vo.recording.model import Model
@@ -64,22 +66,26 @@ class Reconstruction:
             self._replace_map(snapshot.landmarks)
 
     def models(
-        self, smoothed: Trajectory | None = None, frames: Container[int] | None = None
+        self,
+        smoothed: Trajectory | None = None,
+        frames: Container[int] | None = None,
+        scales: Mapping[int, MetricScale] = MappingProxyType({}),
     ) -> list[Model]:
         """A model for each segment, the one with most keyframes first.
 
         Args:
             smoothed: the final path; points move with the last keyframe that observes them.
             frames: if given, only keyframes of these frames are used.
+            scales: by segment, to convert the model to metres.
         """
         if self._camera is None:
             return []
-        source = MapSource(self._spool, self._map, self._map_rows(), self._poses(smoothed))
+        rows, poses = self._map_rows(), self._poses(smoothed)
         known = [k for k in sorted(self._known) if frames is None or k in frames]
         segments = [self._keyframes[k].segment for k in known]
         models = [
             Model(
-                source,
+                MapSource(self._spool, self._map, rows, poses, _value(scales.get(segment))),
                 self._camera,
                 np.array([k for k, s in zip(known, segments, strict=True) if s == segment]),
                 self._cam0_from_image0,
@@ -140,6 +146,10 @@ class Reconstruction:
             exists = smoothed.stamps_ns[rows] == stamps_ns
             poses = np.where(exists[:, None, None], smoothed.world_from_cam[rows], poses)
         return np.array(frames, dtype=np.int64), poses
+
+
+def _value(scale: MetricScale | None) -> float:
+    return 1.0 if scale is None else scale.value
 
 
 def camera_of(view: View) -> Camera:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal, Protocol
+from collections.abc import Callable, Mapping
+from typing import Literal, Protocol, runtime_checkable
 
+from vo.metric_scale import MetricScale
 from vo.types import Estimate, Rig, Snapshot, Trajectory
 
 ImageChoice = Literal["full", "half", "none"]
@@ -29,6 +30,14 @@ class Recorder(Protocol):
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """After the last frame, also of an interrupted run, with both complete paths; closes."""
+
+
+@runtime_checkable
+class ScaledRecorder(Protocol):
+    """A recorder that can write in metres what was recorded in units of the map."""
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Before `finish`: the scales of segments; the paths of `finish` stay in map units."""
 
 
 class NullRecorder:

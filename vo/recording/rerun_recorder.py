@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 
+from vo.metric_scale import MetricScale
 from vo.recording import entities
 from vo.recording.batch import Batch
 from vo.recording.blueprint import make_blueprint
@@ -88,6 +90,11 @@ class RerunRecorder:
         """Send the rows that wait."""
         if self._sinks and self._waiting:
             self._send()
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Name the scales in the summary; the recording itself stays in units of the map."""
+        if self._sinks:
+            self._counters.scales = dict(scales)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Log both complete paths and the summary; close."""

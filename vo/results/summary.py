@@ -11,6 +11,7 @@ import numpy as np
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.closed_loops import ClosedLoop, MapUse
 from vo.failures import Failure
+from vo.metric_scale import ScaleFindings, has_all_scales
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
 from vo.results.frames_without_pose import FrameRange, ranges_without_pose
@@ -70,6 +71,7 @@ class RunState:
         loops: that were closed.
         map_use: the loaded map, None without one.
         networks: what is known of each network in use.
+        scale: what sources of the metric scale have measured, None without any or before the end.
     """
 
     facts: RunFacts
@@ -88,6 +90,7 @@ class RunState:
     loops: tuple[ClosedLoop, ...] = ()
     map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
+    scale: ScaleFindings | None = None
 
 
 class Segment(NamedTuple):
@@ -143,11 +146,20 @@ class Summary:
     loops: tuple[ClosedLoop, ...] = ()
     map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
+    scale: ScaleFindings | None = None
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether every length is in metres: in mono, whether all segments have a scale."""
+        if self.facts.mode != "mono":
+            return True
+        scales = {} if self.scale is None else self.scale.by_segment()
+        return has_all_scales([each.segment for each in self.segments], scales)
 
     @property
     def length_unit(self) -> str:
         """Unit of every length: metres, or the arbitrary units of a mono map."""
-        return "map units" if self.facts.mode == "mono" else "m"
+        return "m" if self.is_metric else "map units"
 
     @property
     def frames_per_s(self) -> float:
@@ -180,7 +192,7 @@ class Summary:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
-        del fields["map_use"]
+        del fields["map_use"], fields["scale"]
         del fields["main_failure"]  # without_pose has the reasons
         profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
         live: LiveSummary | None = fields.pop("live")
@@ -194,6 +206,7 @@ class Summary:
             "hidden": list(self.hidden),
             "loops": [_loop_fields(loop) for loop in self.loops],
             **({} if self.map_use is None else {"map": asdict(self.map_use)}),
+            **({} if self.scale is None else {"scales": [s.to_dict() for s in self.scale.scales]}),
             "networks": [dict(network) for network in self.networks],
             "skipped": [asdict(s) for s in self.skipped],
             "faults": [record.to_dict() for record in self.faults],
@@ -252,6 +265,7 @@ def summarise(state: RunState) -> Summary:
         faults=statistics.faults.records(),
         hidden=tuple(round(ratio, 4) for ratio in state.hidden),
         networks=state.networks,
+        scale=state.scale,
         loops=state.loops,
         map_use=state.map_use,
         profile=state.profile,

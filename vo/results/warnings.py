@@ -75,11 +75,22 @@ def _world_warnings(summary: Summary) -> list[str]:
             "parts of the path are joined only by what places look like; those that look alike, "
             "such as corridors, can be joined wrongly: compare with a run without --loops and --map"
         )
-    if summary.facts.mode == "mono" and summary.tracked:
-        warnings.append(
-            "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
-        )
+    if summary.scale is not None:
+        warnings += summary.scale.notes
+    if summary.tracked and not summary.is_metric:
+        warnings.append(_unknown_scale(summary))
     return warnings
+
+
+def _unknown_scale(summary: Summary) -> str:
+    known = {} if summary.scale is None else summary.scale.by_segment()
+    if not known:
+        return "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
+    unknown = [str(each.segment) for each in summary.segments if each.segment not in known]
+    return (
+        "mono: lengths are in metres, except in these segments, which have no scale and are in map "
+        f"units: {', '.join(unknown)}"
+    )
 
 
 def image_defect_warnings(without_pose: Sequence[FrameRange]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.geometry.transforms import interpolate, inverse, whole_transforms
-from vo.trajectory.map_frame import Anchor, make_anchor
+from vo.metric_scale import MetricScale
+from vo.trajectory.map_frame import Anchor, make_anchor, scaled_covariance
 from vo.trajectory.table import Table
 from vo.types import Floats, Ints, KeyframePose, PlacedFrames, Trajectory
 
@@ -168,6 +169,31 @@ class TrajectoryStore:
         self._moved |= set(rows["id"][np.isin(rows["segment"], segments)].tolist())
         self._changed = self._changed_keyframe = 0
 
+    def apply_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Convert the poses of worlds to metres, once, after the last frame.
+
+        Covariances get the part that the uncertainty of the scale adds: the error of a position is
+        along the line to the origin of the world and in proportion to its distance.
+
+        Args:
+            scales: by number of the world; others stay as they are.
+        """
+        table = self._keyframes.rows
+        for number in np.unique(table["segment"]).tolist():
+            scale = scales.get(self.world(number))
+            if scale is None:
+                continue
+            rows = np.flatnonzero(table["segment"] == number)
+            poses = whole_transforms(table["world_from_cam0"][rows])
+            poses[:, :3, 3] *= scale.value
+            table["world_from_cam0"][rows] = poses[:, :3]
+            table["scale"][rows] *= scale.value
+            covariance = scaled_covariance(_symmetric(table["covariance"][rows]), scale.value)
+            added = scale.relative_sigma**2 * _in_proportion(poses)
+            i, j = _TRIANGLE
+            table["covariance"][rows] = (covariance + added)[:, i, j]
+        self._changed = self._changed_keyframe = 0
+
     def _follow(self, rows: Ints, anchor: Anchor) -> None:
         """Set the poses of rows of keyframes that follow a placed one."""
         table = self._keyframes.rows
@@ -310,6 +336,14 @@ def _symmetric(triangles: Floats) -> Floats:
     result = np.zeros((len(triangles), 6, 6))
     i, j = _TRIANGLE
     result[:, i, j] = result[:, j, i] = triangles
+    return result
+
+
+def _in_proportion(world_from_cam0: Floats) -> Floats:
+    """(n, 6, 6) covariances of poses (n, 4, 4) in a world whose lengths all have a sigma of 1."""
+    to_origin = -inverse(world_from_cam0)[:, :3, 3]
+    result = np.zeros((len(to_origin), 6, 6))
+    result[:, 3:, 3:] = to_origin[:, :, None] * to_origin[:, None, :]
     return result
 
 
