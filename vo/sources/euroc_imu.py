@@ -8,23 +8,19 @@ from pathlib import Path
 
 from vo.errors import VoError
 from vo.formats.calibration import Calibration
-from vo.formats.calibration.checks import make_numbers, make_transform
+from vo.formats.calibration.checks import make_transform
 from vo.formats.calibration.document import load_document
+from vo.formats.calibration.imu import make_noise
+from vo.formats.calibration.kalibr_imu import NOISE_KEYS
 from vo.formats.stamp_units import MAX_STAMP_NS, parse_ns
 from vo.geometry.transforms import inverse
-from vo.sources.imu import FileImu, ImuSamples, cam0_from_imu_of, make_samples
+from vo.sources.imu import FileImu, ImuSamples, imu_of, make_samples
 from vo.sources.listing import read_lines
 from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)
 
 _COLUMNS = 6
-_NOISE_KEYS = (
-    "gyroscope_noise_density",
-    "gyroscope_random_walk",
-    "accelerometer_noise_density",
-    "accelerometer_random_walk",
-)
 
 
 def euroc_imus(
@@ -46,16 +42,23 @@ def _imu(
 ) -> FileImu:
     sensor = table.parent / "sensor.yaml"
 
+    given = imu_of(calibration)
+
     def find_extrinsics() -> Floats | None:
-        cam0_from_imu = cam0_from_imu_of(calibration)
-        if cam0_from_imu is not None:
-            return cam0_from_imu
+        if given.cam0_from_imu is not None:
+            return given.cam0_from_imu
         body_from_imu, body_from_cam = _body_from_imu(sensor), body_from_cam0()
         if body_from_imu is None or body_from_cam is None:
             return None
         return inverse(body_from_cam) @ body_from_imu
 
-    return FileImu(str(table), lambda: _read(table), find_extrinsics, lambda: _noise(sensor))
+    return FileImu(
+        str(table),
+        lambda: _read(table),
+        find_extrinsics,
+        lambda: given.noise or _noise(sensor),
+        given.time_offset_s,
+    )
 
 
 def _read(table: Path) -> ImuSamples:
@@ -91,9 +94,10 @@ def _body_from_imu(sensor: Path) -> Floats | None:
 
 
 def _noise(sensor: Path) -> ImuNoise | None:
+    if not sensor.is_file():
+        return None
     try:
-        data = load_document(sensor).data
-        numbers = [data[key] for key in _NOISE_KEYS]
-        return ImuNoise(*make_numbers(f"{sensor}: noise", numbers, len(_NOISE_KEYS)))
-    except (VoError, KeyError):
+        return make_noise(str(sensor), load_document(sensor).data, NOISE_KEYS)
+    except VoError as error:
+        _log.warning("noise of the inertial sensor unknown: %s", error)
         return None

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from vo.formats.calibration import Calibration
-from vo.geometry.transforms import inverse
+from vo.formats.calibration import Calibration, ImuCalibration
+from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.types import Floats, ImuNoise, Ints
 
-_BODY_IS_IMU = ("Kalibr", "Basalt", "ORB-SLAM3")
-"""Kinds of calibration file whose body frame is the inertial sensor."""
+_MIN_NOISE = (1e-6, 1e-8, 1e-5, 1e-7)
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,12 @@ class Imu(Protocol):
 
     @property
     def noise(self) -> ImuNoise | None:
-        """Noise densities of the sensor; None if unknown."""
+        """Noise densities of the sensor; None if unknown (see `usable_noise`)."""
+        ...
+
+    @property
+    def time_offset_s(self) -> float:
+        """What to add to the stamp of an image to get the same moment on the sensor's clock."""
         ...
 
     def read(self, first_ns: int | None = None, last_ns: int | None = None) -> ImuSamples:
@@ -97,6 +103,7 @@ class FileImu:
         load: Callable[[], ImuSamples],
         find_extrinsics: Callable[[], Floats | None],
         find_noise: Callable[[], ImuNoise | None] = lambda: None,
+        time_offset_s: float = 0.0,
     ) -> None:
         """Store the functions that read the sensor.
 
@@ -105,8 +112,10 @@ class FileImu:
             load: reads all samples; may raise SourceError.
             find_extrinsics: finds cam0_from_imu.
             find_noise: finds the noise densities.
+            time_offset_s: see `Imu.time_offset_s`.
         """
         self.name = name
+        self.time_offset_s = time_offset_s
         self._load = load
         self._find_extrinsics = find_extrinsics
         self._find_noise = find_noise
@@ -141,12 +150,27 @@ class FileImu:
         return self._all
 
 
-def cam0_from_imu_of(calibration: Calibration | None) -> Floats | None:
-    """Pose of the inertial sensor relative to cam0, if the calibration file contains it."""
-    if calibration is None or calibration.kind not in _BODY_IS_IMU:
-        return None
-    body_from_cam0 = calibration.body_from_cam0
-    return None if body_from_cam0 is None else inverse(body_from_cam0)
+def imu_of(calibration: Calibration | None) -> ImuCalibration:
+    """What the calibration file contains about the inertial sensor."""
+    return ImuCalibration() if calibration is None else calibration.imu
+
+
+def usable_noise(imu: Imu) -> ImuNoise:
+    """The noise of a sensor; if it is unknown, that of a consumer sensor, with a warning.
+
+    Values of 0, as of a simulated sensor, are replaced by tiny ones, so that covariances are
+    regular.
+    """
+    noise = imu.noise
+    if noise is None:
+        noise = NOISE_CLASSES["consumer"]
+        _log.warning(
+            "%s: noise unknown, that of a consumer sensor is assumed; give it in the calibration "
+            "(docs/imu-data.md)",
+            imu.name,
+        )
+    pairs = zip(astuple(noise), _MIN_NOISE, strict=True)
+    return ImuNoise(*(max(value, least) for value, least in pairs))
 
 
 def time_slice(stamps_ns: Ints, first_ns: int | None, last_ns: int | None) -> slice:

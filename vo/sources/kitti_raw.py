@@ -14,10 +14,11 @@ import numpy as np
 from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, kitti_raw
 from vo.formats.calibration.document import load_document
+from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.geometry.transforms import inverse
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
-from vo.sources.imu import FileImu, ImuSamples
+from vo.sources.imu import FileImu, ImuSamples, imu_of
 from vo.sources.listing import Shot, check_increasing, list_images, read_lines
 from vo.sources.oxts import interpolate_at, read_oxts, read_oxts_imu, read_transform
 from vo.types import Floats, Mode, Trajectory
@@ -129,9 +130,11 @@ def _imus(path: Path, calibration: Calibration | None, cameras: tuple[str, str])
     if not folder.is_dir():
         return []
 
+    given = imu_of(calibration)
+
     def find_extrinsics() -> Floats | None:
-        if calibration is None:
-            return None
+        if given.cam0_from_imu is not None or calibration is None:
+            return given.cam0_from_imu
         try:
             return inverse(_imu_from_cam0(path, calibration, cameras))
         except VoError as error:
@@ -141,7 +144,8 @@ def _imus(path: Path, calibration: Calibration | None, cameras: tuple[str, str])
     def load() -> ImuSamples:
         return read_oxts_imu(folder, _stamps(folder / "timestamps.txt"))
 
-    return [FileImu(str(folder), load, find_extrinsics)]
+    noise = given.noise or NOISE_CLASSES["tactical"]
+    return [FileImu(str(folder), load, find_extrinsics, lambda: noise, given.time_offset_s)]
 
 
 def _imu_from_cam0(path: Path, calibration: Calibration, cameras: tuple[str, str]) -> Floats:

@@ -1,6 +1,6 @@
 """Readers of calibration files in several formats, with checks for plausibility."""
 
-from vo.formats.calibration.document import Calibration, ImageSize
+from vo.formats.calibration.document import Calibration, ImageSize, ImuCalibration
 from vo.formats.calibration.own import write_calibration
 from vo.formats.calibration.registry import FORMATS, calibration_format, read_calibration
 
@@ -8,6 +8,7 @@ __all__ = [
     "FORMATS",
     "Calibration",
     "ImageSize",
+    "ImuCalibration",
     "calibration_format",
     "read_calibration",
     "write_calibration",

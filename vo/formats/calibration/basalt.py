@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from vo.errors import CalibrationError
-from vo.formats.calibration.checks import check_baseline, make_camera, make_number
+from vo.formats.calibration.checks import check_baseline, make_camera, make_list, make_number
 from vo.formats.calibration.document import (
     Calibration,
     Document,
     ImageSize,
+    ImuCalibration,
     as_section,
     shortened,
 )
+from vo.formats.calibration.imu import make_noise, make_time_offset
 from vo.geometry.transforms import inverse, make_transform, rotation_from_quat_xyzw
 from vo.types import Camera, Floats, Rig
 
@@ -27,6 +29,7 @@ _LENSES: dict[str, tuple[str, tuple[str, ...]]] = {
     "eucm": ("extended_unified", ("alpha", "beta")),
     "ucm": ("extended_unified", ("alpha",)),
 }
+_NOISE = ("gyro_noise_std", "gyro_bias_std", "accel_noise_std", "accel_bias_std")
 
 
 def recognises(document: Document) -> bool:
@@ -46,12 +49,38 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     cam0 = _camera(document, section, intrinsics, 0, image_size)
     has_extrinsics = section.get("T_imu_cam") is not None
     body_from_cam0 = _body_from_camera(document, section, 0) if has_extrinsics else None
+    imu = _imu(document, section, body_from_cam0)
     if len(intrinsics) < 2 or body_from_cam0 is None:
-        return Calibration(Rig(cam0), body_from_cam0)
+        return Calibration(Rig(cam0), body_from_cam0, imu=imu)
     cam1 = _camera(document, section, intrinsics, 1, image_size)
     cam1_from_cam0 = inverse(_body_from_camera(document, section, 1)) @ body_from_cam0
     check_baseline(f"{document.path}: T_imu_cam", cam1_from_cam0)
-    return Calibration(Rig(cam0, cam1, cam1_from_cam0), body_from_cam0)
+    return Calibration(Rig(cam0, cam1, cam1_from_cam0), body_from_cam0, imu=imu)
+
+
+def _imu(
+    document: Document, section: Mapping[str, Any], body_from_cam0: Floats | None
+) -> ImuCalibration:
+    """Noise of each axis, of which the root mean square is used, and the time offset."""
+    given: dict[str, float] = {}
+    for name in _NOISE:
+        if section.get(name) is not None:
+            numbers = make_list(f"{document.path}: {name}", section[name])
+            given[name] = min(numbers) if min(numbers, default=0.0) < 0 else _rms(numbers)
+    offset_ns = section.get("cam_time_offset_ns")
+    offset_s = 0.0
+    if offset_ns is not None:
+        where = f"{document.path}: cam_time_offset_ns"
+        offset_s = make_time_offset(where, 1e-9 * make_number(where, offset_ns))
+    return ImuCalibration(
+        None if body_from_cam0 is None else inverse(body_from_cam0),
+        make_noise(str(document.path), given, _NOISE),
+        offset_s,
+    )
+
+
+def _rms(numbers: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(numbers)))) if numbers else 0.0
 
 
 def _camera(

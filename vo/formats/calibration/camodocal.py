@@ -12,7 +12,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from vo.errors import CalibrationError
 from vo.formats.calibration.checks import (
@@ -25,12 +28,17 @@ from vo.formats.calibration.document import (
     Calibration,
     Document,
     ImageSize,
+    ImuCalibration,
     as_section,
     load_document,
 )
+from vo.formats.calibration.imu import make_noise, make_time_offset
 from vo.formats.calibration.matrices import rotation_and_translation
 from vo.geometry.transforms import inverse
-from vo.types import Camera, Floats, Rig
+from vo.types import Camera, Floats, ImuNoise, Rig
+
+_NOISE = ("gyr_n", "gyr_w", "acc_n", "acc_w")
+_VINS_RATE_HZ = 200.0
 
 
 class _Model(NamedTuple):
@@ -88,17 +96,35 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     """
     data = document.data
     if "cam0_calib" not in data:
-        return Calibration(Rig(_camera(document, image_size)), _vins_mono_pose(document))
+        pose = _vins_mono_pose(document)
+        return Calibration(Rig(_camera(document, image_size)), pose, imu=_imu(document, pose))
     cam0 = _camera(_file_of(document, "cam0_calib"), image_size)
     body_from_cam0 = _pose(document, "body_T_cam0") if "body_T_cam0" in data else None
     if "cam1_calib" not in data or str(data.get("num_of_cam", 2)).strip() == "1":
-        return Calibration(Rig(cam0), body_from_cam0)
+        return Calibration(Rig(cam0), body_from_cam0, imu=_imu(document, body_from_cam0))
     cam1 = _camera(_file_of(document, "cam1_calib"), image_size)
     if body_from_cam0 is None:
         raise CalibrationError(f"{document.path}: body_T_cam0 is missing; it is a 4x4 matrix")
     cam1_from_cam0 = inverse(_pose(document, "body_T_cam1")) @ body_from_cam0
     check_baseline(f"{document.path}: body_T_cam1", cam1_from_cam0)
-    return Calibration(Rig(cam0, cam1, cam1_from_cam0), body_from_cam0)
+    rig = Rig(cam0, cam1, cam1_from_cam0)
+    return Calibration(rig, body_from_cam0, imu=_imu(document, body_from_cam0))
+
+
+def _imu(document: Document, imu_from_cam0: Floats | None) -> ImuCalibration:
+    """Noise and time offset in the settings of VINS: image clock + td is the clock of the IMU.
+
+    VINS's noise is that of a sample, and its rate is in no file: that of EuRoC is assumed.
+    """
+    data, where = document.data, str(document.path)
+    noise = make_noise(where, data, _NOISE)
+    if noise is not None:
+        noise = ImuNoise(*(value / np.sqrt(_VINS_RATE_HZ) for value in astuple(noise)))
+    return ImuCalibration(
+        None if imu_from_cam0 is None else inverse(imu_from_cam0),
+        noise,
+        make_time_offset(f"{where}: td", data.get("td")),
+    )
 
 
 def _file_of(document: Document, key: str) -> Document:

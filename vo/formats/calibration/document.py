@@ -11,12 +11,28 @@ from vo.bounded_files import read_bytes, read_text
 from vo.errors import CalibrationError
 from vo.formats.calibration.archive import is_npz, read_archive
 from vo.formats.calibration.markup import MAX_YAML_BYTES, sections_of
-from vo.types import Floats, Rig
+from vo.types import Floats, ImuNoise, Rig
 
 ImageSize = tuple[int, int]
 
 _MAX_LARGE_BYTES = 16 * 2**20
 """Of archives, and of JSON, which is fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImuCalibration:
+    """What a calibration file contains about the inertial sensor.
+
+    Attributes:
+        cam0_from_imu: (4, 4) pose of the sensor relative to cam0; None if unknown.
+        noise: its noise; None if unknown.
+        time_offset_s: what to add to the stamp of an image to get the same moment on the clock of
+            the sensor, seconds (Kalibr's `timeshift_cam_imu`); 0 if unknown.
+    """
+
+    cam0_from_imu: Floats | None = None
+    noise: ImuNoise | None = None
+    time_offset_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +44,7 @@ class Calibration:
         body_from_cam0: (4, 4) pose of cam0 in the body frame, whose poses the ground truth of the
             recording contains; None if unknown.
         depth_per_metre: units of a depth image per metre, None if unknown.
+        imu: the inertial sensor.
         kind: name of the file format, a key of `FORMATS`.
         file: the file, for error messages; None if it was not read from a calibration file.
     """
@@ -35,6 +52,7 @@ class Calibration:
     rig: Rig
     body_from_cam0: Floats | None = None
     depth_per_metre: float | None = None
+    imu: ImuCalibration = ImuCalibration()
     kind: str = ""
     file: Path | None = None
 

@@ -114,6 +114,8 @@ def make_transform(where: str, value: Any) -> Floats:
     rows = 3 if size in (3, 12) else 4
     matrix = np.eye(4)
     matrix[:rows] = make_matrix(where, value, rows, 4)
+    if np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
+        raise CalibrationError(f"{where}: the matrix is transposed; write it row by row")
     if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
         raise CalibrationError(f"{where}: the last row is {matrix[3].tolist()}, not [0, 0, 0, 1]")
     check_rotation(where, matrix[:3, :3])

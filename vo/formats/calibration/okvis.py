@@ -16,9 +16,19 @@ from vo.formats.calibration.checks import (
     make_numbers,
     make_transform,
 )
-from vo.formats.calibration.document import Calibration, Document, ImageSize, as_section
+from vo.formats.calibration.document import (
+    Calibration,
+    Document,
+    ImageSize,
+    ImuCalibration,
+    as_section,
+)
+from vo.formats.calibration.imu import make_noise, make_time_offset
 from vo.geometry.transforms import inverse
 from vo.types import Camera, Floats, Rig
+
+_IMU_SECTIONS = ("imu_parameters", "imu_params")
+_NOISE = ("sigma_g_c", "sigma_gw_c", "sigma_a_c", "sigma_aw_c")
 
 
 def recognises(document: Document) -> bool:
@@ -46,11 +56,26 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
         where = f"{document.path}: camera {index}"
         cameras.append(_camera(where, entry, image_size))
         poses.append(_body_from_camera(where, entry))
+    imu = _imu(document, inverse(poses[0]))
     if len(entries) == 1:
-        return Calibration(Rig(cameras[0]), poses[0])
+        return Calibration(Rig(cameras[0]), poses[0], imu=imu)
     cam1_from_cam0 = inverse(poses[1]) @ poses[0]
     check_baseline(f"{document.path}: T_SC", cam1_from_cam0)
-    return Calibration(Rig(cameras[0], cameras[1], cam1_from_cam0), poses[0])
+    return Calibration(Rig(cameras[0], cameras[1], cam1_from_cam0), poses[0], imu=imu)
+
+
+def _imu(document: Document, cam0_from_imu: Floats) -> ImuCalibration:
+    """The section of the IMU; `image_delay` is that of the images relative to the IMU."""
+    name = next((name for name in _IMU_SECTIONS if name in document.data), None)
+    noise = None
+    if name is not None:
+        where = f"{document.path}: {name}"
+        noise = make_noise(where, as_section(where, document.data[name]), _NOISE)
+    cameras = document.data.get("camera_parameters")
+    section = cameras if isinstance(cameras, Mapping) else document.data
+    key = "image_delay" if "image_delay" in section else "imageDelay"
+    delay_s = make_time_offset(f"{document.path}: {key}", section.get(key))
+    return ImuCalibration(cam0_from_imu, noise, -delay_s)
 
 
 def _camera(where: str, entry: Mapping[str, Any], image_size: ImageSize | None) -> Camera:

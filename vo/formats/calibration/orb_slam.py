@@ -18,7 +18,13 @@ from vo.formats.calibration.checks import (
     make_number,
     make_transform,
 )
-from vo.formats.calibration.document import Calibration, Document, ImageSize
+from vo.formats.calibration.document import (
+    Calibration,
+    Document,
+    ImageSize,
+    ImuCalibration,
+)
+from vo.formats.calibration.imu import make_noise
 from vo.formats.calibration.keys import coefficients_of
 from vo.formats.calibration.matrices import common_from_camera, matrix_camera, relative_pose
 from vo.geometry.transforms import inverse
@@ -30,6 +36,7 @@ _LENSES: dict[str, tuple[str, tuple[str, ...]]] = {
     "kannalabrandt8": ("equidistant", ("k1", "k2", "k3", "k4")),
     "rectified": ("none", ()),
 }
+_NOISE = ("IMU.NoiseGyro", "IMU.GyroWalk", "IMU.NoiseAcc", "IMU.AccWalk")
 
 
 def recognises(document: Document) -> bool:
@@ -54,7 +61,9 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     body_from_cam0 = None
     if key is not None:
         body_from_cam0 = make_transform(f"{document.path}: {key}", data[key])
-    return Calibration(rig, body_from_cam0, _depth_per_metre(document))
+    cam0_from_imu = None if body_from_cam0 is None else inverse(body_from_cam0)
+    imu = ImuCalibration(cam0_from_imu, make_noise(str(document.path), data, _NOISE))
+    return Calibration(rig, body_from_cam0, _depth_per_metre(document), imu)
 
 
 def _pair(document: Document, cam0: Camera, name: str, image_size: ImageSize | None) -> Rig:

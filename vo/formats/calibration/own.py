@@ -17,12 +17,21 @@ from vo.formats.calibration.checks import (
     make_number,
     make_transform,
 )
-from vo.formats.calibration.document import Calibration, Document, ImageSize
+from vo.formats.calibration.document import (
+    Calibration,
+    Document,
+    ImageSize,
+    ImuCalibration,
+    shortened,
+)
+from vo.formats.calibration.imu import NOISE_CLASSES, make_noise, make_time_offset
 from vo.geometry.transforms import make_transform as rigid
 from vo.types import Camera, Floats, Rig
 
-_TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre")
+_TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
 _CAMERA_KEYS = ("model", "resolution", "intrinsics", "distortion_model", "distortion")
+_NOISE = ("gyro_noise", "gyro_walk", "accel_noise", "accel_walk")
+_IMU_KEYS = ("cam0_from_imu", "time_offset_s", "class", *_NOISE)
 
 
 def recognises(document: Document) -> bool:
@@ -37,21 +46,24 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
         CalibrationError: a value is missing or implausible, or a key is unknown.
     """
     _check_keys(str(document.path), document.data, _TOP_KEYS)
-    cam0 = _camera(document, "cam0")
+    cam0, imu = _camera(document, "cam0"), _imu(document)
     if "cam1" not in document.data and "baseline_m" not in document.data:
-        return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document))
+        return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document), imu=imu)
     # Without cam1 both cameras of a rectified pair are the same.
     cam1 = _camera(document, "cam1") if "cam1" in document.data else cam0
-    return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)))
+    return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)), imu=imu)
 
 
-def write_calibration(path: Path | str, rig: Rig, comments: Sequence[str] = ()) -> None:
+def write_calibration(
+    path: Path | str, rig: Rig, comments: Sequence[str] = (), imu: ImuCalibration | None = None
+) -> None:
     """Write a rig; reading the file returns the same numbers exactly.
 
     Args:
         path: the file.
         rig: the cameras.
         comments: lines of comment at the top of the file.
+        imu: the inertial sensor; None to leave it out.
 
     Raises:
         OutputError: the file cannot be written.
@@ -60,6 +72,8 @@ def write_calibration(path: Path | str, rig: Rig, comments: Sequence[str] = ()) 
     if rig.cam1 is not None and rig.cam1_from_cam0 is not None:
         data["cam1"] = _section(rig.cam1)
         data["cam1_from_cam0"] = rig.cam1_from_cam0.tolist()
+    if imu is not None:
+        data["imu"] = _imu_section(imu)
     # default_flow_style=None: lists of numbers on one line, sections on several.
     text = "".join(f"# {line}\n" for line in comments)
     text += yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
@@ -76,6 +90,40 @@ def _section(camera: Camera) -> dict[str, Any]:
         "distortion_model": camera.distortion_model,
         "distortion": [float(x) for x in camera.distortion],
     }
+
+
+def _imu_section(imu: ImuCalibration) -> dict[str, Any]:
+    section: dict[str, Any] = {}
+    if imu.cam0_from_imu is not None:
+        section["cam0_from_imu"] = imu.cam0_from_imu.tolist()
+    section["time_offset_s"] = float(imu.time_offset_s)
+    if imu.noise is not None:
+        section |= {name: float(getattr(imu.noise, name)) for name in _NOISE}
+    return section
+
+
+def _imu(document: Document) -> ImuCalibration:
+    if "imu" not in document.data:
+        return ImuCalibration()
+    where = f"{document.path}: imu"
+    section = document.section("imu")
+    _check_keys(where, section, _IMU_KEYS)
+    pose = section.get("cam0_from_imu")
+    noise = make_noise(where, section, _NOISE)
+    if "class" in section:
+        if noise is not None:
+            raise CalibrationError(f"{where}: give either class or {', '.join(_NOISE)}")
+        noise = NOISE_CLASSES.get(str(section["class"]))
+        if noise is None:
+            raise CalibrationError(
+                f"{where}.class is {shortened(section['class'])}; it must be one of "
+                f"{', '.join(NOISE_CLASSES)}"
+            )
+    return ImuCalibration(
+        None if pose is None else make_transform(f"{where}.cam0_from_imu", pose),
+        noise,
+        make_time_offset(f"{where}.time_offset_s", section.get("time_offset_s")),
+    )
 
 
 def _camera(document: Document, name: str) -> Camera:

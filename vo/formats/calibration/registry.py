@@ -36,6 +36,7 @@ from vo.formats.calibration.document import (
     load_document,
     shortened,
 )
+from vo.formats.calibration.kalibr_imu import OPENVINS_IMU
 
 
 class CalibrationFormat(NamedTuple):
@@ -116,4 +117,6 @@ def _load(path: Path) -> Document:
     beside = path.parent / str(chain)
     if not isinstance(chain, str) or not beside.is_file():
         raise CalibrationError(f"{path}: {_OPENVINS_CHAIN} {shortened(chain)} does not exist")
-    return load_document(beside)
+    loaded = load_document(beside)
+    settings = {key: document.data[key] for key in (OPENVINS_IMU,) if key in document.data}
+    return replace(loaded, data={**loaded.data, **settings})

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from vo.errors import SourceError, VoError
+from vo.formats.calibration import ImuCalibration
 from vo.formats.messages import ImuMessage
 from vo.formats.stamp_units import MAX_STAMP_NS
 from vo.sources.imu import ImuSamples, make_samples, time_slice
@@ -25,7 +26,11 @@ class LogImu:
     """An `Imu` in the messages of a topic, which are listed and read on demand."""
 
     def __init__(
-        self, log: Log, topic: Topic, find_extrinsics: Callable[[str], Floats | None]
+        self,
+        log: Log,
+        topic: Topic,
+        find_extrinsics: Callable[[str], Floats | None],
+        given: ImuCalibration | None = None,
     ) -> None:
         """Store the topic; nothing is read yet.
 
@@ -33,9 +38,13 @@ class LogImu:
             log: the log.
             topic: topic of the samples.
             find_extrinsics: finds cam0_from_imu or None, given the frame of the sensor.
+            given: calibration given by the user, which is preferred.
         """
         self.name = topic.name
-        self.noise: ImuNoise | None = None
+        given = given or ImuCalibration()
+        self.noise: ImuNoise | None = given.noise
+        self.time_offset_s = given.time_offset_s
+        self._given = given.cam0_from_imu
         self._log = log
         self._topic = topic
         self._find_extrinsics = find_extrinsics
@@ -48,6 +57,8 @@ class LogImu:
     @cached_property
     def cam0_from_imu(self) -> Floats | None:
         """See `Imu.cam0_from_imu`."""
+        if self._given is not None:
+            return self._given
         for entry in self._listed[1]:
             message = self._decode(entry)
             if message is not None:

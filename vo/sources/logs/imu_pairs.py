@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from vo.formats.calibration import ImuCalibration
 from vo.sources.imu import Imu, ImuSamples, time_slice
 from vo.sources.logs.imu import LogImu
 from vo.sources.logs.log import Log, Topic
@@ -21,7 +22,8 @@ class PairedImu:
     def __init__(self, gyro: LogImu, accel: LogImu) -> None:
         """Join two sensors that are rigidly connected."""
         self.name = f"{gyro.name} with {accel.name}"
-        self.noise: ImuNoise | None = None
+        self.noise: ImuNoise | None = gyro.noise
+        self.time_offset_s = gyro.time_offset_s
         self._gyro = gyro
         self._accel = accel
 
@@ -69,7 +71,10 @@ def _joined(gyro: ImuSamples, accel: ImuSamples) -> ImuSamples:
 
 
 def log_imus(
-    log: Log, topics: Sequence[Topic], find_extrinsics: Callable[[str], Floats | None]
+    log: Log,
+    topics: Sequence[Topic],
+    find_extrinsics: Callable[[str], Floats | None],
+    given: ImuCalibration | None = None,
 ) -> list[Imu]:
     """The inertial sensors of a log in the order of topics; gyro and accel topics are joined.
 
@@ -77,8 +82,9 @@ def log_imus(
         log: the log.
         topics: topics of inertial sensors.
         find_extrinsics: finds cam0_from_imu or None, given the frame of a sensor.
+        given: calibration given by the user, which is preferred.
     """
-    single = {topic.name: LogImu(log, topic, find_extrinsics) for topic in topics}
+    single = {topic.name: LogImu(log, topic, find_extrinsics, given) for topic in topics}
     partners = {name: _GYRO.sub("accel", name) for name in single if _GYRO.search(name)}
     partners = {gyro: accel for gyro, accel in partners.items() if accel in single}
     return [

@@ -12,7 +12,7 @@ from vo.faults import Fault
 from vo.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.formats.messages import CalibrationMessage, TransformsMessage
 from vo.sources.assembly import RecordingContents, assemble
-from vo.sources.imu import Imu, cam0_from_imu_of
+from vo.sources.imu import Imu, imu_of
 from vo.sources.listing import Shot
 from vo.sources.logs.choice import ChosenTopics, choose_topics
 from vo.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
@@ -138,14 +138,11 @@ class _ChosenLog:
 
     def imus(self, calibration: Calibration | None) -> list[Imu]:
         """The inertial sensors."""
-        cam0_from_imu = cam0_from_imu_of(calibration)
 
         def find_extrinsics(frame: str) -> Floats | None:
-            if cam0_from_imu is not None or not frame:
-                return cam0_from_imu
-            return self._frames.between(self._frame(self._choice.left), frame)
+            return self._frames.between(self._frame(self._choice.left), frame) if frame else None
 
-        return log_imus(self._log, self._imus, find_extrinsics)
+        return log_imus(self._log, self._imus, find_extrinsics, imu_of(calibration))
 
     def _camera(self, image: Topic) -> LogCamera:
         return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
