@@ -13,6 +13,7 @@ from vo.cli.app import app
 
 CHOICES = (
     "mode",
+    "dataset",
     "rrd_images",
     "align",
     "board",

@@ -180,6 +180,24 @@ def write_euroc(folder: Path) -> None:
     write_text(root / "state_groundtruth_estimate0" / "data.csv", header + rows)
 
 
+def write_four_seasons(folder: Path) -> None:
+    fx, fy, cx, cy = INTRINSICS
+    for n in range(2):
+        for i, stamp in enumerate(STAMPS_NS):
+            write_image(
+                folder / "undistorted_images" / f"cam{n}" / f"{stamp}.png", image(i, n == 1)
+            )
+        text = f"Pinhole {fx} {fy} {cx} {cy} 0\n{WIDTH} {HEIGHT}\ncrop\n{WIDTH} {HEIGHT}\n"
+        write_text(folder.parent / "calibration" / f"undistorted_calib_{n}.txt", text)
+    stereo = f"1 0 0 {-BASELINE_M}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    write_text(folder.parent / "calibration" / "undistorted_calib_stereo.txt", stereo)
+    write_text(folder / "times.txt", "".join(f"{s} {seconds(s)} 4.2\n" for s in STAMPS_NS))
+    poses = [row.split()[1:] for row in tum_text(truth()).splitlines()]
+    head = "# frame_id, t_x, t_y, t_z, q_x, q_y, q_z, q_w, scale, fusion_quality, v3\n"
+    rows = [f"{s},{','.join(p)},1.01,0.9,0\n" for s, p in zip(STAMPS_NS, poses, strict=True)]
+    write_text(folder / "GNSSPoses.txt", head + "".join(rows))
+
+
 def write_tum(folder: Path) -> None:
     rows = "".join(f"{seconds(s)} rgb/{seconds(s)}.png\n" for s in STAMPS_NS)
     write_text(folder / "rgb.txt", f"# color images\n# timestamp filename\n{rows}")
@@ -289,6 +307,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "kitti": write_kitti,
     "kitti_raw": write_kitti_raw,
     "euroc": write_euroc,
+    "4seasons": write_four_seasons,
     "tum": write_tum,
     "folder": write_folder,
     "nerf": write_nerf,

@@ -12,7 +12,7 @@ from vo.errors import SourceError
 from vo.sources.images import ImageFile
 from vo.sources.registry import FORMATS, detect_format, open_source
 
-STEREO = {"kitti", "kitti_raw", "euroc", "folder", "glob", "mcap", "rosbag1", "rosbag2"}
+STEREO = {"kitti", "kitti_raw", "euroc", "4seasons", "folder", "glob", "mcap", "rosbag1", "rosbag2"}
 WITHOUT_TRUTH = {"glob", "video"}
 
 

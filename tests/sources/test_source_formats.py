@@ -10,6 +10,7 @@ import layouts
 import numpy as np
 import pytest
 
+from vo.errors import CalibrationError
 from vo.sources.registry import open_source
 
 # KITTI
@@ -45,6 +46,46 @@ def test_kitti_reads_jpeg(kitti: Path) -> None:
         layouts.write_image(path.with_suffix(".jpg"), cv2.imread(str(path)))
         path.unlink()
     assert len(list(open_source(kitti).frames())) == layouts.COUNT
+
+
+def test_kitti_as_distributed_has_its_poses_in_a_folder_of_their_own(kitti: Path) -> None:
+    root = kitti.parent / "dataset"
+    (root / "sequences").mkdir(parents=True)
+    (root / "poses").mkdir()
+    (kitti / "poses.txt").rename(root / "poses" / "04.txt")
+    kitti.rename(root / "sequences" / "04")
+    truth = open_source(root / "sequences" / "04").ground_truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.world_from_cam, np.stack(layouts.truth()), atol=1e-9)
+
+
+# 4Seasons
+
+
+@pytest.fixture
+def four_seasons(tmp_path: Path) -> Path:
+    folder = tmp_path / "office" / "recording_2020-03-24_17-36-22"
+    layouts.write_four_seasons(folder)
+    return folder
+
+
+def test_four_seasons_without_calibration_names_the_folder(four_seasons: Path) -> None:
+    (four_seasons.parent / "calibration").rename(four_seasons.parent / "calib")
+    with pytest.raises(CalibrationError, match="a folder `calibration` in .*recording_2020"):
+        open_source(four_seasons)
+
+
+def test_four_seasons_with_a_damaged_transform_names_the_file(four_seasons: Path) -> None:
+    file = four_seasons.parent / "calibration" / "undistorted_calib_stereo.txt"
+    for text in ("1 0 0 x\n", "1 0 0 -0.3\n0 1 0 0\n", "2 0 0 -0.3\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"):
+        file.write_text(text)
+        with pytest.raises(CalibrationError, match=r"undistorted_calib_stereo\.txt"):
+            open_source(four_seasons)
+
+
+def test_four_seasons_without_the_right_calibration_is_one_camera(four_seasons: Path) -> None:
+    (four_seasons.parent / "calibration" / "undistorted_calib_1.txt").unlink()
+    assert not open_source(four_seasons).rig.is_stereo
 
 
 # EuRoC

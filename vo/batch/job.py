@@ -21,6 +21,8 @@ class Job:
         overrides: settings, `section.key=value`.
         mode: as for `vo run`, like the attributes up to `right_offset_ns`.
         truth: file with ground truth; by default that of the recording.
+        is_truth_of_body: whether its poses are those of the body in the calibration, such as an
+            IMU, not of cam0.
         tags: labels by name, for tables.
     """
 
@@ -38,6 +40,7 @@ class Job:
     side_by_side: bool = False
     right_offset_ns: int | None = None
     truth: str | None = None
+    is_truth_of_body: bool = False
     tags: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -83,6 +86,8 @@ class JobResult:
         ate_m: root mean square of the position error of the longest segment, where there is
             ground truth; mono: after alignment with scale.
         causal_ate_m: the same of the causal path.
+        drift_percent: mean position error over sub-paths, relative to their length (KITTI's t_rel).
+        drift_deg_per_100m: mean rotation error over them (KITTI's r_rel).
         wall_s: duration of the run.
         cpu_s: its CPU time in all threads and processes.
         frames_per_s: frames by wall time.
@@ -106,6 +111,8 @@ class JobResult:
     length_unit: str | None = None
     ate_m: float | None = None
     causal_ate_m: float | None = None
+    drift_percent: float | None = None
+    drift_deg_per_100m: float | None = None
     wall_s: float | None = None
     cpu_s: float | None = None
     frames_per_s: float | None = None

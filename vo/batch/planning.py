@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from vo.batch.datasets import sequences_of
 from vo.batch.job import Job
 from vo.batch.object_store import is_url, list_recordings
 from vo.bounded_documents import load_json
@@ -40,28 +41,40 @@ class Plan:
         jobs: in order, with unique names.
         renamed: names that had to be told apart, with their sources.
         left_out: folders in which there is no recording.
+        dataset: the public data set that they are, one of `vo.batch.datasets.DATASETS`.
     """
 
     jobs: tuple[Job, ...]
     renamed: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    dataset: str | None = None
 
 
-def plan(sources: Sequence[str], options: Job, manifest: Path | None = None) -> Plan:
+def plan(
+    sources: Sequence[str],
+    options: Job,
+    manifest: Path | None = None,
+    dataset: str | None = None,
+) -> Plan:
     """The jobs of all sources, and of a manifest.
 
     Args:
         sources: recordings, folders of recordings, patterns, or URLs.
         options: for all of them; its name and source are not used.
         manifest: CSV or JSON file with a recording in each row, and its options.
+        dataset: the public data set that is in the folders `sources`.
 
     Raises:
-        SourceError: there is no recording at all, or the manifest is damaged.
+        SourceError: there is no recording at all, or no sequence of the data set in a folder, or
+            the manifest is damaged.
         ConfigError: an option in the manifest is unknown or has a wrong value.
     """
     jobs: list[Job] = []
     left_out: list[str] = []
     for text in sources:
+        if dataset is not None:
+            jobs += sequences_of(dataset, Path(text), options)
+            continue
         found, without = _found(text)
         left_out += without
         jobs += [replace(options, source=each) for each in found]
@@ -72,7 +85,7 @@ def plan(sources: Sequence[str], options: Job, manifest: Path | None = None) -> 
         where = ", ".join(sources) or str(manifest)
         raise SourceError(f"there is no recording in {where}; see docs/recordings.md for formats")
     named, renamed = _with_names(unique)
-    return Plan(tuple(named), renamed, tuple(left_out))
+    return Plan(tuple(named), renamed, tuple(left_out), dataset)
 
 
 def _found(text: str) -> tuple[list[str], list[str]]:

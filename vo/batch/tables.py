@@ -1,4 +1,4 @@
-"""The files about a whole batch: `batch.json`, `batch.csv` and `index.html`."""
+"""The files about a whole batch: `batch.json`, `batch.csv`, `index.html`, and `table.md`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from statistics import median
 from typing import Any
 
 from vo import __version__
+from vo.batch.datasets import table_of
 from vo.batch.job import JobResult, JobStatus
 from vo.batch.planning import Plan
 from vo.bounded_documents import load_json
@@ -21,11 +22,12 @@ from vo.errors import SourceError
 from vo.results.folder import write_atomically
 
 SUMMARY, TABLE, PAGE = "batch.json", "batch.csv", "index.html"
+DATASET_TABLE = "table.md"
 SCHEMA_VERSION = 1
 _COLUMNS = (
     *("name", "source", "status", "verdict", "trusted", "frames", "tracked_ratio", "segments"),
-    *("path_m", "length_unit", "ate_m", "causal_ate_m", "wall_s", "cpu_s", "frames_per_s"),
-    *("peak_rss_mb", "attempts", "error", "warnings"),
+    *("path_m", "length_unit", "ate_m", "causal_ate_m", "drift_percent", "drift_deg_per_100m"),
+    *("wall_s", "cpu_s", "frames_per_s", "peak_rss_mb", "attempts", "error", "warnings"),
 )
 
 
@@ -92,6 +94,8 @@ def write_tables(output: Path, results: Sequence[JobResult], plan: Plan) -> None
     text = json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     write_atomically(output / SUMMARY, text)
     write_atomically(output / TABLE, table_text(results))
+    if plan.dataset is not None:
+        write_atomically(output / DATASET_TABLE, table_of(plan.dataset, results))
     write_atomically(output / PAGE, overview_page(output, results, over_all, plan))
 
 

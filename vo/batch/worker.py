@@ -14,13 +14,16 @@ import signal
 import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vo.batch.job import Job, JobResult, JobStatus
 from vo.errors import EvaluationError, VoError
 from vo.printable import one_line
 from vo.results.folder import write_atomically
 from vo.types import Trajectory
+
+if TYPE_CHECKING:
+    from vo.evaluation.inputs import GivenTrajectory, Inputs
 
 RESULT = "result.json"
 _STDIN = 0
@@ -102,7 +105,7 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
             source_name=None if source == job.source else job.source,
             **_reading(job),
         )
-        ate_m, causal_ate_m, notes = _errors(job, source, folder)
+        errors, notes = _errors(job, source, folder)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     frames = summary.frames
     return JobResult(
@@ -118,8 +121,7 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
         segments=len(summary.segments),
         path_m=summary.path_m,
         length_unit=summary.length_unit,
-        ate_m=ate_m,
-        causal_ate_m=causal_ate_m,
+        **errors,
         wall_s=summary.wall_s,
         cpu_s=round(sum(each.ru_utime + each.ru_stime for each in used), 3),
         frames_per_s=round(summary.frames_per_s, 3),
@@ -128,28 +130,52 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
     )
 
 
-def _errors(
-    job: Job, source: str, folder: Path
-) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """ATE of the smoothed and of the causal path, None without ground truth; remarks."""
-    from vo.evaluation.inputs import load_inputs
-    from vo.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
+def _errors(job: Job, source: str, folder: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Errors of a `JobResult` by name, empty without ground truth; and remarks."""
+    from vo.evaluation.own_truth import causal_ate_m
     from vo.evaluation.report import evaluate
     from vo.formats.trajectory import read_tum
 
     try:
-        if job.truth is not None:
-            inputs = load_inputs(folder, Path(job.truth))
-        else:
-            own = inputs_with_own_truth(folder, Path(source), _truth_of(job, source))
-            if own is None:
-                return None, None, ()
-            inputs = own
+        inputs = _inputs(job, source, folder)
+        if inputs is None:
+            return {}, ()
         evaluation = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
     except EvaluationError as error:
-        return None, None, (f"not compared with the ground truth: {error}",)
-    causal = causal_ate_m(read_tum(folder / "causal.tum"), inputs)
-    return evaluation.ate.translation.rmse, causal, ()
+        return {}, (f"not compared with the ground truth: {error}",)
+    drift = evaluation.segments
+    return {
+        "ate_m": evaluation.ate.translation.rmse,
+        "causal_ate_m": causal_ate_m(read_tum(folder / "causal.tum"), inputs),
+        "drift_percent": None if drift is None else drift.translation_percent,
+        "drift_deg_per_100m": None if drift is None else 100.0 * drift.rotation_deg_per_m,
+    }, ()
+
+
+def _inputs(job: Job, source: str, folder: Path) -> Inputs | None:
+    """The path of a run and its ground truth; None without one."""
+    from vo.evaluation.inputs import load_inputs
+    from vo.evaluation.own_truth import inputs_with_own_truth
+
+    if job.truth is None:
+        return inputs_with_own_truth(folder, Path(source), _truth_of(job, source))
+    if job.is_truth_of_body:
+        return load_inputs(folder, _truth_of_body(Path(job.truth), job.calibration))
+    return load_inputs(folder, Path(job.truth))
+
+
+def _truth_of_body(file: Path, calibration: str | None) -> GivenTrajectory:
+    """Poses of the body in a file, moved to cam0 by the calibration if that has its pose."""
+    from vo.evaluation.inputs import GivenTrajectory
+    from vo.formats.calibration import read_calibration
+    from vo.formats.trajectory import read_trajectory
+
+    truth = read_trajectory(file)
+    body_from_cam0 = None if calibration is None else read_calibration(calibration).body_from_cam0
+    if body_from_cam0 is None:
+        return GivenTrajectory(truth, file)
+    poses = truth.world_from_cam @ body_from_cam0
+    return GivenTrajectory(replace(truth, world_from_cam=poses), file)
 
 
 def _truth_of(job: Job, source: str) -> Trajectory | None:

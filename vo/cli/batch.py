@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,6 +43,28 @@ Manifest = Annotated[
         metavar="FILE",
         help="CSV or JSON file with a recording in each row: source, and any of name, calibration, "
         "mode, config, set, format, topics, start, end, stride, truth; other columns are tags.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+
+
+class DatasetChoice(StrEnum):
+    """Choices of `--dataset`: the keys of `vo.batch.datasets.DATASETS`."""
+
+    EUROC = "euroc"
+    KITTI = "kitti"
+    TUM = "tum"
+    TUMVI = "tumvi"
+    FOUR_SEASONS = "4seasons"
+    HILTI = "hilti"
+
+
+Dataset = Annotated[
+    DatasetChoice | None,
+    typer.Option(
+        help="SOURCES are folders of this public data set: its sequences, calibration, ground "
+        "truth, and the table that papers print.",
+        show_default=False,
         rich_help_panel=options.INPUT,
     ),
 ]
@@ -107,6 +130,7 @@ def batch_command(
     sources: Sources = None,
     output: Output = Path("batch"),
     manifest: Manifest = None,
+    dataset: Dataset = None,
     calibration: options.Calibration = None,
     mode: options.Mode = options.ModeChoice.AUTO,
     format: options.Format = None,
@@ -138,6 +162,10 @@ def batch_command(
 
       vo batch --manifest drives.csv -o results/ --timeout 600
 
+    Run on a public data set, as it is unpacked, and print the table of papers:
+
+      vo batch --dataset euroc EuRoC/ -o results/
+
     Run on a Ray cluster, from an object store (docs/batch.md):
 
       vo batch s3://bucket/drives/ -o /shared/results --ray auto
@@ -160,6 +188,8 @@ def batch_command(
         manifest, given = Path(given[0]), []
     if not given and manifest is None:
         raise typer.BadParameter("give recordings, folders or URLs, or a --manifest")
+    if dataset is not None and manifest is not None:
+        raise typer.BadParameter("--dataset finds the recordings in its folders; leave out either")
     load_config(config, overrides or ())  # a wrong setting is one error, not one for each run
     shared = Job(
         "",
@@ -172,7 +202,7 @@ def batch_command(
     )
     console = standard_error()
     with warnings_on(console, quiet=quiet):
-        planned = plan(given, shared, manifest)
+        planned = plan(given, shared, manifest, None if dataset is None else dataset.value)
         engine = _engine(ray, jobs, Limits(threads, timeout, memory, retries))
         bar = BatchBar(console, quiet=quiet)
         result = run_batch(planned, output, engine, bar)

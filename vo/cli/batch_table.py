@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from vo.batch.batch import BatchResult
+from vo.batch.datasets import table_of
 from vo.batch.job import JobResult
 from vo.batch.planning import Plan
 from vo.batch.tables import PAGE, totals
@@ -98,6 +99,9 @@ def print_batch(result: BatchResult, plan: Plan, console: Console) -> None:
         _line(console, "renamed", f"{name} is {source}")
     for folder in plan.left_out[:10]:
         _line(console, "left out", f"{folder}: no recording in it")
+    if plan.dataset is not None:
+        console.print()
+        console.print(table_of(plan.dataset, result.results), markup=False, soft_wrap=True)
     _line(console, "overview", str(result.output / PAGE))
 
 

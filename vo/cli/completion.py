@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 INPUT_FORMATS = (
-    *("mcap", "rosbag1", "rosbag2", "kitti", "kitti_raw", "euroc", "tum"),
+    *("mcap", "rosbag1", "rosbag2", "kitti", "kitti_raw", "4seasons", "euroc", "tum"),
     *("nerf", "video", "glob", "folder"),
 )
 """Formats of `--format`."""

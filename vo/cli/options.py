@@ -78,8 +78,8 @@ Format = Annotated[
     str | None,
     typer.Option(
         metavar="FORMAT",
-        help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, euroc, tum, "
-        "nerf, video, glob or folder.",
+        help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, 4seasons, euroc, "
+        "tum, nerf, video, glob or folder.",
         show_default="detected from the files",
         autocompletion=completion.input_formats,
         rich_help_panel=INPUT,

@@ -117,6 +117,22 @@ def read_euroc(path: Path | str) -> Trajectory:
     return _trajectory(lines, np.array(stamps, dtype=np.int64), values[:, :3], quat_xyzw)
 
 
+def read_four_seasons(path: Path | str) -> Trajectory:
+    """Read GNSSPoses.txt of 4Seasons: `stamp_ns, tx, ty, tz, qx, qy, qz, qw, scale, quality, …`.
+
+    The poses are those of the left camera at keyframes, in metres. The scale is that of the visual
+    path in the data set and is not used.
+
+    Raises:
+        SourceError: the file is missing, empty or damaged.
+    """
+    lines = read_table(Path(path))
+    check_columns(lines, _EUROC_COLUMNS, exactly=False)
+    stamps = np.array([_whole_ns(line) for line in lines], dtype=np.int64)
+    values = parse_columns(lines, 1, _EUROC_COLUMNS)
+    return _trajectory(lines, stamps, values[:, :3], values[:, 3:7])
+
+
 def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
     """Read lines of twelve numbers, each a 3x4 world_from_cam0 in row-major order.
 

@@ -1,4 +1,7 @@
-"""KITTI odometry: image_0/ image_1/ calib.txt times.txt poses.txt, or colour image_2/ image_3/."""
+"""KITTI odometry: image_0/ image_1/ calib.txt times.txt, or colour image_2/ image_3/.
+
+Ground truth is `poses.txt` in the sequence, or `poses/NN.txt` beside `sequences/NN` as distributed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from vo.faults import Fault
 from vo.formats.calibration import Calibration, ImageSize, kitti, read_calibration
 from vo.formats.calibration.document import load_document
 from vo.formats.trajectory import read_kitti
-from vo.sources.assembly import RecordingContents, calibration_reader
+from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.listing import Shot, list_images
 from vo.sources.pairing import copy_stamps
 from vo.sources.times_table import shots_from_times
@@ -25,7 +28,7 @@ _PAIRS = {("image_0", "image_1"): ("P0", "P1"), ("image_2", "image_3"): ("P2", "
 
 
 def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List a sequence; right images, calib.txt and poses.txt are optional.
+    """List a sequence; right images, calib.txt and poses are optional.
 
     Raises:
         SourceError: images or times.txt are missing or inconsistent.
@@ -43,7 +46,7 @@ def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         left=left,
         right=_right(path / folders[1], left),
         calibrate=lambda size: _calibration(path, calibration, matrices, size),
-        read_truth=lambda loaded: _truth(path / "poses.txt", left, loaded),
+        read_truth=lambda loaded: _truth(_poses_file(path), left, loaded),
         faults=faults,
     )
 
@@ -68,9 +71,16 @@ def _calibration(
     return calibration_reader(chosen, [file, path / "calibration.yaml"])(size)
 
 
-def _truth(poses: Path, left: list[Shot], calibration: Calibration) -> Trajectory | None:
+def _poses_file(path: Path) -> Path | None:
+    folder = path.resolve()
+    return first_existing(
+        [folder / "poses.txt", folder.parent.parent / "poses" / f"{folder.name}.txt"]
+    )
+
+
+def _truth(poses: Path | None, left: list[Shot], calibration: Calibration) -> Trajectory | None:
     """Poses of the left camera in use; those in the file belong to KITTI's grey left camera."""
-    if not poses.is_file():
+    if poses is None:
         return None
     rows = read_kitti(poses).world_from_cam
     count = min(len(rows), len(left))

@@ -72,6 +72,7 @@ FORMATS: dict[str, Format] = {
     ),
     "kitti": Format("vo.sources.kitti:gather_kitti", ("image_0", "image_2")),
     "kitti_raw": Format("vo.sources.kitti_raw:gather_kitti_raw", ("image_00", "image_02")),
+    "4seasons": Format("vo.sources.four_seasons:gather_four_seasons", ("undistorted_images",)),
     "euroc": Format("vo.sources.euroc:gather_euroc", ("mav0", "cam0")),
     "tum": Format("vo.sources.tum:gather_tum", ("rgb.txt", "assoc*.txt", "rgbd_assoc*.txt")),
     "rosbag2": Format(
