@@ -10,7 +10,14 @@ from rich.markup import escape
 
 from vo.cli.console import standard_output
 from vo.inspection.image_records import CameraReport, PairReport
-from vo.inspection.records import CalibrationReport, Finding, ImuReport, LensReport, Report
+from vo.inspection.records import (
+    CalibrationReport,
+    Finding,
+    ImuMotionReport,
+    ImuReport,
+    LensReport,
+    Report,
+)
 from vo.printable import counted
 
 _WORDS = {
@@ -75,6 +82,8 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     for imu in report.imu:
         yield "imu", _imu(imu)
         yield "", _motion(imu)
+        if imu.motion is not None and imu.motion.fits:
+            yield "", _compared(imu.motion)
 
 
 def _truth(report: Report) -> str:
@@ -94,6 +103,15 @@ def _imu(imu: ImuReport) -> str:
     return (
         f"{imu.name}: {counted(imu.count, 'sample')}, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, "
         f"{gaps}{covered} (not used by vo run)"
+    )
+
+
+def _compared(motion: ImuMotionReport) -> str:
+    error = motion.rotation_error_deg
+    pose = "" if error is None else f"; orientation within {error:.1f} degrees of cam0_from_imu"
+    return (
+        f"{counted(motion.compared, 'rotation')} of images compared: time offset "
+        f"{motion.time_offset_ms:+.1f} ± {motion.time_offset_sd_ms:.1f} ms{pose}"
     )
 
 

@@ -13,6 +13,7 @@ from vo.inspection.calibration_findings import calibration_findings, stereo_find
 from vo.inspection.image_records import CameraReport, ImageStatistics
 from vo.inspection.images import frame_ranges
 from vo.inspection.inertial import imu_findings
+from vo.inspection.inertial_motion import motion_findings
 from vo.inspection.opening import OpenedRecording
 from vo.inspection.records import Finding, Level, Report
 from vo.printable import counted
@@ -46,7 +47,7 @@ def with_findings(report: Report, opened: OpenedRecording, imu_warnings: Sequenc
     findings += calibration_findings(report, opened.rig, is_refused=bool(opened.refusal))
     findings += _truth_findings(report)
     for imu in report.imu:
-        findings += imu_findings(imu)
+        findings += [*imu_findings(imu), *motion_findings(imu)]
     findings += [Finding("warning", line) for line in imu_warnings]
     reported = " ".join(finding.what for finding in findings)
     findings += [

@@ -102,6 +102,37 @@ class TruthReport:
 
 
 @dataclass(frozen=True)
+class ImuMotionReport:
+    """Rotation of the images compared with the gyroscope.
+
+    Attributes:
+        compared: number of pairs of images.
+        fits: whether both measure the same rotation.
+        time_offset_ms: what to add to the stamp of an image to get the same moment on the clock of
+            the sensor; None if they do not fit.
+        time_offset_sd_ms: its standard deviation.
+        given_offset_ms: the offset in the calibration, 0 without one.
+        cam0_from_imu_rotation: rows of the (3, 3) rotation that fits; None if they do not fit.
+        rotation_error_deg: angle between this rotation and that of the calibration; None without
+            either. If all rotations are about one axis, the angle between its directions.
+        inverse_error_deg: the same for the inverse of the calibration.
+        is_mirrored: whether the axes of the gyroscope form a left-handed frame.
+        rate_ratio: angular rate of the gyroscope relative to that of the images.
+    """
+
+    compared: int
+    fits: bool
+    time_offset_ms: float | None
+    time_offset_sd_ms: float | None
+    given_offset_ms: float
+    cam0_from_imu_rotation: list[list[float]] | None
+    rotation_error_deg: float | None
+    inverse_error_deg: float | None
+    is_mirrored: bool
+    rate_ratio: float
+
+
+@dataclass(frozen=True)
 class ImuReport:
     """An inertial sensor; figures of values are those of the checked samples.
 
@@ -120,6 +151,11 @@ class ImuReport:
         gyro_high_rad_s: 99th percentile of the same.
         covered: fraction of the left images during its measurements; None without images.
         cam0_from_imu: rows of the (4, 4) transform; None if unknown.
+        accel_cam0: mean specific force in the frame of cam0; None if its pose is unknown.
+        gyro_saturated: fraction of samples at the end of the range of the gyroscope.
+        accel_saturated: the same of the accelerometer.
+        clock_ahead_s: first sample minus first image; None without images.
+        motion: comparison with the images, of the first sensor only; None without one.
     """
 
     name: str
@@ -136,6 +172,11 @@ class ImuReport:
     gyro_high_rad_s: float
     covered: float | None
     cam0_from_imu: list[list[float]] | None
+    accel_cam0: list[float] | None = None
+    gyro_saturated: float = 0.0
+    accel_saturated: float = 0.0
+    clock_ahead_s: float | None = None
+    motion: ImuMotionReport | None = None
 
 
 @dataclass(frozen=True)

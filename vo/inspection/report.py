@@ -14,9 +14,11 @@ from vo.inspection.findings import with_findings
 from vo.inspection.image_records import CameraReport, StereoReport
 from vo.inspection.images import ImageReader, check_images, evenly_spaced
 from vo.inspection.inertial import check_imus
+from vo.inspection.inertial_motion import compare_motion
 from vo.inspection.opening import ImageSequence, OpenedRecording, collected_warnings
 from vo.inspection.records import (
     CalibrationReport,
+    ImuReport,
     LensReport,
     Place,
     Report,
@@ -39,7 +41,8 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
 
     Args:
         opened: the recording, as far as it could be opened.
-        images: number of images of each camera to check; None for all.
+        images: number of images of each camera to check; None for all. With less than the default
+            images are not compared with an inertial sensor.
     """
     try:
         cameras = tuple(_camera(camera, images) for camera in opened.cameras)
@@ -48,11 +51,13 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
         with collected_warnings():  # repeated from opening, or reported as findings
             pair = pair_report(sides[0], sides[1]) if sides else None
             stereo = _stereo(sides[0], sides[1], opened.rig) if sides else None
+        lefts = opened.cameras[0].shots if opened.cameras else ()
+        stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
+        imus, imu_warnings = check_imus(opened.imus, stamps, everything=images is None)
+        if images is None or images >= DEFAULT_IMAGES:
+            imus = _with_motion(imus, opened, stamps)
     finally:
         opened.close()
-    lefts = opened.cameras[0].shots if opened.cameras else ()
-    stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
-    imus, imu_warnings = check_imus(opened.imus, stamps, everything=images is None)
     report = Report(
         path=str(opened.path),
         format=opened.format,
@@ -75,6 +80,19 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
         command="",
     )
     return with_findings(report, opened, imu_warnings)
+
+
+def _with_motion(
+    imus: tuple[ImuReport, ...], opened: OpenedRecording, stamps: Ints
+) -> tuple[ImuReport, ...]:
+    """Compare the sensor to use first with the images, if both are of one time."""
+    is_known = opened.rig is not None and opened.roles_known and bool(imus)
+    if not is_known or not imus[0].covered or imus[0].name != opened.imus[0].name:
+        return imus
+    assert opened.rig is not None
+    reader = ImageReader([shot.image for shot in opened.cameras[0].shots])
+    motion = compare_motion(opened.imus[0], reader.read, stamps, opened.rig.cam0)
+    return (replace(imus[0], motion=motion), *imus[1:])
 
 
 def _camera(camera: ImageSequence, images: int | None) -> CameraReport:
