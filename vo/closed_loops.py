@@ -1,4 +1,4 @@
-"""Loops that were closed and the use of a map, as they are reported."""
+"""Loops, relocalisations and the use of a map, as they are reported."""
 
 from __future__ import annotations
 
@@ -39,6 +39,37 @@ class ClosedLoop:
     def joins(self) -> bool:
         """Whether it joins what only the look of places connects: no odometry speaks for it."""
         return self.kind != "loop"
+
+
+@dataclass(frozen=True)
+class Relocalisation:
+    """A segment whose place in an older world was found while the camera was in it.
+
+    A segment begins with a world of its own: after tracking was lost, or at the start of a run in a
+    loaded map.
+
+    Attributes:
+        frame: first frame whose causal pose is in the older world.
+        segment: of that frame.
+        keyframe: number of the frame of the newest keyframe that was recognised.
+        earlier_frame: number of the frame that it was recognised by, in its own recording.
+        loops: number of keyframes that were recognised.
+        inliers: landmarks that agree, of the newest of them.
+        correction_m: distance by which the pose of `keyframe` changed, in metres or units of the
+            map. Until then the segment was taken to begin where tracking was lost.
+        correction_deg: angle by which it changed.
+        earlier_session: number of the recording in the loaded map; None for the run itself.
+    """
+
+    frame: int
+    segment: int
+    keyframe: int
+    earlier_frame: int
+    loops: int
+    inliers: int
+    correction_m: float
+    correction_deg: float
+    earlier_session: int | None = None
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,7 @@ class Odometry:
         """Track a frame, after the frames before it once more if they were misled."""
         frame = self._preprocess(pending)
         self.update_map()
-        self.memory.begin_frame(frame.index)
+        self.memory.begin_frame(frame.index, self._segment, self._map)
         if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
             self.memory.forget_from(frame.misled[0].index)
             self._creator.restart()

@@ -349,6 +349,7 @@ class RunSession:
             live=self._live_state(),
             hidden=self._odometry.hidden,
             loops=self._odometry.memory.closed_loops,
+            relocalisations=self._odometry.memory.relocalisations,
             map_use=self._odometry.memory.map_use,
             networks=self._odometry.networks,
             scale=self._findings,

@@ -4,70 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from room_course import END, FILES, ate, run_rounds
 from typer.testing import CliRunner
 
-from data_synth.frame_rendering import render_frames
-from data_synth.plan import make_plan
-from data_synth.recipe import load_recipe
-from data_synth.writers import euroc
 from vo.cli.app import app
 from vo.config import load_config
 from vo.errors import ConfigError
-from vo.evaluation.ape import absolute_errors
 from vo.formats.trajectory import read_tum
-from vo.geometry.similarity import umeyama
 from vo.odometry import Odometry
 from vo.places.map_file import MapFile
-from vo.run_recording import run
 from vo.sources.registry import open_source
-from vo.types import Estimate, Floats, Frame, Trajectory
-
-FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
-END = 190  # frames: a round takes 126
-BLACK = range(70, 84)
-
-
-@pytest.fixture(scope="module")
-def rounds(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A round and a half through a room at 10 Hz, as EuRoC, in images of 301 x 192."""
-    settings = ["motion=loop", "seconds=40", "fps=10", "scale=0.4", "mono=true"]
-    plan = make_plan(load_recipe("demo", settings))
-    folder = tmp_path_factory.mktemp("rounds") / "room"
-    taken = slice(END)
-    recording = replace(
-        plan.recording,
-        stamps_ns=tuple(stamps[taken] for stamps in plan.recording.stamps_ns),
-        dropped=tuple(dropped[taken] for dropped in plan.recording.dropped),
-        cam0_truth=Trajectory(
-            plan.recording.cam0_truth.stamps_ns[taken],
-            plan.recording.cam0_truth.world_from_cam[taken],
-        ),
-    )
-    with ThreadPoolExecutor() as pool:
-        euroc.write(folder, recording, render_frames(plan, pool, range(END)), "png")
-    return folder
-
-
-def _run(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:
-    config = load_config("default", settings)
-    run(recording, output, config=config, **options)
-    summary: dict[str, Any] = json.loads((output / "summary.json").read_text(encoding="utf-8"))
-    return summary
+from vo.types import Floats
 
 
 @pytest.fixture(scope="module")
 def plain(rounds: Path) -> Path:
     """Results without loops."""
-    _run(rounds, rounds.parent / "plain")
+    run_rounds(rounds, rounds.parent / "plain")
     return rounds.parent / "plain"
 
 
@@ -75,23 +34,13 @@ def plain(rounds: Path) -> Path:
 def closed(rounds: Path) -> Path:
     """Results with loops."""
     saved = rounds.parent / "room.map"
-    _run(rounds, rounds.parent / "closed", "memory.loops=true", save_map=saved)
+    run_rounds(rounds, rounds.parent / "closed", "memory.loops=true", save_map=saved)
     return rounds.parent / "closed"
 
 
 def _loops(folder: Path) -> list[dict[str, Any]]:
     loops: list[dict[str, Any]] = json.loads((folder / "summary.json").read_text())["loops"]
     return loops
-
-
-def _ate(folder: Path, recording: Path, name: str = "trajectory.tum") -> float:
-    found, truth = read_tum(folder / name), read_tum(recording / "groundtruth.tum")
-    rows = np.searchsorted(truth.stamps_ns, found.stamps_ns)
-    similarity = umeyama(found.positions, truth.positions[rows], with_scale=True)
-    errors = absolute_errors(
-        similarity.transform_poses(found.world_from_cam), truth.world_from_cam[rows]
-    )
-    return float(np.sqrt(np.mean(errors.translation_m**2)))
 
 
 def _true_positions(recording: Path) -> Floats:
@@ -109,7 +58,7 @@ def test_every_loop_is_true_and_the_error_of_the_path_gets_smaller(
         assert loop["frame"] - loop["earlier_frame"] > 100
         assert loop["kind"] == "loop" and loop["inliers"] >= 25
         assert math.isfinite(loop["correction_m"]) and math.isfinite(loop["correction_deg"])
-    assert _ate(closed, rounds) < 0.7 * _ate(plain, rounds)
+    assert ate(closed, rounds) < 0.7 * ate(plain, rounds)
 
 
 def test_causal_poses_are_the_same_until_the_first_corrected_frame(
@@ -141,7 +90,7 @@ def test_the_saved_map_has_the_keyframes_where_the_path_has_them(
 
 def test_a_map_is_not_saved_without_loops(rounds: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--loops"):
-        _run(rounds, tmp_path / "out", save_map=tmp_path / "a.map")
+        run_rounds(rounds, tmp_path / "out", save_map=tmp_path / "a.map")
     assert not (tmp_path / "out").exists()
 
 
@@ -156,7 +105,7 @@ def test_the_report_lists_the_loops(closed: Path) -> None:
 def test_repeated_runs_and_a_single_thread_give_the_same_bytes(
     rounds: Path, closed: Path, tmp_path: Path
 ) -> None:
-    _run(rounds, tmp_path / "again", "memory.loops=true", "threads=1")
+    run_rounds(rounds, tmp_path / "again", "memory.loops=true", "threads=1")
     for name in FILES:
         assert (tmp_path / "again" / name).read_bytes() == (closed / name).read_bytes()
     assert _loops(tmp_path / "again") == _loops(closed)
@@ -166,7 +115,7 @@ def test_without_a_place_seen_again_the_results_have_the_same_bytes(
     rounds: Path, tmp_path: Path
 ) -> None:
     for name, setting in (("off", "false"), ("on", "true")):
-        summary = _run(rounds, tmp_path / name, f"memory.loops={setting}", end=60)
+        summary = run_rounds(rounds, tmp_path / name, f"memory.loops={setting}", end=60)
         assert summary["loops"] == []
     for name in FILES:
         assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "off" / name).read_bytes()
@@ -185,31 +134,3 @@ def test_loops_of_frames_that_are_tracked_anew_are_forgotten(rounds: Path) -> No
         odometry.memory.forget_from(first)
         odometry.memory.finish(odometry._map)
         assert [loop.frame for loop in odometry.memory.closed_loops] == [first - 1]
-
-
-class _Kidnapped(Odometry):
-    """Sees black frames for a while, long enough to give up the map."""
-
-    def track_all(self, frames: Iterable[Frame]) -> Iterator[Estimate]:
-        yield from super().track_all(map(_black, frames))
-
-
-def _black(frame: Frame) -> Frame:
-    if frame.index not in BLACK:
-        return frame
-    return replace(frame, images=tuple(np.zeros_like(frame.image0) for _ in frame.images))
-
-
-def test_a_segment_that_meets_an_older_one_joins_its_world(
-    rounds: Path, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("vo.run_recording.Odometry", _Kidnapped)
-    apart = _run(rounds, tmp_path / "apart", end=BLACK[-1] + 30)
-    assert [s["segment"] for s in apart["segments"]] == [0, 1]
-    joined = _run(rounds, tmp_path / "joined", "memory.loops=true")
-    assert [s["segment"] for s in joined["segments"]] == [0]
-    assert "merge" in [loop["kind"] for loop in joined["loops"]]
-    assert joined["verdict"] == "not to be trusted"  # joined only by what places look like
-    lost = {f for r in joined["without_pose"] for f in range(r["first"], r["last"] + 1)}
-    assert set(BLACK) <= lost
-    assert _ate(tmp_path / "joined", rounds) < 1.5 * _ate(plain, rounds)

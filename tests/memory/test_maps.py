@@ -95,6 +95,8 @@ def test_a_second_session_is_in_the_world_of_the_map(
     loops = [loop for loop in summary["loops"] if loop["kind"] == "session"]
     assert len(loops) >= 3
     assert {loop["earlier_session"] for loop in loops} == {0}
+    (found,) = summary["relocalisations"]
+    assert found["earlier_session"] == 0 and found["frame"] <= 40
     errors = _errors(tmp_path / "out", second, _world_from_map(first / "room"))
     assert len(errors) >= 0.9 * END
     assert np.median(errors) < 0.03

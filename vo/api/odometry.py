@@ -155,6 +155,8 @@ class Odometry:
                 calibration=self._odometry.calibration_errors,
                 hidden=self._odometry.hidden,
                 loops=self._odometry.memory.closed_loops,
+                relocalisations=self._odometry.memory.relocalisations,
+                map_use=self._odometry.memory.map_use,
                 networks=self._odometry.networks,
             )
             return summarise(state)

@@ -87,9 +87,9 @@ class PoseGraph:
         """Add a verified loop between keyframes that were added."""
         self._loops.append(loop)
 
-    def keep_loops(self, count: int) -> None:
-        """Forget all loops but the first `count`."""
-        del self._loops[count:]
+    def keep_loops(self, kept: Sequence[int]) -> None:
+        """Forget all loops but those of increasing indices."""
+        self._loops = [self._loops[n] for n in kept]
 
     def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
         """Remove culled keyframes; the motions before and after each are joined.

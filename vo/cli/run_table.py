@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
-from vo.closed_loops import ClosedLoop
+from vo.closed_loops import ClosedLoop, Relocalisation
 from vo.metric_scale import MetricScale
 from vo.printable import counted
 from vo.results.folder import RESULTS
@@ -76,6 +76,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
         ("lost", str(summary.lost)),
         ("segments", str(len(summary.segments))),
         *([("loops", _loops(summary.loops))] if summary.loops else []),
+        *_relocalisations(summary.relocalisations),
         ("keyframes", f"{summary.keyframes}, with {counted(summary.landmarks, 'landmark')}"),
         ("path", f"{summary.path_m:.3f} {unit}"),
         *([("scale", _scales(summary.scale.scales))] if summary.scale else []),
@@ -106,6 +107,14 @@ def _scales(scales: Sequence[MetricScale]) -> str:
         for s in scales
     ]
     return "; ".join(parts) or "unknown"
+
+
+def _relocalisations(found: Sequence[Relocalisation]) -> list[tuple[str, str]]:
+    """The first frames in an older world, if there are any."""
+    if not found:
+        return []
+    frames = ", ".join(str(each.frame) for each in found)
+    return [("relocalised", f"in {'frame' if len(found) == 1 else 'frames'} {frames}")]
 
 
 def _masks(hidden: Sequence[float]) -> str:

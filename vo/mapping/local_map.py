@@ -278,14 +278,18 @@ class LocalMap:
         del self.keyframes[0]
         self.keep_landmarks(self.reference != oldest.id)
 
-    def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
-        if not stores:
-            return
+    def landmarks_of(self, keyframe: Keyframe) -> StoredLandmarks:
+        """Copies of the landmarks that a keyframe observes."""
         rows = self.rows(keyframe.landmark)
         rows = np.sort(rows[rows >= 0])
         names = StoredLandmarks._fields[:-1]
         fields = {name: getattr(self, name).take(rows, axis=0) for name in names}
-        landmarks = StoredLandmarks(**fields, sigma=self._position_sigma(rows))
+        return StoredLandmarks(**fields, sigma=self._position_sigma(rows))
+
+    def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
+        if not stores:
+            return
+        landmarks = self.landmarks_of(keyframe)
         for store in stores:
             store.add(keyframe, landmarks, self.images[keyframe.slot])
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
-from vo.closed_loops import ClosedLoop, MapUse
+from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.errors import OutputError
 from vo.mapping.local_map import LocalMap
 from vo.metric_scale import MetricScale
@@ -21,12 +21,17 @@ class MapMemory(Protocol):
         ...
 
     @property
+    def relocalisations(self) -> tuple[Relocalisation, ...]:
+        """Segments whose place in an older world was found while the camera was in them."""
+        ...
+
+    @property
     def map_use(self) -> MapUse | None:
         """The loaded map, None without one."""
         ...
 
-    def begin_frame(self, index: int) -> None:
-        """Before a frame is tracked, after all updates of the map."""
+    def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
+        """Before a frame is tracked, after all updates of the map of its segment."""
         ...
 
     def forget_from(self, frame_index: int) -> None:
@@ -67,9 +72,10 @@ class NoMemory:
     """Forgets everything."""
 
     closed_loops: tuple[ClosedLoop, ...] = ()
+    relocalisations: tuple[Relocalisation, ...] = ()
     map_use: MapUse | None = None
 
-    def begin_frame(self, index: int) -> None:
+    def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Nothing to do."""
 
     def forget_from(self, frame_index: int) -> None:

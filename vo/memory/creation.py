@@ -9,6 +9,7 @@ from vo.config import Config
 from vo.errors import ConfigError
 from vo.frontend.contracts import DescriptorFormat
 from vo.geometry.rectification import RectifiedRig
+from vo.memory.early_search import EarlySearch
 from vo.memory.loaded_map import load_map
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.memory import Memory
@@ -68,9 +69,12 @@ def make_memory(
         graph.add_map(loaded.placed, loaded.is_metric)
         session = len(loaded.sessions)
     localizes = config.memory.localize
+    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo)
+    recogniser = Recogniser(database, verifier, camera, threads, loaded, localizes=localizes)
     return Memory(
-        PlaceMaker(session, scale_factor, is_metric=rig.is_stereo),
-        Recogniser(database, verifier, camera, threads, loaded, localizes=localizes),
+        maker,
+        recogniser,
+        EarlySearch(maker, recogniser),
         graph,
         trajectory,
         stopwatch,

@@ -42,6 +42,12 @@ class WorldsInMap:
         """The frame of a keyframe of the map, None for another one."""
         return None if self._loaded is None else self._loaded.frames.get(key)
 
+    def has_older(self, segment: int, world: int) -> bool:
+        """Whether there may be older worlds, and a segment in a world is in none of them."""
+        if world in self.met or world != segment:
+            return False
+        return self._loaded is not None or segment > 0
+
     def numbered(self, placed: PlacedKeyframes, frames: dict[PlaceKey, FrameId]) -> PlacedKeyframes:
         """Placed keyframes with the run's numbers of worlds; notes which of them are in the map.
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vo.backend.pose_graph import PoseGraph
-from vo.closed_loops import ClosedLoop, MapUse
+from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.geometry.transforms import inverse, rotation_angle
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
+from vo.memory.early_search import EarlySearch
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.place_maker import PlaceMaker
-from vo.memory.recognition import Recogniser
+from vo.memory.recognition import Recognised, Recogniser
 from vo.metric_scale import MetricScale
 from vo.places.records import Loop, PlacedKeyframes, PlaceKey
 from vo.stopwatch import Stopwatch, timed
@@ -28,6 +30,8 @@ from vo.types import Bytes, Floats
 # A result of the pose graph is applied after so many further stored keyframes; the number is fixed,
 # so that the path does not depend on the speed of the optimizer.
 _LATENCY = 3
+_FRAME_LATENCY = 5  # ... or so many frames, while the camera is in a segment of its own
+_MIN_JOINING = 3  # loops from one segment to others, fewer of which the graph never accepts
 _SPACING = 10  # minimum of stored keyframes from one graph to the next
 _SPACING_RATIO = 0.05  # of all stored keyframes, if that is more: large graphs take longer
 
@@ -36,7 +40,9 @@ class Memory:
     """Receives the keyframes that are removed from the local map; a `KeyframeStore`.
 
     Neither the local map nor tracking is changed. The result for each keyframe is applied with the
-    next one, and that of the pose graph a fixed number of keyframes later.
+    next one, and that of the pose graph a fixed number of keyframes later. While the camera is in a
+    segment that nothing connects with an older world, its keyframes are searched as soon as they
+    are made, and results are applied a fixed number of frames later.
 
     Attributes:
         stopwatch: measures the stage `memory`.
@@ -44,6 +50,7 @@ class Memory:
     Args:
         maker: makes places.
         recogniser: stores and recognises them.
+        early: searches for keyframes before they are stored.
         graph: places them in the map frame.
         trajectory: follows.
         stopwatch: measures the stages.
@@ -54,6 +61,7 @@ class Memory:
         self,
         maker: PlaceMaker,
         recogniser: Recogniser,
+        early: EarlySearch,
         graph: PoseGraph,
         trajectory: TrajectoryBuilder,
         stopwatch: Stopwatch,
@@ -62,23 +70,36 @@ class Memory:
         self.stopwatch = stopwatch
         self._maker = maker
         self._recogniser = recogniser
+        self._early = early
         self._graph = graph
         self._trajectory = trajectory
         self._worlds = worlds
-        self._frames: dict[PlaceKey, FrameId] = {}
+        self._future: Future[Recognised] | None = None  # of the newest stored keyframe
+        self._frames: dict[PlaceKey, FrameId] = {}  # of keyframes in the graph
+        self._stored = 0  # number of keyframes that were stored
+        self._frame = 0  # number of frames
+        self._segment = 0  # of the newest frame
         self._loops: list[Loop] = []
         self._closed: dict[int, ClosedLoop] = {}  # by index of the loop
+        self._relocalisations: list[Relocalisation] = []
         self._submitted: int | None = None  # number of loops of the graph that is optimised
         self._placed_loops = 0  # number of loops in the newest result
         self._due = 0  # number of stored keyframes at which the result is applied
-        self._next = 0  # ... from which the next graph may be submitted
+        self._due_frame: int | None = None  # ... or number of frames
+        self._next = 0  # number of stored keyframes from which the next graph may be submitted
         self._unmarked: list[int] = []  # indices of loops that no frame has been placed by yet
+        self._found: Relocalisation | None = None  # ... and a relocalisation
         self._is_finished = False
 
     @property
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
         """Loops that the pose graph accepts, in the order in which they were found."""
         return tuple(self._closed[n] for n in sorted(self._closed))
+
+    @property
+    def relocalisations(self) -> tuple[Relocalisation, ...]:
+        """Segments whose place in an older world was found while the camera was in them."""
+        return tuple(self._relocalisations)
 
     @property
     def map_use(self) -> MapUse | None:
@@ -91,35 +112,57 @@ class Memory:
         if self._is_finished:  # the odometry hands the rest over once more when it is closed
             return
         self._apply_recognised()
-        stored = len(self._frames)
-        if self._submitted is not None and stored >= self._due:
+        if self._submitted is not None and self._stored >= self._due:
             self._apply_placed()
-        has_new_loops = self._placed_loops < len(self._loops)
-        if self._submitted is None and has_new_loops and stored >= self._next:
+        if self._submitted is None and self._stored >= self._next and self._has_new_loops():
             self._submit()
-        self._recogniser.submit(self._maker.make(keyframe, landmarks, image))
+        place = self._maker.make(keyframe, landmarks, image)
+        is_known = any(loop.later == place.key for loop in self._loops)
+        self._future = self._recogniser.add(place, searches=not is_known)
 
-    def begin_frame(self, index: int) -> None:
-        """Note the first frame whose pose is in the map as it was corrected."""
+    def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
+        """Find a lost camera again, and note the first frame whose pose is as it was corrected."""
+        self._frame, self._segment = self._frame + 1, segment
+        if self._is_apart(segment):
+            self._relocalise(local_map)
         for n in self._unmarked:
             self._closed[n] = replace(self._closed[n], corrected_from=index)
-        self._unmarked.clear()
+        if self._found is not None and self._found.segment == segment:
+            self._relocalisations.append(replace(self._found, frame=index))
+        self._unmarked, self._found = [], None
+
+    @timed("memory")
+    def _relocalise(self, local_map: LocalMap) -> None:
+        """Search for the newest keyframe of the local map, and apply results that are due."""
+        found = self._early.result(self._frame)
+        if found is not None:
+            self._note_stored()  # it may be recognised by the newest stored keyframe
+            self._note(found)
+        if self._submitted is not None and self._due_frame is None:
+            self._due_frame = self._frame + _FRAME_LATENCY
+        if self._due_frame is not None and self._frame >= self._due_frame:
+            self._apply_placed()
+        if self._submitted is None and self._joins_enough() and self._has_new_loops():
+            self._submit()
+        if self._is_apart(self._segment):
+            self._early.submit(self._frame, local_map)
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew, and their loops."""
         self._apply_recognised()
         if self._submitted is not None:
             self._graph.result()  # may place forgotten keyframes, so it is not applied
-            self._submitted = None
+            self._submitted, self._due_frame = None, None
         gone = tuple(key for key, frame in self._frames.items() if frame.index >= frame_index)
         for key in gone:
             del self._frames[key]
-        # Loops are in the order of their later keyframes.
-        kept = sum(loop.later in self._frames for loop in self._loops)
-        del self._loops[kept:]
-        self._placed_loops = min(self._placed_loops, kept)
-        self._closed = {n: loop for n, loop in self._closed.items() if n < kept}
-        self._unmarked = [n for n in self._unmarked if n < kept]
+        kept = [n for n, loop in enumerate(self._loops) if loop.later in self._frames]
+        self._placed_loops = sum(n < self._placed_loops for n in kept)
+        self._closed = {i: self._closed[n] for i, n in enumerate(kept) if n in self._closed}
+        self._unmarked = [i for i, n in enumerate(kept) if n in self._unmarked]
+        self._loops = [self._loops[n] for n in kept]
+        self._relocalisations = [r for r in self._relocalisations if r.frame < frame_index]
+        self._found = None
         self._recogniser.remove(gone)
         self._graph.keep_loops(kept)
         self._graph.remove_keyframes(gone)
@@ -192,9 +235,21 @@ class Memory:
         )
 
     def _apply_recognised(self) -> None:
-        recognised = self._recogniser.result()
-        if recognised is None:
-            return
+        """Wait for the results of all searches."""
+        self._note_stored()
+        found = self._early.result()
+        if found is not None:
+            self._note(found)
+
+    def _note_stored(self) -> None:
+        """Wait for the result of the newest stored keyframe."""
+        future, self._future = self._future, None
+        if future is not None:
+            self._note(future.result())
+            self._stored += 1
+
+    def _note(self, recognised: Recognised) -> None:
+        """Add the result of a search to the graph."""
         place, loop = recognised.place, recognised.loop
         self._frames[place.key] = place.frame
         self._graph.add_keyframe(place)
@@ -203,10 +258,29 @@ class Memory:
             self._loops.append(loop)
         self._graph.remove_keyframes(recognised.removed)
 
+    def _has_new_loops(self) -> bool:
+        """Whether there are loops that no graph had, or enough of them to connect the segment."""
+        new = self._loops[self._placed_loops :]
+        joins = self._is_apart(self._segment) and not self._joins_enough()
+        return any(not (joins and self._is_joining(loop)) for loop in new)
+
+    def _joins_enough(self) -> bool:
+        return sum(map(self._is_joining, self._loops)) >= _MIN_JOINING
+
+    def _is_joining(self, loop: Loop) -> bool:
+        """Whether a loop is from the segment of the newest frame to another one."""
+        if self._frames[loop.later].segment != self._segment:
+            return False
+        is_loaded = self._worlds.frame(loop.earlier) is not None
+        return is_loaded or self._frames[loop.earlier].segment != self._segment
+
     def _submit(self) -> None:
-        stored = len(self._frames)
+        stored = self._stored
         self._graph.submit()
         self._submitted, self._due = len(self._loops), stored + _LATENCY
+        self._due_frame = None
+        if self._is_apart(self._segment):
+            self._due_frame = self._frame + _FRAME_LATENCY
         self._next = stored + max(_SPACING, math.ceil(_SPACING_RATIO * stored))
 
     def _apply_placed(self) -> None:
@@ -214,7 +288,7 @@ class Memory:
         placed = self._graph.result()
         assert self._submitted is not None
         loops = self._loops[: self._submitted]
-        self._placed_loops, self._submitted = self._submitted, None
+        self._placed_loops, self._submitted, self._due_frame = self._submitted, None, None
         rejected = {(loop.earlier, loop.later) for loop in placed.rejected}
         accepted = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
         touched = sorted({*accepted, *self._closed})
@@ -223,19 +297,46 @@ class Memory:
         if not touched:
             return
         before = {n: self._pose(loops[n].later) for n in new}
-        apart = {n: self._is_apart(loops[n]) for n in new}
+        apart = {n: self._is_joined_by(loops[n]) for n in new}
+        was_apart = self._is_apart(self._segment)
         connected = _of_worlds(placed, [loops[n] for n in touched])
         connected = self._worlds.numbered(connected, self._frames)
         self._trajectory.place(connected, self._maker.session)
         for n in new:
             self._closed[n] = self._report(loops[n], before[n], is_merge=apart[n])
         self._unmarked = [n for n in self._unmarked if n in self._closed] + new
+        self._relocalisations = [r for r in self._relocalisations if not self._is_apart(r.segment)]
+        if was_apart and not self._is_apart(self._segment):
+            joining = [n for n in new if self._is_joining(loops[n])]
+            self._found = self._relocalisation(joining, before)
+
+    def _relocalisation(
+        self, joining: Sequence[int], before: dict[int, Floats]
+    ) -> Relocalisation | None:
+        """The relocalisation by new loops from the segment of the newest frame to another one."""
+        if not joining:  # it is connected by loops of others to it
+            return None
+        newest = max(joining, key=lambda n: self._frames[self._loops[n].later].index)
+        loop = self._loops[newest]
+        known = self._worlds.frame(loop.earlier)
+        correction = _change(before[newest], self._pose(loop.later))
+        return Relocalisation(
+            frame=-1,
+            segment=self._segment,
+            keyframe=self._frames[loop.later].index,
+            earlier_frame=(known or self._frames[loop.earlier]).index,
+            loops=len(joining),
+            inliers=loop.inliers,
+            correction_m=correction[0],
+            correction_deg=correction[1],
+            earlier_session=None if known is None else loop.earlier.session,
+        )
 
     def _report(self, loop: Loop, before: Floats, *, is_merge: bool) -> ClosedLoop:
         later, known = self._frames[loop.later], self._worlds.frame(loop.earlier)
         earlier = known or self._frames[loop.earlier]
         kind = "merge" if is_merge else "loop"
-        change = inverse(before) @ self._pose(loop.later)
+        correction = _change(before, self._pose(loop.later))
         return ClosedLoop(
             kind=kind if known is None else "session",
             frame=later.index,
@@ -244,12 +345,16 @@ class Memory:
             earlier_segment=earlier.segment,
             inliers=loop.inliers,
             corrected_from=None,
-            correction_m=None if is_merge else float(np.linalg.norm(change[:3, 3])),
-            correction_deg=None if is_merge else math.degrees(rotation_angle(change[:3, :3])),
+            correction_m=None if is_merge else correction[0],
+            correction_deg=None if is_merge else correction[1],
             earlier_session=None if known is None else loop.earlier.session,
         )
 
-    def _is_apart(self, loop: Loop) -> bool:
+    def _is_apart(self, segment: int) -> bool:
+        """Whether nothing connects a segment with an older world."""
+        return self._worlds.has_older(segment, self._trajectory.store.world(segment))
+
+    def _is_joined_by(self, loop: Loop) -> bool:
         """Whether a loop connects worlds that were not connected before."""
         store = self._trajectory.store
         if self._worlds.frame(loop.earlier) is not None:
@@ -260,6 +365,12 @@ class Memory:
     def _pose(self, key: PlaceKey) -> Floats:
         (pose,) = self._trajectory.store.keyframes_by_id([key.keyframe])
         return pose.world_from_cam0
+
+
+def _change(before: Floats, after: Floats) -> tuple[float, float]:
+    """Distance and angle in degrees from one pose to another."""
+    change = inverse(before) @ after
+    return float(np.linalg.norm(change[:3, 3])), math.degrees(rotation_angle(change[:3, :3]))
 
 
 def _of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes:

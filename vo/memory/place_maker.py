@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vo.geometry.transforms import adjoint, inverse, transform_points
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
+from vo.mapping.local_map import LocalMap
 from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
 from vo.types import Bytes, Floats
 
@@ -40,8 +41,25 @@ class PlaceMaker:
 
     def make(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> Place:
         """The place of a keyframe that follows the one of the last call."""
-        covariance = motion_covariance(self._last, keyframe)
-        self._last = keyframe
+        before, self._last = self._last, keyframe
+        return self._place(before, keyframe, landmarks, image)
+
+    def newest(self, local_map: LocalMap, count: int) -> list[Place]:
+        """Places of the newest keyframes that are still in the local map, newest first."""
+        keyframes = local_map.keyframes
+        return [
+            self._place(
+                keyframes[n - 1] if n > 0 else None,
+                keyframes[n],
+                local_map.landmarks_of(keyframes[n]),
+                local_map.images[keyframes[n].slot],
+            )
+            for n in range(len(keyframes) - 1, -1, -1)[:count]
+        ]
+
+    def _place(
+        self, before: Keyframe | None, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes
+    ) -> Place:
         order = np.argsort(keyframe.landmark, kind="stable")
         order = order[np.isin(keyframe.landmark[order], landmarks.id, assume_unique=True)]
         xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
@@ -53,7 +71,7 @@ class PlaceMaker:
             frame=keyframe.frame,
             is_metric=self._is_metric,
             odom_from_cam=keyframe.world_from_cam.copy(),
-            covariance=covariance,
+            covariance=motion_covariance(before, keyframe),
             descriptor=keyframe.keypoints.descriptor,
             landmarks=PlaceLandmarks(
                 id=landmarks.id,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from vo.places.records import Candidate, Loop, Place, PlacedKeyframes, PlaceKey
 from vo.scheduling import give_way
 from vo.types import Camera
 
-_SUCCESSION = 4  # newest keyframes given to the verifier
+SUCCESSION = 3  # newest keyframes that the verifier needs
 _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
 _MIN_SHARED = 15  # landmarks
 _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
@@ -41,13 +41,14 @@ class Recognised:
 class Recogniser:
     """Stores keyframes one by one, and searches for earlier ones of the same place.
 
-    All work on the database is done in one thread, in the order of the calls.
+    All work on the database is done in one thread, in the order of the calls, so that no result
+    depends on the time at which it is requested.
 
     Args:
         database: of stored keyframes.
         verifier: decides on candidates.
         camera: ideal (rectified) camera of the keyframes.
-        threads: with one, the search is done when the result is requested.
+        threads: with one, all work is done at once.
         loaded: map whose keyframes are in the database, or None.
         localizes: whether only the loaded map is searched, and keyframes are not stored.
     """
@@ -67,28 +68,30 @@ class Recogniser:
         self._camera = camera
         self._loaded = loaded
         self._localizes = localizes
-        self._recent: deque[Place] = deque(maxlen=_SUCCESSION)  # newest first, of one segment
+        self._recent: deque[Place] = deque(maxlen=SUCCESSION)  # newest first, of one segment
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
-        self._future: Future[Recognised] | None = None
-        self._place: Place | None = None
 
-    def submit(self, place: Place) -> None:
-        """Store a keyframe and search for its place, after the last result was requested."""
-        if self._pool is None:
-            self._place = place
-        else:
-            self._future = self._pool.submit(self._recognise, place)
+    def add(self, place: Place, *, searches: bool = True) -> Future[Recognised]:
+        """Store a keyframe, and search for its place if no loop is known of it yet."""
+        return self._start(lambda: self._recognise(place, searches=searches))
 
-    def result(self) -> Recognised | None:
-        """Wait for the result of the keyframe that was submitted, None without one."""
-        future, self._future = self._future, None
-        place, self._place = self._place, None
-        if future is not None:
-            return future.result()
-        return None if place is None else self._recognise(place)
+    def search(self, places: Sequence[Place]) -> Future[Recognised]:
+        """Search for the place of a keyframe that is not stored yet.
+
+        Args:
+            places: the keyframe, then those before it in its segment, newest first.
+        """
+        return self._start(lambda: Recognised(places[0], (), self._find(places)))
+
+    def _start(self, work: Callable[[], Recognised]) -> Future[Recognised]:
+        if self._pool is not None:
+            return self._pool.submit(work)
+        future: Future[Recognised] = Future()
+        future.set_result(work())
+        return future
 
     def remove(self, keys: tuple[PlaceKey, ...]) -> None:
-        """Forget keyframes; there must be no keyframe without a result."""
+        """Forget keyframes; all results must be known."""
         for key in keys:
             if key in self._database:
                 self._database.remove(key)
@@ -132,22 +135,25 @@ class Recogniser:
             self._pool.shutdown(cancel_futures=True)
         self._database.close()
 
-    def _recognise(self, place: Place) -> Recognised:
+    def _recognise(self, place: Place, *, searches: bool) -> Recognised:
         if self._recent and self._recent[0].frame.segment != place.frame.segment:
             self._recent.clear()
         self._recent.appendleft(place)
         removed = () if self._localizes else self._database.add(place)
-        loop = None
-        for candidate in self._database.query(place)[:_MAX_CANDIDATES]:
-            loop = self._verified(candidate)
+        return Recognised(place, removed, self._find(list(self._recent)) if searches else None)
+
+    def _find(self, later: Sequence[Place]) -> Loop | None:
+        """A loop of the first of consecutive keyframes, newest first."""
+        for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
+            loop = self._verified(later, candidate)
             if loop is not None:
                 self._database.protect(loop.earlier)
                 if not self._localizes:
                     self._database.protect(loop.later)
-                break
-        return Recognised(place, removed, loop)
+                return loop
+        return None
 
-    def _verified(self, candidate: Candidate) -> Loop | None:
+    def _verified(self, later: Sequence[Place], candidate: Candidate) -> Loop | None:
         """The loop from the newest keyframe to a candidate, None if they are not the same place."""
         earlier = self._database.get(candidate.key)
         beside = [earlier]
@@ -160,5 +166,5 @@ class Recogniser:
         loaded = self._loaded
         is_loaded = loaded is not None and candidate.key in loaded.frames
         camera = loaded.camera if loaded is not None and is_loaded else None
-        result = self._verifier.verify(list(self._recent), beside, self._camera, camera)
+        result = self._verifier.verify(later, beside, self._camera, camera)
         return result if isinstance(result, Loop) else None

@@ -164,7 +164,8 @@ class KeyframeDatabase:
         Args:
             query: a keyframe, stored or not, or the (N, width) descriptors of an image. For a
                 stored keyframe these are no candidates: its neighbours in time, its covisible
-                keyframes, and those that are covisible with one of them.
+                keyframes, and those that are covisible with one of them. For one that is not
+                stored, no keyframe of its segment is one.
         """
         place = query if isinstance(query, Place) else None
         bag = self.vocabulary.bag(query.descriptor if isinstance(query, Place) else query)
@@ -174,6 +175,9 @@ class KeyframeDatabase:
             number = self._number_of[place.key]
             expected = self._expected_score(number, scores)
             scores[self._connected(number)] = 0.0
+        elif place is not None:
+            segment = self._segments.get((place.key.session, place.frame.segment), -1)
+            scores[self._segment[: len(self._keys)] == segment] = 0.0
         return self._groups(scores / np.float32(expected))
 
     def _expected_score(self, number: int | None = None, scores: Floats32 | None = None) -> float:

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
-from vo.closed_loops import ClosedLoop, MapUse
+from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.failures import Failure
 from vo.metric_scale import ScaleFindings, has_all_scales
 from vo.results.environment import peak_rss_mb, versions
@@ -69,6 +69,7 @@ class RunState:
         live: None for a recording.
         hidden: ratio of the recorded images that masks hide, by camera.
         loops: that were closed.
+        relocalisations: segments whose place in an older world was found.
         map_use: the loaded map, None without one.
         networks: what is known of each network in use.
         scale: what sources of the metric scale have measured, None without any or before the end.
@@ -88,6 +89,7 @@ class RunState:
     live: LiveState | None = None
     hidden: tuple[float, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
+    relocalisations: tuple[Relocalisation, ...] = ()
     map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
     scale: ScaleFindings | None = None
@@ -144,6 +146,7 @@ class Summary:
     live: LiveSummary | None = None
     hidden: tuple[float, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
+    relocalisations: tuple[Relocalisation, ...] = ()
     map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
     scale: ScaleFindings | None = None
@@ -205,6 +208,7 @@ class Summary:
             "topics": list(facts.topics),
             "hidden": list(self.hidden),
             "loops": [_loop_fields(loop) for loop in self.loops],
+            "relocalisations": [_loop_fields(found) for found in self.relocalisations],
             **({} if self.map_use is None else {"map": asdict(self.map_use)}),
             **({} if self.scale is None else {"scales": [s.to_dict() for s in self.scale.scales]}),
             "networks": [dict(network) for network in self.networks],
@@ -267,6 +271,7 @@ def summarise(state: RunState) -> Summary:
         networks=state.networks,
         scale=state.scale,
         loops=state.loops,
+        relocalisations=state.relocalisations,
         map_use=state.map_use,
         profile=state.profile,
         live=None
@@ -290,7 +295,7 @@ def _range_fields(range_: FrameRange) -> dict[str, Any]:
     return fields
 
 
-def _loop_fields(loop: ClosedLoop) -> dict[str, Any]:
+def _loop_fields(loop: ClosedLoop | Relocalisation) -> dict[str, Any]:
     fields = asdict(loop)
     if loop.earlier_session is None:
         del fields["earlier_session"]
