@@ -22,7 +22,10 @@ BASE = {
     )
 }
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
-OUTER = {f"vo.{name}" for name in ("sources", "evaluation", "recording", "results", "streaming")}
+OUTER = {
+    f"vo.{name}"
+    for name in ("sources", "evaluation", "recording", "results", "scaling", "streaming")
+}
 # Floors of the odometry: a room imports from floors below its own, never from one beside it.
 FLOORS = (
     {"vo.frontend"},
@@ -66,6 +69,7 @@ ALLOWED = {
     **{room: GROUND | _below(n) for n, rooms in enumerate(FLOORS) for room in rooms},
     "vo.odometry": GROUND | _below(len(FLOORS) - 1) | {"vo.warmup"},
     **{room: GROUND for room in OUTER},
+    "vo.scaling": GROUND | {"vo.sources"},
     "vo.results": GROUND | {"vo"},
     "vo.calibrating": GROUND,
     "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
@@ -75,9 +79,10 @@ ALLOWED = {
     "vo.batch": GROUND
     | {"vo", "vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
     "vo.warmup": GROUND | {"vo"},
+    "vo.run_scale": GROUND | OUTER | {"vo.trajectory"},
     "vo.run_session": GROUND
     | OUTER
-    | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts"},
+    | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts", "vo.run_scale"},
     "vo.run_recording": GROUND
     | OUTER
     | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session", "vo.stages"},

@@ -10,17 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from vo.cli.app import app
 from vo.config import load_config
 from vo.evaluation.inputs import load_inputs
+from vo.evaluation.report import evaluate
 from vo.formats.trajectory import read_tum
+from vo.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.metric_scale import MetricScale, ScaleFindings
 from vo.recording.exports import Exports
 from vo.run_recording import run
+from vo.scaling.creation import ScaleOptions
 from vo.types import Estimate, PlacedFrames, Snapshot
 
 FAST = load_config("fast")
 VALUE, SIGMA = 2.5, 0.05
+ORIGIN = np.array([-33.9, 151.2, 40.0])
 
 
 class Known:
@@ -140,3 +146,64 @@ def _colmap_points(folder: Path) -> np.ndarray:
     text = (folder / "sparse" / "0" / "points3D.txt").read_text(encoding="utf-8")
     rows = [line.split()[1:4] for line in text.splitlines() if line and line[0] != "#"]
     return np.array(rows, dtype=float)
+
+
+def geodetic_csv(truth: Path, path: Path, *, offset_s: float = 0.0) -> Path:
+    """True positions as those of GPS, with 5 mm of noise."""
+    known = read_tum(truth)
+    noise = np.random.default_rng(0).normal(0.0, 0.005, (len(known), 3))
+    geodetic = geodetic_from_enu(known.positions[:, [0, 2, 1]] * (1, 1, -1) + noise, ORIGIN)
+    rows = zip(known.stamps_ns.tolist(), geodetic.tolist(), strict=True)
+    lines = [f"{s + round(1e9 * offset_s)},{a:.10f},{b:.10f},{c:.5f}" for s, (a, b, c) in rows]
+    path.write_text("\n".join(["stamp_ns,lat,lon,alt", *lines]) + "\n")
+    return path
+
+
+def test_positions_give_the_scale_and_the_place(synthetic_stereo: Path, tmp_path: Path) -> None:
+    truth = synthetic_stereo / "groundtruth.tum"
+    table = geodetic_csv(truth, tmp_path / "gps.csv")
+    scale = ScaleOptions(str(table), georeference=True)
+    run(synthetic_stereo, tmp_path / "mono", config=FAST, mode="mono", scale=scale)
+    run(synthetic_stereo, tmp_path / "stereo", config=FAST, scale=scale)
+    for name in ("mono", "stereo"):
+        result = evaluate(read_tum(tmp_path / name / "trajectory.tum"), read_tum(truth))
+        assert abs(result.alignment.scale_error_percent or 0.0) < 3.0
+        geojson = json.loads((tmp_path / name / "path.geojson").read_text())
+        points = np.array(geojson["features"][0]["geometry"]["coordinates"])
+        enu = enu_from_geodetic(points[:, [1, 0, 2]], ORIGIN)
+        path = read_tum(tmp_path / name / "trajectory.tum")
+        rows = np.searchsorted(read_tum(truth).stamps_ns, path.stamps_ns)
+        expected = (read_tum(truth).positions[:, [0, 2, 1]] * (1, 1, -1))[rows]
+        assert np.linalg.norm(enu - expected, axis=1).max() < 0.03
+        assert (tmp_path / name / "path.kml").is_file()
+    assert summary(tmp_path / "mono")["scales"][0]["source"] == "gps"
+    assert summary(tmp_path / "stereo")["scales"] == []
+    run(synthetic_stereo, tmp_path / "mono", config=FAST, mode="mono", end=8)
+    assert not (tmp_path / "mono" / "path.kml").exists()  # of the earlier run
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--scale-from", "none.csv"], "none.csv does not exist"),
+        (["--scale-from", "late.csv"], "no position during the recording"),
+        (["--georeference"], "--georeference needs positions"),
+        (["--scale-offset", "3"], "--scale-offset is for the positions of --scale-from"),
+        (["--scale-from", "metres.csv", "--georeference"], "needs latitudes and longitudes"),
+    ],
+)
+def test_what_cannot_be_measured_is_told_before_the_run(
+    synthetic_stereo: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    geodetic_csv(synthetic_stereo / "groundtruth.tum", tmp_path / "late.csv", offset_s=100.0)
+    (tmp_path / "metres.csv").write_text("time,x,y\n1,2,3\n2,3,4\n")
+    arguments = ["run", str(synthetic_stereo), "-o", "out", "--mode", "mono", *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
+    assert not (tmp_path / "out" / "trajectory.tum").exists()

@@ -23,6 +23,7 @@ from vo.results.output_lock import locked_folder
 from vo.results.output_paths import refuse_to_collide, refuse_to_overwrite
 from vo.results.summary import Summary
 from vo.run_session import Request, RunSession
+from vo.scaling.creation import ScaleOptions, make_scale_sources
 from vo.sources.live.address import LiveAddress, parse_address
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, LiveStream, Recording
@@ -63,7 +64,8 @@ class RunOptions(TypedDict, total=False):
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
         optimizer_process: that of `vo.backend.launch`, if it was started already.
-        scale_sources: measure the scale of a mono path, which is converted to metres.
+        scale: what measures the scale of a mono path, which is converted to metres.
+        scale_sources: further sources of scale, of a program of one's own.
     """
 
     mode: Mode
@@ -91,6 +93,7 @@ class RunOptions(TypedDict, total=False):
     progress: Progress | None
     profile_since: float | None
     optimizer_process: Popen[bytes] | None
+    scale: ScaleOptions
     scale_sources: Sequence[ScaleSource]
 
 
@@ -272,7 +275,12 @@ def _request(
         options.get("follow", False),
         options.get("save_map"),
         options.get("profile_since"),
-        tuple(options.get("scale_sources", ())),
+        make_scale_sources(
+            options.get("scale") or ScaleOptions(),
+            options.get("scale_sources", ()),
+            stream,
+            path if isinstance(source, str | Path) else None,
+        ),
     )
 
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from vo.config import Config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.interrupts import DeferredInterrupts, deferred_interrupts
-from vo.metric_scale import MetricScale, ScaleFindings, ScaleSource, choose_scales
 from vo.odometry import Odometry
 from vo.printable import one_line
 from vo.progress import Progress
-from vo.recording.recorder import Recorder, ScaledRecorder
+from vo.recording.recorder import Recorder
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
@@ -28,11 +25,13 @@ from vo.results.poses import pose_lines
 from vo.results.profile import Profile, make_profile
 from vo.results.run_statistics import RunStatistics
 from vo.results.summary import RunFacts, RunState, Status, Summary, summarise
+from vo.run_scale import RunScale
+from vo.scaling.creation import ScaleSources
 from vo.sources.source import FrameStream, LiveStream, Recording
 from vo.stopwatch import Stopwatch
 from vo.streaming.streams import PoseStreams
 from vo.trajectory.pose_log import PoseLog
-from vo.types import Estimate, Frame, Trajectory
+from vo.types import Estimate, Frame
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
@@ -56,7 +55,7 @@ class Request:
         follow: whether it may still grow.
         save_map: file for the map, or None.
         profile_since: start of the profile on `time.perf_counter`, None for no profile.
-        scale_sources: measure the scale of a mono path.
+        scale: what measures the scale of a mono path, and places it on the globe.
     """
 
     path: str
@@ -71,7 +70,7 @@ class Request:
     follow: bool = False
     save_map: Path | None = None
     profile_since: float | None = None
-    scale_sources: tuple[ScaleSource, ...] = ()
+    scale: ScaleSources = ScaleSources()
 
     def facts(self, stream: FrameStream) -> RunFacts:
         """Facts about the run; a stream without length has no known number of frames."""
@@ -140,8 +139,7 @@ class RunSession:
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
         self._start_up_ms = 0.0
-        self._findings: ScaleFindings | None = None  # at the end of the run
-        self._unscaled: Trajectory | None = None  # the path before it was converted to metres
+        self._scale = RunScale(request.scale)
         self._is_warned = False  # that results are incomplete
 
     def run(self, frames: Iterator[Frame]) -> Summary:
@@ -208,7 +206,7 @@ class RunSession:
         self._statistics.add_times(self._odometry.finish())
         clock = Stopwatch()
         with clock.stage("write"):
-            self._apply_scales()
+            self._apply_scale()
             self._finish_files()
             self._save_map()
             self._summarise("finished")  # the path is complete, whatever happens to recordings
@@ -226,7 +224,7 @@ class RunSession:
         self._end_progress()
         if status == "interrupted":
             self._save(self._odometry.finish)  # fails if a frame was broken off
-        self._save(self._apply_scales)
+        self._save(self._apply_scale)
         self._save(self._finish_files)
         self._save(lambda: self._summarise(status, reason))
         if status == "interrupted":
@@ -263,42 +261,21 @@ class RunSession:
     def _save_map(self) -> None:
         if self._request.save_map is not None:
             self._odometry.memory.save_map(
-                self._request.save_map, self._request.public_name, self._scales
+                self._request.save_map, self._request.public_name, self._scale.by_world
             )
 
-    def _apply_scales(self) -> None:
-        """Measure the scale of a mono path, and convert it to metres where that is known."""
-        sources, store = self._request.scale_sources, self._odometry.trajectory
-        if not sources or self._findings is not None:
-            return
-        path = store.path()
-        self._unscaled = path.trajectory
-        self._findings = choose_scales([source.measure(path) for source in sources])
-        if self._scales:
-            store.apply_scales(self._scales)
-
-    @property
-    def _scales(self) -> Mapping[int, MetricScale]:
-        """By number of the world; empty before they are measured, and without any."""
-        return {} if self._findings is None else self._findings.by_segment()
+    def _apply_scale(self) -> None:
+        self._scale.apply(self._odometry.trajectory, self._folder.path)
 
     def _finish_recording(self) -> None:
-        store, recorder = self._odometry.trajectory, self._recorder
-        smoothed = store.trajectory() if self._unscaled is None else self._unscaled
-        if self._scales and isinstance(recorder, ScaledRecorder):
-            numbers = np.unique(store.frames["segment"]).tolist()
-            worlds = {number: store.world(number) for number in numbers}
-            scales = {n: self._scales[w] for n, w in worlds.items() if w in self._scales}
-            recorder.set_scales(scales)
-        recorder.finish(self._causal.trajectory(), smoothed)
+        self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
 
     def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._statistics.add(estimate)
         clock.stage_ms.update(estimate.stage_ms)
         with clock.stage("write"):
             self._write(estimate)
-        for source in self._request.scale_sources:
-            source.observe(estimate, self._odometry.snapshot)
+        self._scale.observe(estimate, self._odometry.snapshot)
         with clock.stage("record"):
             self._recorder.record(estimate, self._odometry.snapshot)
         done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1
@@ -352,7 +329,7 @@ class RunSession:
             relocalisations=self._odometry.memory.relocalisations,
             map_use=self._odometry.memory.map_use,
             networks=self._odometry.networks,
-            scale=self._findings,
+            scale=self._scale.findings,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())

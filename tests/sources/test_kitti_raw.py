@@ -11,8 +11,7 @@ import pytest
 
 from vo.errors import SourceError
 from vo.geometry.transforms import se3_exp
-from vo.sources.kitti_raw import stamp_ns_from_date
-from vo.sources.oxts import mercator, rotation_from_roll_pitch_yaw
+from vo.sources.oxts import mercator, rotation_from_roll_pitch_yaw, stamp_ns_from_date
 from vo.sources.registry import open_source
 
 

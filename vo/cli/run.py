@@ -9,8 +9,16 @@ from typing import Annotated
 
 import typer
 
-from vo.cli import options
-from vo.cli.run_request import ForScripts, Input, Outputs, RunRequest, Settings, Visualisation
+from vo.cli import options, scale_options
+from vo.cli.run_request import (
+    ForScripts,
+    Input,
+    Outputs,
+    RunRequest,
+    Scale,
+    Settings,
+    Visualisation,
+)
 
 # Headings of the options in `--help`, besides those in `options`.
 _ODOMETRY, _VISUALISATION = options.ODOMETRY, "Visualisation with rerun"
@@ -250,6 +258,9 @@ def run_command(
     map_file: Map = None,
     localize: Localize = False,
     save_map: SaveMap = None,
+    scale_from: scale_options.ScaleFrom = None,
+    scale_offset: scale_options.ScaleOffset = 0.0,
+    georeference: scale_options.Georeference = False,
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
     spawn: Spawn = False,
@@ -295,6 +306,10 @@ def run_command(
     Correct the drift where the camera comes back (see docs/memory.md):
 
       vo run around_the_block/ -o out/ --loops
+
+    Use one camera, and get the scale from GPS (see docs/scale.md):
+
+      vo run drive.mp4 -o out/ --mode mono --scale-from gps.nmea --georeference
 
     Leave out the car's own bonnet and burnt-in text (see docs/recordings.md):
 
@@ -345,6 +360,7 @@ def run_command(
                 localize,
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
             ),
+            Scale(scale_from, round(1e9 * scale_offset), georeference),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
                 output,

@@ -96,6 +96,7 @@ def _run(
     from vo.cli.standard_input import NAME, spooled_input
     from vo.recording.exports import Exports
     from vo.run_recording import run
+    from vo.scaling.creation import ScaleOptions
 
     given, shown, outputs = request.input, request.visualisation, request.outputs
     poses = _pose_targets(outputs, stack)
@@ -113,6 +114,7 @@ def _run(
         exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
         poses=poses,
         save_map=outputs.save_map,
+        scale=ScaleOptions(*request.scale),
         rrd_images=shown.rrd_images,
         viewer=viewer,
         calibration=given.calibration,

@@ -60,6 +60,14 @@ class Settings(NamedTuple):
         return [*self.overrides, *threads, *memory, *masks]
 
 
+class Scale(NamedTuple):
+    """Where the metric scale of a mono run comes from."""
+
+    positions: str | None
+    offset_ns: int
+    georeference: bool
+
+
 class Visualisation(NamedTuple):
     """Recording and streaming for the rerun viewer."""
 
@@ -103,6 +111,7 @@ class RunRequest(NamedTuple):
 
     input: Input
     settings: Settings
+    scale: Scale
     visualisation: Visualisation
     outputs: Outputs
     scripts: ForScripts

@@ -125,6 +125,22 @@ class PoseMessage:
 
 
 @dataclass(frozen=True, eq=False)
+class PositionFixMessage:
+    """A position by satellite, as `sensor_msgs/NavSatFix`.
+
+    Attributes:
+        stamp_ns: time of measurement.
+        geodetic: (3,) latitude and longitude in degrees, height in metres on WGS 84; NaN without a
+            fix.
+        sigma_m: standard deviation along one axis, NaN if unknown.
+    """
+
+    stamp_ns: int
+    geodetic: Floats
+    sigma_m: float
+
+
+@dataclass(frozen=True, eq=False)
 class PathMessage:
     """Poses of one path, each with its own stamp, as `nav_msgs/Path`."""
 
@@ -163,7 +179,7 @@ Message = (
 )
 
 
-ReadMessage = Message | CompressedVideoMessage | PathMessage
+ReadMessage = Message | CompressedVideoMessage | PathMessage | PositionFixMessage
 """All messages that are read; those of `Message` are written too."""
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg
 from rosbags.typesys import get_typestore as load_store
@@ -25,6 +26,7 @@ from vo.formats.messages import (
     ImuMessage,
     PathMessage,
     PoseMessage,
+    PositionFixMessage,
     ReadMessage,
     TransformsMessage,
 )
@@ -282,6 +284,18 @@ def _path(record: Any) -> PathMessage:
     return PathMessage(_stamp_ns(record.header.stamp), tuple(map(_pose, record.poses)))
 
 
+def _position_fix(record: Any) -> PositionFixMessage:
+    has_fix = record.status.status >= 0
+    geodetic = np.array([record.latitude, record.longitude, record.altitude], dtype=np.float64)
+    variance = float(np.mean(np.asarray(record.position_covariance)[[0, 4, 8]]))
+    is_known = record.position_covariance_type > 0 and variance > 0.0
+    return PositionFixMessage(
+        _stamp_ns(record.header.stamp),
+        geodetic if has_fix else np.full(3, np.nan),
+        float(np.sqrt(variance)) if is_known else float("nan"),
+    )
+
+
 _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] = {
     "sensor_msgs/msg/Image": (ImageMessage, _image),
     "sensor_msgs/msg/CompressedImage": (CompressedImageMessage, _compressed),
@@ -296,4 +310,5 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "geometry_msgs/msg/TransformStamped": (PoseMessage, _transform_as_pose),
     "nav_msgs/msg/Odometry": (PoseMessage, _pose),
     "nav_msgs/msg/Path": (PathMessage, _path),
+    "sensor_msgs/msg/NavSatFix": (PositionFixMessage, _position_fix),
 }

@@ -24,7 +24,9 @@ SUMMARY = "summary.json"
 CONFIG = "config.yaml"
 
 _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
-RESULTS = (*_GROWING, SUMMARY, CONFIG)
+GEOJSON, KML = "path.geojson", "path.kml"  # only with --georeference
+
+RESULTS = (*_GROWING, SUMMARY, CONFIG, GEOJSON, KML)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 

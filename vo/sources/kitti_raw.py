@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +17,20 @@ from vo.geometry.transforms import inverse
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
 from vo.sources.imu import FileImu, ImuSamples, imu_of
-from vo.sources.listing import Shot, check_increasing, list_images, read_lines
-from vo.sources.oxts import interpolate_at, read_oxts, read_oxts_imu, read_transform
+from vo.sources.listing import Shot, check_increasing, list_images
+from vo.sources.oxts import (
+    interpolate_at,
+    read_date_stamps,
+    read_oxts,
+    read_oxts_imu,
+    read_transform,
+)
 from vo.types import Floats, Mode, Trajectory
 
 _log = logging.getLogger(__name__)
 
 _PAIRS = (("image_00", "image_01"), ("image_02", "image_03"))
 _CALIBRATION = "calib_cam_to_cam.txt"
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
 
 def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
@@ -52,23 +55,10 @@ def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> Record
     )
 
 
-def stamp_ns_from_date(text: str) -> int:
-    """Convert a UTC date such as `2011-09-26 13:02:25.964389445` to nanoseconds since 1970.
-
-    Raises:
-        ValueError: the text is not such a date.
-    """
-    found = _DATE.fullmatch(text.strip())
-    if found is None:
-        raise ValueError(f"'{text}' is not of the form 2011-09-26 13:02:25.964389445")
-    moment = datetime.strptime(found[1], "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
-    return int(moment.timestamp()) * 1_000_000_000 + int((found[2] or "0").ljust(9, "0"))
-
-
 def _shots(camera: Path) -> list[Shot]:
     """The images of a camera; if some are missing, their numbers are the line numbers."""
     images = list_images(camera / "data")
-    stamps = _stamps(camera / "timestamps.txt")
+    stamps = read_date_stamps(camera / "timestamps.txt")
     if len(images) == len(stamps):
         rows = list(range(len(images)))
     else:
@@ -85,16 +75,6 @@ def _shots(camera: Path) -> list[Shot]:
     ]
     check_increasing(shots)
     return shots
-
-
-def _stamps(table: Path) -> list[int]:
-    stamps = []
-    for location, text in read_lines(table):
-        try:
-            stamps.append(stamp_ns_from_date(text))
-        except ValueError as error:
-            raise SourceError(f"{location}: stamp {error}") from error
-    return stamps
 
 
 def _calibration(
@@ -118,7 +98,7 @@ def _truth(
     if not folder.is_dir():
         return None
     imu_from_cam0 = _imu_from_cam0(path, calibration, cameras)
-    truth = read_oxts(folder, _stamps(folder / "timestamps.txt"))
+    truth = read_oxts(folder, read_date_stamps(folder / "timestamps.txt"))
     truth = replace(truth, world_from_cam=truth.world_from_cam @ imu_from_cam0)
     stamps_ns = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
     return interpolate_at(truth, stamps_ns)
@@ -142,7 +122,7 @@ def _imus(path: Path, calibration: Calibration | None, cameras: tuple[str, str])
             return None
 
     def load() -> ImuSamples:
-        return read_oxts_imu(folder, _stamps(folder / "timestamps.txt"))
+        return read_oxts_imu(folder, read_date_stamps(folder / "timestamps.txt"))
 
     noise = given.noise or NOISE_CLASSES["tactical"]
     return [FileImu(str(folder), load, find_extrinsics, lambda: noise, given.time_offset_s)]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +14,16 @@ from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.formats.calibration.checks import make_numbers, make_transform
 from vo.formats.calibration.document import load_document
+from vo.formats.positions import PositionTable
 from vo.geometry.transforms import interpolate, orthonormalised
 from vo.geometry.transforms import make_transform as rigid
 from vo.sources.imu import ImuSamples, make_samples
+from vo.sources.listing import read_lines
 from vo.types import Floats, Ints, Trajectory
 
 _log = logging.getLogger(__name__)
 
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 _MAX_RECORD_BYTES = 2**20
 _EARTH_RADIUS_M = 6378137.0
 _ACCELERATIONS = slice(11, 14)  # ax, ay, az along the axes of the unit, in m/s^2, with gravity
@@ -51,6 +56,46 @@ def read_oxts(folder: Path, stamps_ns: Sequence[int]) -> Trajectory:
         for record, position in zip(records, positions - positions[0], strict=True)
     ]
     return Trajectory(stamps[is_later], np.stack(poses))
+
+
+def read_oxts_positions(folder: Path) -> PositionTable:
+    """Read the positions alone, with the stamps in `timestamps.txt`.
+
+    Raises:
+        SourceError: as for `read_oxts`, or a stamp is damaged.
+    """
+    stamps_ns = np.array(read_date_stamps(folder / "timestamps.txt"), dtype=np.int64)
+    values = np.array([_record(path)[:3] for path in _files(folder, stamps_ns.tolist())])
+    unique, rows = np.unique(stamps_ns, return_index=True)
+    return PositionTable(unique, values[rows], np.full(len(rows), np.nan), is_geodetic=True)
+
+
+def read_date_stamps(table: Path) -> list[int]:
+    """Stamps in nanoseconds of lines such as `2011-09-26 13:02:25.964389445`.
+
+    Raises:
+        SourceError: the file is missing, or a line is no date.
+    """
+    stamps = []
+    for location, text in read_lines(table):
+        try:
+            stamps.append(stamp_ns_from_date(text))
+        except ValueError as error:
+            raise SourceError(f"{location}: stamp {error}") from error
+    return stamps
+
+
+def stamp_ns_from_date(text: str) -> int:
+    """Nanoseconds since 1970 of a time such as `2011-09-26 13:02:25.964389445`, taken as UTC.
+
+    Raises:
+        ValueError: it is not such a time.
+    """
+    found = _DATE.fullmatch(text.strip())
+    if found is None:
+        raise ValueError(f"'{text}' is not of the form 2011-09-26 13:02:25.964389445")
+    moment = datetime.strptime(found[1], "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
+    return int(moment.timestamp()) * 1_000_000_000 + int((found[2] or "0").ljust(9, "0"))
 
 
 def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:

@@ -1,0 +1,38 @@
+"""Options of `vo run` that give a mono run its metric scale."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+_SCALE = "Metric scale of one camera"
+
+ScaleFrom = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE|AUTO",
+        help="Mono: the scale, from positions of another sensor: NMEA, CSV, a trajectory, a log "
+        "(or LOG:/TOPIC) with GPS or wheel odometry, oxts of KITTI; auto: those in the recording.",
+        rich_help_panel=_SCALE,
+    ),
+]
+ScaleOffset = Annotated[
+    float,
+    typer.Option(
+        min=-9e9,
+        max=9e9,
+        metavar="SECONDS",
+        help="Added to the times of --scale-from.",
+        rich_help_panel=_SCALE,
+    ),
+]
+Georeference = Annotated[
+    bool,
+    typer.Option(
+        "--georeference",
+        help="Also write the path as path.geojson and path.kml in WGS 84, by the positions of "
+        "--scale-from.",
+        rich_help_panel=_SCALE,
+    ),
+]

@@ -1,0 +1,68 @@
+"""The metric scale of a run: measured at its end, and applied to what it writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from vo.metric_scale import MetricScale, ScaleFindings, choose_scales
+from vo.recording.recorder import Recorder, ScaledRecorder
+from vo.scaling.creation import ScaleSources
+from vo.scaling.georeference import write_georeference
+from vo.trajectory.store import TrajectoryStore
+from vo.types import Estimate, Snapshot, Trajectory
+
+
+class RunScale:
+    """Measures the scale of a run once, and converts its path to metres.
+
+    Attributes:
+        findings: what was measured; None before, and without a source.
+
+    Args:
+        sources: of the scale; without any, nothing is changed.
+    """
+
+    def __init__(self, sources: ScaleSources) -> None:
+        self.findings: ScaleFindings | None = None
+        self._sources = sources
+        self._unscaled: Trajectory | None = None  # the path in units of the map
+
+    @property
+    def by_world(self) -> Mapping[int, MetricScale]:
+        """By number of the world; empty before they are measured, and without any."""
+        return {} if self.findings is None else self.findings.by_segment()
+
+    def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
+        """Show a frame to the sources."""
+        for source in self._sources.all:
+            source.observe(estimate, snapshot)
+
+    def apply(self, store: TrajectoryStore, folder: Path) -> None:
+        """Measure, convert the path, and write the files of the path on the globe.
+
+        Raises:
+            OutputError: one of them cannot be written.
+        """
+        if not self._sources.all or self.findings is not None:
+            return
+        path = store.path()
+        self._unscaled = path.trajectory
+        measured = [source.measure(path) for source in self._sources.all]
+        self.findings = choose_scales(measured)
+        if self.by_world:
+            store.apply_scales(self.by_world)
+        if self._sources.on_globe is not None:
+            notes = write_georeference(folder, store.path(), self._sources.on_globe)
+            self.findings = choose_scales([*measured, ScaleFindings((), tuple(notes))])
+
+    def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
+        """Finish a recorder, which gets both paths in units of the map, and the scales."""
+        if self.by_world and isinstance(recorder, ScaledRecorder):
+            numbers = np.unique(store.frames["segment"]).tolist()
+            worlds = {number: store.world(number) for number in numbers}
+            scales = self.by_world
+            recorder.set_scales({n: scales[w] for n, w in worlds.items() if w in scales})
+        recorder.finish(causal, store.trajectory() if self._unscaled is None else self._unscaled)
