@@ -62,7 +62,7 @@ def test_each_keyframe_has_a_place_with_its_landmarks(store: PlaceStore) -> None
         np.testing.assert_allclose(landmarks.xy, expected, atol=1e-3)
         assert np.all(landmarks.xyz[:, 2] > 0)
         assert 0.0 < np.median(landmarks.sigma) < 0.3
-        assert place.thumbnail.shape[0] == 60
+        assert place.thumbnail.shape[0] == 120
 
 
 def test_motions_have_a_covariance_that_grows_less_than_that_of_the_poses(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,21 +14,35 @@ from vo.mapping.keyframe import FrameId
 from vo.places.loop_verification import LoopVerifier
 from vo.places.records import PATCH_PX, Loop, Place, PlaceKey, PlaceLandmarks
 from vo.places.rejection import Rejection, RejectionReason
-from vo.types import Camera, Floats
+from vo.types import Bytes, Camera, Floats
 
 CAMERA = Camera(640, 480, 400.0, 400.0, 320.0, 240.0)
 SHIFT = np.array([0.02, -0.05, 0.01, 0.15, 0.05, -0.1, 0.0])  # of the second visit
 FAR = np.array([0.0, 0.0, 0.0, 1.8, 0.0, 0.0, 0.0])  # to the side
 
 
+WALL_M, TILE_M = 4.5, 0.15  # distance of the painted wall, and size of its spots
+
+
 class World:
-    """Points on the far sides of a room, each with a descriptor and a patch of its own."""
+    """Points on a rough wall, each with a descriptor and a patch of its own, and its paint."""
 
     def __init__(self, seed: int, count: int = 600) -> None:
         rng = np.random.default_rng(seed)
-        self.xyz = rng.uniform((-4.0, -3.0, 3.0), (4.0, 3.0, 6.0), (count, 3))
+        self.paint = rng.integers(0, 256, (100, 120)).astype(np.float32)
+        self.xyz = rng.uniform((-4.0, -3.0, 4.3), (4.0, 3.0, 4.7), (count, 3))
         self.descriptor = rng.integers(0, 256, (count, 32), dtype=np.uint8)
         self.patch = rng.integers(0, 256, (count, PATCH_PX, PATCH_PX), dtype=np.uint8)
+
+
+def _thumbnail(world: World, pose: Floats) -> Bytes:
+    """The wall as a keyframe sees it, a quarter of the camera's size."""
+    u, v = np.meshgrid(np.arange(160.0), np.arange(120.0))
+    rays = np.stack([(4 * u + 1.5 - 320) / 400, (4 * v + 1.5 - 240) / 400, np.ones_like(u)], -1)
+    rays = rays @ pose[:3, :3].T
+    at = pose[:3, 3] + rays * ((WALL_M - pose[2, 3]) / rays[..., 2:])
+    column, row = ((at[..., axis] / TILE_M + 55.0).astype(np.float32) for axis in (0, 1))
+    return np.asarray(cv2.remap(world.paint, column, row, cv2.INTER_LINEAR), np.uint8)
 
 
 def _see(
@@ -62,7 +77,7 @@ def _see(
         np.eye(6),
         landmarks.descriptor,
         landmarks,
-        np.zeros((1, 1), np.uint8),
+        _thumbnail(world, pose),
     )
 
 
@@ -76,7 +91,11 @@ def _visits(
     shift: Floats = SHIFT,
 ) -> tuple[list[Place], list[Place]]:
     """The keyframes of a second visit, newest first, and that of the first one."""
-    first = [_see(earlier, np.eye(4), 1, noise=noise, metric=metric)]
+    beside = sim3.retract(np.array([0.0, 0.01, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    first = [
+        _see(earlier, pose, 1 + n, noise=noise, metric=metric)
+        for n, pose in enumerate((np.eye(4), beside))
+    ]
     second = []
     for step in range(3):
         pose = sim3.retract(shift * (1.0 - 0.2 * step))
@@ -150,6 +169,29 @@ def test_the_same_door_in_another_wall_is_refused() -> None:
     for name in ("xyz", "descriptor", "patch"):
         getattr(other, name)[door] = getattr(world, name)[door]
     assert _reason(world, other, noise=0.5) is RejectionReason.SMALL_AREA
+
+
+def test_equal_landmarks_beside_another_poster_are_refused() -> None:
+    """A corridor like another: all landmarks agree, but a twentieth of the wall looks different."""
+    world, other = World(0), World(0)
+    other.paint[44:55, 55:68] = World(1).paint[44:55, 55:68]
+    visits = _visits(world, other, noise=0.5)
+    verdict = LoopVerifier(1.44).verify(*visits, CAMERA)
+    assert isinstance(verdict, Rejection)
+    assert verdict.reason is RejectionReason.DIFFERENT_IMAGES
+    assert 0.04 < verdict.value < 0.2
+
+
+def test_other_light_is_no_difference() -> None:
+    world, other = World(0), World(0)
+    other.paint = 40.0 + 0.5 * other.paint
+    assert isinstance(LoopVerifier(1.44).verify(*_visits(world, other, noise=1.0), CAMERA), Loop)
+
+
+def test_images_in_which_nothing_can_be_compared_are_refused() -> None:
+    world = World(0)
+    world.paint[:] = 128.0
+    assert _reason(world, world, noise=0.5) is RejectionReason.FEW_WINDOWS
 
 
 @pytest.mark.parametrize("metric", [True, False])

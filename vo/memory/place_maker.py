@@ -15,7 +15,7 @@ from vo.mapping.local_map import LocalMap
 from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
 from vo.types import Bytes, Floats
 
-_THUMBNAIL_HEIGHT = 60
+_THUMBNAIL_HEIGHT = 120  # of images by which places are compared
 # Standard deviations of the motion since the keyframe before where the window does not give them:
 # radians, and fractions of the distance.
 _SIGMA_RAD, _SIGMA_RATIO = 0.02, 0.1
@@ -65,7 +65,8 @@ class PlaceMaker:
         xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
         distance = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
         height, width = image.shape
-        thumbnail_width = max(1, round(width * _THUMBNAIL_HEIGHT / height))
+        thumbnail_height = min(_THUMBNAIL_HEIGHT, height)
+        thumbnail_width = max(1, round(width * thumbnail_height / height))
         return Place(
             key=PlaceKey(self.session, keyframe.id),
             frame=keyframe.frame,
@@ -86,7 +87,7 @@ class PlaceMaker:
                 ),
             ),
             thumbnail=cv2.resize(
-                image, (thumbnail_width, _THUMBNAIL_HEIGHT), interpolation=cv2.INTER_AREA
+                image, (thumbnail_width, thumbnail_height), interpolation=cv2.INTER_AREA
             ),
         )
 

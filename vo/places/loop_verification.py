@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vo.geometry import sim3
+from vo.places.image_comparison import compare_images
 from vo.places.landmark_search import (
     MAX_NEAR,
     FoundLandmarks,
@@ -36,6 +37,9 @@ _MAX_APART = 0.3  # of the keyframes, relative to the distance of the landmarks:
 _MAX_UNCERTAINTY = 0.05  # of the position, relative to the median distance of the landmarks
 _MAX_METRIC_SCALE, _MAX_SCALE = 1.15, 10.0
 _SUCCESSION, _MIN_SUPPORT = 3, 15  # keyframes that must agree, and inliers of each other one
+# Ratio of the windows around landmarks that look different, and how many must be compared. Of true
+# pairs, 19 in 20 have 0.005 or less in rendered rooms and streets, and 0.04 in a real drive.
+_MAX_DIFFERENT, _MIN_WINDOWS = 0.04, 30
 _COVARIANCE_SCALE = 14.0  # as in windows, see docs/accuracy.md
 
 
@@ -96,6 +100,9 @@ class LoopVerifier:
         )
         if supported < _SUCCESSION:
             return Rejection(RejectionReason.ONLY_ONCE, supported, _SUCCESSION)
+        rejection = _check_images(pair, earlier, later, relation.earlier_from_later)
+        if rejection is not None:
+            return rejection
         return Loop(
             earlier[0].key,
             later[0].key,
@@ -184,6 +191,19 @@ def _check_relation(
     factor, limit = max(scale, 1.0 / scale), _MAX_SCALE if pair.with_scale else _MAX_METRIC_SCALE
     if factor > limit:
         return Rejection(RejectionReason.IMPLAUSIBLE_SCALE, factor, limit)
+    return None
+
+
+def _check_images(
+    pair: KeyframePair, earlier: Sequence[Place], later: Sequence[Place], relation: Floats
+) -> Rejection | None:
+    """Whether the images agree, also where nothing was matched."""
+    windows = compare_images(pair, earlier, later, relation)
+    if windows.compared < _MIN_WINDOWS:
+        return Rejection(RejectionReason.FEW_WINDOWS, windows.compared, _MIN_WINDOWS)
+    ratio = windows.different / windows.compared
+    if ratio > _MAX_DIFFERENT:
+        return Rejection(RejectionReason.DIFFERENT_IMAGES, ratio, _MAX_DIFFERENT)
     return None
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from vo.places.records import PATCH_PX
 from vo.types import Bytes, Floats, Floats32
 
-_SIDE = 9  # of the compared part
+COMPARED_PX = 9  # side of the compared part
 _SHIFTS = (-1, 0, 1)  # a corner is detected to about a pixel of its level
 
 
@@ -21,21 +21,30 @@ def patch_correlation(earlier: Bytes, later: Bytes, earlier_from_later: Floats) 
     """
     if len(earlier) == 0:
         return np.empty(0)
-    template = _normalised(_warped(earlier, earlier_from_later))
-    first = (PATCH_PX - _SIDE) // 2
-    best = np.full(len(later), -1.0)
+    first = (PATCH_PX - COMPARED_PX) // 2 - 1
+    area = later[:, first : PATCH_PX - first, first : PATCH_PX - first].astype(np.float32)
+    return largest_correlation(normalised(_warped(earlier, earlier_from_later)), area)
+
+
+def largest_correlation(template: Floats32, area: Floats32) -> Floats:
+    """(N,) largest correlation with a part of an area, over shifts of a pixel.
+
+    Args:
+        template: (N, COMPARED_PX ** 2) normalised.
+        area: (N, COMPARED_PX + 2, COMPARED_PX + 2) grey levels.
+    """
+    best = np.full(len(area), -1.0)
     for dy in _SHIFTS:
         for dx in _SHIFTS:
-            top, left = first + dy, first + dx
-            part = later[:, top : top + _SIDE, left : left + _SIDE]
-            window = _normalised(part.reshape(len(later), -1).astype(np.float32))
+            part = area[:, 1 + dy : 1 + dy + COMPARED_PX, 1 + dx : 1 + dx + COMPARED_PX]
+            window = normalised(part.reshape(len(area), -1))
             best = np.maximum(best, (template * window).sum(axis=1))
     return best
 
 
 def _warped(patches: Bytes, warp: Floats) -> Floats32:
     """(N, 81) grey levels of warped patches, bilinear, with their edges repeated."""
-    across = np.arange(_SIDE) - _SIDE // 2
+    across = np.arange(COMPARED_PX) - COMPARED_PX // 2
     steps = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2).astype(np.float64)
     at = np.clip(steps @ np.swapaxes(warp, 1, 2) + PATCH_PX // 2, 0.0, PATCH_PX - 1.001)
     whole = at.astype(np.int64)
@@ -47,7 +56,7 @@ def _warped(patches: Bytes, warp: Floats) -> Floats32:
     return np.asarray(upper * (one - fy) + lower * fy)
 
 
-def _normalised(values: Floats32) -> Floats32:
+def normalised(values: Floats32) -> Floats32:
     """Rows with mean 0 and length 1; blank ones become 0."""
     centred = values - values.mean(axis=1, keepdims=True)
     length = np.linalg.norm(centred, axis=1, keepdims=True)

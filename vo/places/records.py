@@ -72,7 +72,7 @@ class Place:
             in this camera's frame (rotation, then translation, as GTSAM orders them).
         descriptor: (N, width) of all its features, for place recognition.
         landmarks: those that it observes.
-        thumbnail: (h, w) uint8.
+        thumbnail: (h, w) uint8, the image at a height of at most 120 pixels, to compare places.
     """
 
     key: PlaceKey

@@ -20,6 +20,10 @@ class RejectionReason(Enum):
         "the keyframes are {value:.2f} of the distance of the landmarks apart, at most {needed:.2f}"
     )
     IMPLAUSIBLE_SCALE = "the scales differ by a factor of {value:.2f}, at most {needed:.2f}"
+    FEW_WINDOWS = "{value:.0f} windows around landmarks can be compared, {needed:.0f} needed"
+    DIFFERENT_IMAGES = (
+        "{value:.3f} of the windows around landmarks look different, at most {needed:.3f}"
+    )
     ONLY_ONCE = "{value:.0f} successive keyframes agree, {needed:.0f} needed"
 
 
