@@ -9,6 +9,7 @@ import numpy as np
 from data_synth.cameras import load_rig
 from data_synth.motion.body_path import poses_at
 from data_synth.motion.imu import measure
+from data_synth.motion.imu_effects import with_effects
 from data_synth.motion.motions import make_path, mount
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import Recipe
@@ -141,7 +142,7 @@ def _inertial(
         poses, velocities = path.world_from_body(path_s), path.velocity(path_s)
         return None, BodyTruth(timing.stamps_ns[0], poses, velocities, none, none)
     settings = recipe.imu
-    return measure(
+    imu, truth = measure(
         path,
         timing.stamps_ns[0],
         FIRST_STAMP_NS,
@@ -151,3 +152,4 @@ def _inertial(
         ),
         seed=recipe.session_seed,
     )
+    return with_effects(imu, settings, recipe.session_seed), truth

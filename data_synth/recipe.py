@@ -69,6 +69,30 @@ class ImuRecipe(Section):
     gyro_walk: float = Field(1.9e-5, ge=0, le=1, description="rad/s²/√Hz")
     accel_noise: float = Field(2.0e-3, ge=0, le=1, description="m/s²/√Hz")
     accel_walk: float = Field(3.0e-3, ge=0, le=1, description="m/s³/√Hz")
+    time_offset_ms: float = Field(
+        0.0,
+        ge=-1000,
+        le=1000,
+        description="added to its stamps; the clock of the cameras stays right",
+    )
+    rotation_error_deg: float = Field(
+        0.0, ge=0, le=180, description="error of its recorded orientation, about a random axis"
+    )
+    translation_error_m: float = Field(
+        0.0, ge=0, le=10, description="error of its recorded position, in a random direction"
+    )
+    gyro_range_deg_s: float = Field(
+        0.0, ge=0, le=1e5, description="angular rates are clipped there, such as 250; 0: no limit"
+    )
+    accel_range_g: float = Field(
+        0.0, ge=0, le=1e4, description="accelerations are clipped there, such as 4; 0: no limit"
+    )
+    vibration: float = Field(
+        0.0, ge=0, le=50, description="vibration of motors: 2 m/s² and 0.03 rad/s (RMS) at 1"
+    )
+    bumps: float = Field(
+        0.0, ge=0, le=50, description="jolts of 20 m/s² along z and 40 ms, 12 per minute at 1"
+    )
 
 
 class Recipe(Section):

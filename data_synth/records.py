@@ -36,6 +36,7 @@ class Imu:
         rate_hz: samples per second.
         noise: its noise; None if unknown.
         frame: name of that frame; `BODY`, or another one whose pose on the body is unknown.
+        recorded_pose: (4, 4) of that frame on the body as the recording has it, if that is wrong.
     """
 
     stamps_ns: Ints
@@ -44,6 +45,7 @@ class Imu:
     rate_hz: float
     noise: ImuNoise | None
     frame: str = BODY
+    recorded_pose: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)

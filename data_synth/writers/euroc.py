@@ -103,7 +103,7 @@ def _camera_sensor(recording: Recording, number: int) -> dict[str, Any]:
 def _imu_sensor(imu: Imu) -> dict[str, Any]:
     sensor: dict[str, Any] = {"sensor_type": "imu", "comment": "imu0"}
     if imu.frame == BODY:
-        sensor["T_BS"] = _matrix(np.eye(4))
+        sensor["T_BS"] = _matrix(np.eye(4) if imu.recorded_pose is None else imu.recorded_pose)
     sensor["rate_hz"] = float(imu.rate_hz)
     if imu.noise is not None:
         sensor |= {

@@ -72,6 +72,9 @@ def _static_transforms(recording: Recording, stamp_ns: int) -> _Stream:
     if recording.rig.cam1_from_cam0 is not None:
         cam0_from_cam1 = inverse(recording.rig.cam1_from_cam0)
         transforms.append(FrameTransform("cam0", "cam1", cam0_from_cam1))
+    imu = recording.imu
+    if imu is not None and imu.recorded_pose is not None:
+        transforms.append(FrameTransform("body", _frame_of(imu), imu.recorded_pose))
     message = TransformsMessage(stamp_ns, tuple(transforms))
     return _Stream(np.array([stamp_ns], dtype=np.int64), lambda _: iter([("/tf_static", message)]))
 
@@ -100,6 +103,11 @@ def _body_poses(recording: Recording) -> _Stream:
     return _Stream(truth.stamps_ns, messages)
 
 
+def _frame_of(imu: Imu) -> str:
+    """The frame of the sensor; one of its own if its recorded pose is wrong."""
+    return imu.frame if imu.recorded_pose is None else "imu0"
+
+
 def _imu_samples(imu: Imu) -> _Stream:
     # White noise of density n, sampled at rate r, has variance n² r.
     noise = imu.noise
@@ -108,7 +116,7 @@ def _imu_samples(imu: Imu) -> _Stream:
 
     def messages(i: int) -> Iterator[OnTopic]:
         stamp, gyro, accel = int(imu.stamps_ns[i]), imu.gyro[i], imu.accel[i]
-        yield "/imu0", ImuMessage(stamp, imu.frame, gyro, accel, gyro_variance, accel_variance)
+        yield "/imu0", ImuMessage(stamp, _frame_of(imu), gyro, accel, gyro_variance, accel_variance)
 
     return _Stream(imu.stamps_ns, messages)
 
