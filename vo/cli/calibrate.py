@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
+from vo.cli import calibrate_options as choices
 from vo.cli import options
 from vo.cli.echo import echo, echo_json
 from vo.errors import ConfigError, OutputError
@@ -23,142 +23,21 @@ if TYPE_CHECKING:
     from vo.calibrating.calibrate import CalibrationResult
 
 
-# Headings of the options in `--help`, besides those in `options`.
-_BOARD, _ESTIMATION = "Board", "Estimation"
-
 _MAX_GROUP = 10
 """Largest number of frames read for each frame searched."""
 
 
-class BoardKind(StrEnum):
-    """Choices of `--board`."""
-
-    CHESSBOARD = "chessboard"
-    CHARUCO = "charuco"
-
-
-class Model(StrEnum):
-    """Choices of `--model`."""
-
-    AUTO = "auto"
-    RADTAN = "radtan"
-    RADTAN8 = "radtan8"
-    EQUIDISTANT = "equidistant"
-
-
-Recording = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="RECORDING",
-        help="Recording of the board, in any format of `vo run`; no calibration is needed.",
-        show_default=False,
-    ),
-]
-Output = Annotated[
-    Path,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Calibration file to write.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Kind = Annotated[BoardKind, typer.Option(help="Kind of board.", rich_help_panel=_BOARD)]
-Columns = Annotated[
-    int,
-    typer.Option(
-        metavar="N",
-        help="Inner corners in a row: squares minus one.",
-        min=1,
-        rich_help_panel=_BOARD,
-    ),
-]
-Rows = Annotated[
-    int,
-    typer.Option(
-        metavar="N",
-        help="Inner corners in a column: squares minus one.",
-        min=1,
-        rich_help_panel=_BOARD,
-    ),
-]
-Square = Annotated[
-    float,
-    typer.Option(metavar="METRES", help="Measured side of a square.", rich_help_panel=_BOARD),
-]
-Marker = Annotated[
-    float | None,
-    typer.Option(
-        metavar="METRES",
-        help="Side of a ChArUco marker.",
-        show_default="0.75 squares",
-        rich_help_panel=_BOARD,
-    ),
-]
-Dictionary = Annotated[
-    str,
-    typer.Option(metavar="NAME", help="Dictionary of the ChArUco markers.", rich_help_panel=_BOARD),
-]
-Legacy = Annotated[
-    bool,
-    typer.Option("--legacy", help="ChArUco layout of OpenCV before 4.6.", rich_help_panel=_BOARD),
-]
-LensChoice = Annotated[
-    Model,
-    typer.Option(help="Lens model. auto: the simplest that fits.", rich_help_panel=_ESTIMATION),
-]
-LookAt = Annotated[
-    int,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Largest number of frames to search, those with the least motion.",
-        rich_help_panel=_ESTIMATION,
-    ),
-]
-Views = Annotated[
-    int,
-    typer.Option(
-        min=3,
-        metavar="N",
-        help="Largest number of views to use, the most different ones.",
-        rich_help_panel=_ESTIMATION,
-    ),
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Plot coverage, residuals and errors to this .png, .pdf or .svg file.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Replace an existing file.", rich_help_panel=options.OUTPUT),
-]
-PrintBoard = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Write a board to print in true size: .pdf, .png or .svg.",
-        rich_help_panel=_BOARD,
-    ),
-]
-
-
 def calibrate_command(
-    source: Recording = None,
-    output: Output = Path("calibration.yaml"),
-    board: Kind = BoardKind.CHESSBOARD,
-    columns: Columns = 9,
-    rows: Rows = 6,
-    square: Square = 0.03,
-    marker: Marker = None,
-    dictionary: Dictionary = "4X4_50",
-    legacy: Legacy = False,
-    model: LensChoice = Model.AUTO,
+    source: choices.Recording = None,
+    output: choices.Output = None,
+    board: choices.Kind = choices.BoardKind.CHESSBOARD,
+    columns: choices.Columns = 9,
+    rows: choices.Rows = 6,
+    square: choices.Square = 0.03,
+    marker: choices.Marker = None,
+    dictionary: choices.Dictionary = "4X4_50",
+    legacy: choices.Legacy = False,
+    model: choices.LensChoice = choices.Model.AUTO,
     mode: options.Mode = options.ModeChoice.AUTO,
     format: options.Format = None,
     topic: options.Topics = None,
@@ -166,11 +45,12 @@ def calibrate_command(
     side_by_side: options.SideBySide = False,
     start: options.Start = 0,
     end: options.End = None,
-    look_at: LookAt = 400,
-    views: Views = 60,
-    picture: Picture = None,
-    print_board: PrintBoard = None,
-    force: Force = False,
+    look_at: choices.LookAt = 400,
+    views: choices.Views = 60,
+    picture: choices.Picture = None,
+    print_board: choices.PrintBoard = None,
+    imu_noise: choices.ImuNoise = False,
+    force: choices.Force = False,
     json_output: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -188,8 +68,18 @@ def calibrate_command(
     Use the result:
 
       vo run walk.mcap --calibration calibration.yaml -o out
+
+    Measure the noise of an inertial sensor that lies still:
+
+      vo calibrate --imu-noise rest.mcap -o imu.yaml --picture allan.png
     """
     from vo.calibrating.board import make_board
+
+    topics = tuple(topic or ())
+    if imu_noise:
+        _measure_noise(source, output, picture, force, format, topics, json_output, quiet)
+        return
+    output = output or Path("calibration.yaml")
 
     made = make_board(board.value, columns, rows, square, marker, dictionary, legacy)
     _refuse_existing([print_board, None if source is None else output], force)
@@ -201,7 +91,6 @@ def calibrate_command(
             return
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
-    topics = tuple(topic or ())
     offset_ns = options.offset_ns(right_offset)
     request = _Request(
         source,
@@ -232,6 +121,30 @@ def calibrate_command(
         from vo.cli.calibrate_table import print_result
 
         print_result(result, output, picture)
+
+
+def _measure_noise(
+    source: Path | None,
+    output: Path | None,
+    picture: Path | None,
+    force: bool,
+    format: str | None,
+    topics: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from vo.cli.calibrate_imu_noise import calibrate_imu_noise
+    from vo.results.output_paths import refuse_to_overwrite
+
+    if source is None:
+        raise ConfigError("give a recording of the inertial sensor at rest")
+    output = output or Path("imu.yaml")
+    _refuse_existing([output], force)
+    refuse_to_overwrite([source], [output, picture])
+    _check_outputs(output, picture)
+    calibrate_imu_noise(
+        source, output, picture, format=format, topics=topics, as_json=as_json, quiet=quiet
+    )
 
 
 def _refuse_existing(paths: Sequence[Path | None], force: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from vo.errors import VoError
@@ -24,7 +24,10 @@ _COLUMNS = 6
 
 
 def euroc_imus(
-    root: Path, calibration: Calibration | None, body_from_cam0: Callable[[], Floats | None]
+    root: Path,
+    calibration: Calibration | None,
+    body_from_cam0: Callable[[], Floats | None],
+    tables: Sequence[Path] = (),
 ) -> list[FileImu]:
     """The inertial sensors of a recording; their files are read on first use.
 
@@ -32,8 +35,9 @@ def euroc_imus(
         root: `mav0`, or a folder like it.
         calibration: calibration of the cameras, None if unknown.
         body_from_cam0: finds the pose of cam0 on the body.
+        tables: their files; by default all `imu*/data.csv`.
     """
-    tables = sorted(root.glob("imu*/data.csv"))
+    tables = tables or sorted(root.glob("imu*/data.csv"))
     return [_imu(table, calibration, body_from_cam0) for table in tables]
 
 
