@@ -8,7 +8,7 @@ from typing import NamedTuple
 from dependencies import home_page, licence, required
 
 PATH = Path(__file__).resolve().parent.parent / "docs" / "licences.md"
-EXTRAS = ("video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster")
+EXTRAS = ("video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep")
 _BEGIN, _END = "<!-- begin of the table -->\n", "<!-- end of the table -->\n"
 
 

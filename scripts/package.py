@@ -21,7 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-EXTRAS = ("", "video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "all")
+EXTRAS = (
+    *("", "video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep"),
+    "all",
+)
 _MB = 1e6
 _REPEATS = 7
 _RECORDING = ["--set", "scale=0.25", "--seconds", "2", "--mono", "--quiet"]

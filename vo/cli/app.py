@@ -28,6 +28,7 @@ from vo.cli.match import match_command
 from vo.cli.models import models_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
+from vo.cli.sweep import sweep_command
 from vo.cli.synth import synth_command
 from vo.cli.view import view_command
 from vo.cli.vocabulary import vocabulary_command
@@ -144,6 +145,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "eval": eval_command,
         "report": report_command,
         "compare": compare_command,
+        "sweep": sweep_command,
         "view": view_command,
         "map": map_command,
     },

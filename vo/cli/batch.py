@@ -203,7 +203,7 @@ def batch_command(
     console = standard_error()
     with warnings_on(console, quiet=quiet):
         planned = plan(given, shared, manifest, None if dataset is None else dataset.value)
-        engine = _engine(ray, jobs, Limits(threads, timeout, memory, retries))
+        engine = make_engine(ray, jobs, Limits(threads, timeout, memory, retries))
         bar = BatchBar(console, quiet=quiet)
         result = run_batch(planned, output, engine, bar)
     if json_output:
@@ -218,7 +218,8 @@ def batch_command(
         raise typer.Exit(_SOME_FAILED)
 
 
-def _engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
+def make_engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
+    """Where recordings run: on this machine, or on a cluster."""
     if ray is None:
         from vo.batch.batch import LocalEngine
 
