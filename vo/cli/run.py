@@ -261,6 +261,7 @@ def run_command(
     scale_from: scale_options.ScaleFrom = None,
     scale_offset: scale_options.ScaleOffset = 0.0,
     georeference: scale_options.Georeference = False,
+    height: scale_options.Height = None,
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
     spawn: Spawn = False,
@@ -360,7 +361,7 @@ def run_command(
                 localize,
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
             ),
-            Scale(scale_from, round(1e9 * scale_offset), georeference),
+            Scale(scale_from, round(1e9 * scale_offset), georeference, height),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
                 output,

@@ -66,6 +66,7 @@ class Scale(NamedTuple):
     positions: str | None
     offset_ns: int
     georeference: bool
+    height_m: float | None = None
 
 
 class Visualisation(NamedTuple):

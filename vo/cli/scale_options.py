@@ -36,3 +36,11 @@ Georeference = Annotated[
         rich_help_panel=_SCALE,
     ),
 ]
+Height = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Mono: the scale, from the height of an upright camera above flat ground.",
+        rich_help_panel=_SCALE,
+    ),
+]

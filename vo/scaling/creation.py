@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 from vo.errors import ConfigError, SourceError
 from vo.metric_scale import ScaleSource
+from vo.scaling.height_source import HeightSource
 from vo.scaling.position_source import PositionSource
 from vo.scaling.positions import read_positions
 from vo.sources.source import FrameStream, Recording
+
+_MAX_HEIGHT_M = 100.0
 
 
 @dataclass(frozen=True)
@@ -21,11 +24,13 @@ class ScaleOptions:
         positions: `FILE`, `LOG:/TOPIC` or `auto`, None for no positions.
         offset_ns: added to the times of the positions.
         georeference: whether the path is placed on the globe.
+        height_m: height of the camera above flat ground, None if it is unknown.
     """
 
     positions: str | None = None
     offset_ns: int = 0
     georeference: bool = False
+    height_m: float | None = None
 
 
 class ScaleSources(NamedTuple):
@@ -54,6 +59,17 @@ def make_scale_sources(
         SourceError: positions are missing, damaged or of another time.
     """
     is_metric = stream.rig.is_metric
+    if options.height_m is not None:
+        if is_metric:
+            raise ConfigError(
+                "--height is for one camera: this recording is in metres already (--mode mono "
+                "leaves the right camera out)"
+            )
+        if not 0.0 < options.height_m <= _MAX_HEIGHT_M:
+            raise ConfigError(
+                f"--height is {options.height_m:g}; give metres above the ground, such as 1.65"
+            )
+        others = (HeightSource(options.height_m), *others)
     if options.positions is None:
         if options.georeference:
             raise ConfigError("--georeference needs positions: give them by --scale-from")
