@@ -239,3 +239,13 @@ def test_a_process_that_ends_before_its_request_is_a_crash(
     result = run_job(Job("walk", str(walks / "walk0")), tmp_path, Limits(retries=0))
     assert (result.status, result.attempts) == (JobStatus.CRASHED, 1)
     assert "no memory" in (result.error or "")
+
+
+def test_reports_are_made_where_they_are_missing(walks: Path, tmp_path: Path) -> None:
+    batch(walks / "walk0", tmp_path)
+    before = finished(tmp_path)
+    assert not (tmp_path / "walk0" / "report.html").exists()
+    batch(walks / "walk0", tmp_path, has_report=True)
+    assert "<title>" in (tmp_path / "walk0" / "report.html").read_text()
+    assert finished(tmp_path) == before
+    assert 'href="walk0/report.html"' in (tmp_path / "index.html").read_text()

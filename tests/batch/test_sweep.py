@@ -35,6 +35,8 @@ PLAN = Plan(tuple(Job(f"r{n}", f"r{n}", "fast") for n in range(6)))
 class FormulaEngine:
     """Results by a formula of the settings, without a run."""
 
+    limits = Limits()
+
     def __init__(self, result_of: Callable[[float], dict[str, float]]) -> None:
         self.result_of = result_of
         self.tried: list[float] = []

@@ -14,7 +14,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from vo.batch.execution import FAILED, WORK, Limits, kept_result, read_result, run_job
+from vo.batch.execution import (
+    FAILED,
+    WORK,
+    Limits,
+    kept_result,
+    lacks_report,
+    read_result,
+    run_job,
+)
 from vo.batch.job import Job, JobResult, JobStatus
 from vo.batch.planning import Plan
 from vo.batch.tables import write_tables
@@ -39,7 +47,13 @@ class BatchProgress(Protocol):
 
 
 class Engine(Protocol):
-    """Runs jobs somewhere."""
+    """Runs jobs somewhere.
+
+    Attributes:
+        limits: of each job.
+    """
+
+    limits: Limits
 
     def results(self, jobs: list[Job], output: Path) -> Iterator[JobResult]:
         """Run all jobs; their results as they come, in any order.
@@ -130,7 +144,8 @@ def run_batch(
     with _locked(output), _observed(progress, len(plan.jobs)) as step:
         shutil.rmtree(output / WORK, ignore_errors=True)  # of a batch that was killed
         found: dict[str, JobResult] = {}
-        for result in _kept(plan.jobs, output):
+        complete = [job for job in plan.jobs if not lacks_report(job, output, engine.limits)]
+        for result in _kept(complete, output):
             found[result.name] = result
             step(result, len(found), is_kept=True)
         kept = len(found)

@@ -7,6 +7,7 @@ process that crashes or takes too long is started again, up to a number of times
 from __future__ import annotations
 
 import json
+import logging
 import os
 import select
 import shutil
@@ -31,7 +32,8 @@ from vo.config import load_config
 from vo.errors import OutputError, VoError
 
 FAILED, WORK = "failed", ".work"
-LOG = "log.txt"
+LOG, REPORT = "log.txt", "report.html"
+_log = logging.getLogger(__name__)
 _POLL_S = 0.25  # until a request to stop is obeyed
 _GRACE_S = 5.0  # for a process to save its results after SIGINT
 _PROGRAM = """
@@ -51,12 +53,14 @@ class Limits:
         timeout_s: time for one attempt, None for any.
         memory_mb: address space of its process, None for any.
         retries: further attempts after a crash or a timeout.
+        has_report: whether each finished run gets a `report.html` too.
     """
 
     threads: int = 2
     timeout_s: float | None = None
     memory_mb: int | None = None
     retries: int = 1
+    has_report: bool = False
 
 
 def kept_result(job: Job, output: Path) -> JobResult | None:
@@ -91,6 +95,8 @@ def run_job(
     """
     kept = kept_result(job, output)
     if kept is not None:
+        if lacks_report(job, output, limits):
+            _write_report(output / job.name)
         return kept
     for attempt in range(1, limits.retries + 2):
         try:
@@ -104,7 +110,23 @@ def run_job(
             raise OutputError(f"{output} cannot be written: {error.strerror or error}") from error
         if result.status not in (JobStatus.CRASHED, JobStatus.TIMED_OUT):
             break
+    if lacks_report(job, output, limits) and result.is_done:
+        _write_report(output / job.name)
     return result
+
+
+def lacks_report(job: Job, output: Path, limits: Limits) -> bool:
+    """Whether a report is asked for that the folder of a job does not have."""
+    return limits.has_report and not (output / job.name / REPORT).exists()
+
+
+def _write_report(folder: Path) -> None:
+    """Write `report.html`; a run without one is still done."""
+    command = [sys.executable, "-P", "-m", "vo", "report", str(folder), "--quiet"]
+    ended = subprocess.run(command, capture_output=True, text=True, env=_environment())
+    if ended.returncode != 0:
+        lines = ended.stderr.strip().splitlines() or [f"status {ended.returncode}"]
+        _log.warning("%s has no report: %s", folder, lines[-1].removeprefix("error: "))
 
 
 def _move(folder: Path, output: Path, result: JobResult) -> None:

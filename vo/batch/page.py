@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from vo.batch.execution import FAILED, LOG
+from vo.batch.execution import FAILED, LOG, REPORT
 from vo.batch.job import JobResult
 from vo.batch.planning import Plan
 from vo.report.markup import Markup, element, join
@@ -17,7 +17,6 @@ from vo.report.quantities import duration, length, number, percentage
 if TYPE_CHECKING:
     from vo.batch.tables import Totals
 
-_REPORT = "report.html"
 _BAR_PX = 120
 
 
@@ -99,8 +98,8 @@ def _link(output: Path, result: JobResult) -> Markup:
         if not log.is_file() or not log.stat().st_size:
             return element("span", result.name)
         return element("a", result.name, href=f"{FAILED}/{quote(result.name)}/{LOG}")
-    has_report = (output / result.name / _REPORT).is_file()
-    target = f"{quote(result.name)}/{_REPORT if has_report else 'summary.json'}"
+    has_report = (output / result.name / REPORT).is_file()
+    target = f"{quote(result.name)}/{REPORT if has_report else 'summary.json'}"
     return element("a", result.name, href=target)
 
 

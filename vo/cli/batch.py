@@ -126,6 +126,16 @@ Retries = Annotated[
 ]
 
 
+Report = Annotated[
+    bool,
+    typer.Option(
+        "--report",
+        help="Write a report.html for each recording too, linked from index.html.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+
+
 def batch_command(
     sources: Sources = None,
     output: Output = Path("batch"),
@@ -142,6 +152,7 @@ def batch_command(
     timeout: Timeout = None,
     memory: Memory = None,
     retries: Retries = 1,
+    report: Report = False,
     json_output: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -182,7 +193,10 @@ def batch_command(
     from vo.cli.console import standard_error, standard_output
     from vo.cli.progress import warnings_on
     from vo.config import load_config
+    from vo.extras import require
 
+    if report:
+        require("matplotlib", extra="report", what="reports")
     given = list(sources or ())
     if manifest is None and len(given) == 1 and given[0].lower().endswith(MANIFEST_SUFFIXES[:1]):
         manifest, given = Path(given[0]), []
@@ -203,7 +217,7 @@ def batch_command(
     console = standard_error()
     with warnings_on(console, quiet=quiet):
         planned = plan(given, shared, manifest, None if dataset is None else dataset.value)
-        engine = make_engine(ray, jobs, Limits(threads, timeout, memory, retries))
+        engine = make_engine(ray, jobs, Limits(threads, timeout, memory, retries, report))
         bar = BatchBar(console, quiet=quiet)
         result = run_batch(planned, output, engine, bar)
     if json_output:
