@@ -17,7 +17,7 @@ BASE = {
         *("errors", "types", "failures", "faults", "calibration_errors"),
         *("bounded_documents", "bounded_files", "extras", "printable"),
         *("given_images", "grey_stretch"),
-        *("closed_loops", "feature_settings", "metric_scale"),
+        *("closed_loops", "feature_settings", "metric_scale", "inertial_use"),
         *("config", "settings", "image_areas", "scheduling", "stopwatch"),
     )
 }
@@ -31,10 +31,10 @@ FLOORS = (
     {"vo.frontend"},
     {"vo.learned"},
     {"vo.mapping", "vo.features"},
-    {"vo.places"},
+    {"vo.places", "vo.inertial"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
-    {"vo.map_updater", "vo.snapshot", "vo.memory"},
+    {"vo.map_updater", "vo.snapshot", "vo.memory", "vo.inertial_alignment"},
     {"vo.map_creator"},
     {"vo.stages"},
     {"vo.odometry"},
@@ -85,7 +85,8 @@ ALLOWED = {
     | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts", "vo.run_scale"},
     "vo.run_recording": GROUND
     | OUTER
-    | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session", "vo.stages"},
+    | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.run_session", "vo.stages"}
+    | {"vo.inertial"},
     "vo.cli": GROUND
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}

@@ -216,6 +216,14 @@ _Texts = Annotated[tuple[str, ...], BeforeValidator(_as_texts)]
 _Areas = Annotated[_Texts, AfterValidator(_are_areas)]
 
 
+class InertialConfig(Section):
+    """Inertial sensor of a recording."""
+
+    enabled: bool = Field(
+        True, description="use the inertial sensor of a recording, where its pose is known"
+    )
+
+
 class MasksConfig(Section):
     """Parts of the images, in pixels as recorded, that are not used (docs/recordings.md)."""
 
@@ -258,6 +266,7 @@ class Config(Section):
     smoothing: SmoothingConfig = SmoothingConfig()
     refinement: RefinementConfig = RefinementConfig()
     memory: MemoryConfig = MemoryConfig()
+    inertial: InertialConfig = InertialConfig()
     masks: MasksConfig = MasksConfig()
 
 

@@ -7,7 +7,7 @@ size or the height of the camera, gives the length in metres of one such unit, a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -86,7 +86,7 @@ def choose_scales(findings: Sequence[ScaleFindings]) -> ScaleFindings:
     return ScaleFindings(tuple(chosen), tuple(notes))
 
 
-def has_all_scales(segments: Sequence[int], scales: Mapping[int, MetricScale]) -> bool:
+def has_all_scales(segments: Sequence[int], scales: Collection[int]) -> bool:
     """Whether every world of a path, of which there is at least one, has a scale."""
     return bool(segments) and all(segment in scales for segment in segments)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from subprocess import Popen
 from typing import TypedDict, Unpack
@@ -13,6 +14,8 @@ from vo.config import Config, dump_config
 from vo.errors import ConfigError, SourceError, VoError
 from vo.extras import require
 from vo.image_areas import split_cameras
+from vo.inertial.checks import Unusable, why_unusable
+from vo.inertial_use import InertialUse
 from vo.metric_scale import ScaleSource
 from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
@@ -24,6 +27,7 @@ from vo.results.output_paths import refuse_to_collide, refuse_to_overwrite
 from vo.results.summary import Summary
 from vo.run_session import Request, RunSession
 from vo.scaling.creation import ScaleOptions, make_scale_sources
+from vo.sources.imu import usable_noise
 from vo.sources.live.address import LiveAddress, parse_address
 from vo.sources.registry import open_source
 from vo.sources.source import FrameStream, LiveStream, Recording
@@ -132,10 +136,9 @@ def run(
     exports = options.get("exports") or Exports()
     _check_outputs(source, output, config, exports, options)
     stream = _open(source, config, options)
-    request = _request(source, stream, config, options)
+    request, components = _with_imu(stream, _request(source, stream, config, options), options)
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(request.start, request.end, request.stride * every)
-    components = options.get("components", BUILT_IN)
     process = options.get("optimizer_process")
     with (
         _disconnected_at_end(stream),
@@ -241,6 +244,31 @@ def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> Fra
             stream.close()
             raise
     return stream
+
+
+def _with_imu(
+    stream: FrameStream, request: Request, options: RunOptions
+) -> tuple[Request, Components]:
+    """The parts of the odometry with the inertial sensor, or the request with why it is not."""
+    components, config = options.get("components", BUILT_IN), request.config
+    if not config.inertial.enabled or components.inertial_sensor is not None:
+        return request, components
+    if options.get("follow", False) or not isinstance(stream, Recording) or not stream.imus:
+        return request, components
+    sensor = stream.imus[0]
+    if config.memory.loops or (request.scale.all and not stream.rig.is_metric):
+        other = "--loops" if config.memory.loops else "another source of the scale"
+        unused = InertialUse(sensor.name, f"it cannot be combined with {other}")
+        return replace(request, unused_imu=unused), components
+    try:
+        unusable = why_unusable(sensor, stream.stamps_ns)
+    except SourceError as error:
+        unusable = Unusable(str(error))
+    if unusable is not None:
+        unused = InertialUse(sensor.name, unusable.reason, unusable.is_error)
+        return replace(request, unused_imu=unused), components
+    noise = usable_noise(sensor)
+    return request, components._replace(inertial_sensor=sensor, inertial_noise=noise)
 
 
 def _live_options(options: RunOptions) -> dict[str, object]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from vo.config import Config
 from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
+from vo.inertial_use import InertialUse
 from vo.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.odometry import Odometry
 from vo.printable import one_line
@@ -56,6 +57,7 @@ class Request:
         save_map: file for the map, or None.
         profile_since: start of the profile on `time.perf_counter`, None for no profile.
         scale: what measures the scale of a mono path, and places it on the globe.
+        unused_imu: the inertial sensor, if it cannot be used.
     """
 
     path: str
@@ -71,6 +73,7 @@ class Request:
     save_map: Path | None = None
     profile_since: float | None = None
     scale: ScaleSources = ScaleSources()
+    unused_imu: InertialUse | None = None
 
     def facts(self, stream: FrameStream) -> RunFacts:
         """Facts about the run; a stream without length has no known number of frames."""
@@ -173,7 +176,8 @@ class RunSession:
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
         for estimate in self._estimates(_awaited(frames, clock, interrupts), interrupts):
             with clock.stage("write"), interrupts.waiting(signals=1):
-                self._poses.send(estimate)
+                is_metric = self._odometry.memory.is_metric(estimate.segment)
+                self._poses.send(estimate, is_metric=is_metric)
             self._output(estimate, clock)
             self._folder.frames.append(frame_line(estimate, clock.stage_ms))
             self._statistics.add_times(clock.stage_ms)
@@ -330,6 +334,7 @@ class RunSession:
             map_use=self._odometry.memory.map_use,
             networks=self._odometry.networks,
             scale=self._scale.findings,
+            inertial=self._odometry.memory.inertial or self._request.unused_imu,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())

@@ -20,6 +20,7 @@ from vo.frontend.preprocessing import FramePreprocessor
 from vo.frontend.static_masks import StaticMasks, recorded_masks
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.inertial.samples import InertialSensor
 from vo.map_creator import Initializers, MapCreator
 from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
@@ -38,7 +39,7 @@ from vo.tracking.rescue import Kinds, Rescue
 from vo.tracking.stereo_initializer import StereoInitializer
 from vo.tracking.tracker import Tracker
 from vo.trajectory.builder import TrajectoryBuilder
-from vo.types import Rig
+from vo.types import ImuNoise, Rig
 
 if TYPE_CHECKING:
     from vo.learned.xfeat import XFeatExtractor
@@ -53,6 +54,9 @@ class Components(NamedTuple):
         motion: predicts poses; by default with constant velocity.
         keyframe_store: receives keyframes that leave the local map; by default they are dropped.
         factor_sources: give factors of the window beside the observations, such as inertial ones.
+        inertial_sensor: gives a single camera its scale, and the direction of gravity; by default
+            none. Its extrinsics must be known.
+        inertial_noise: of that sensor, by default what it gives itself.
     """
 
     extractor: FeatureExtractor | None = None
@@ -60,6 +64,8 @@ class Components(NamedTuple):
     motion: MotionModel | None = None
     keyframe_store: KeyframeStore | None = None
     factor_sources: Sequence[FactorSource] = ()
+    inertial_sensor: InertialSensor | None = None
+    inertial_noise: ImuNoise | None = None
 
 
 BUILT_IN = Components()
@@ -110,7 +116,7 @@ def make_stages(
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     descriptors = frontend.extractor.descriptor_format
     stores = [] if components.keyframe_store is None else [components.keyframe_store]
-    memory: MapMemory = NoMemory()
+    memory = _inertial_or_none(components, rectified, trajectory, stopwatch)
     if config.memory.loops:
         from vo.memory.creation import make_memory
 
@@ -143,6 +149,18 @@ def make_stages(
         trajectory,
         memory,
     )
+
+
+def _inertial_or_none(
+    components: Components, rig: RectifiedRig, trajectory: TrajectoryBuilder, stopwatch: Stopwatch
+) -> MapMemory:
+    """What takes the place of a memory where loops are not closed."""
+    sensor = components.inertial_sensor
+    if sensor is None:
+        return NoMemory()
+    from vo.inertial_alignment import InertialAlignment
+
+    return InertialAlignment(sensor, components.inertial_noise, rig, trajectory, stopwatch)
 
 
 def _local_map(

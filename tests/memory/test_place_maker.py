@@ -11,8 +11,9 @@ from vo.config import load_config
 from vo.geometry.transforms import adjoint, inverse, so3_exp
 from vo.geometry.transforms import make_transform as transform_of
 from vo.mapping.keyframe import FrameId, Keyframe
+from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.keyframe_store import StoredLandmarks
-from vo.memory.place_maker import PlaceMaker, motion_covariance, patches
+from vo.memory.place_maker import PlaceMaker, patches
 from vo.odometry import Odometry
 from vo.places.records import PATCH_PX, Place, PlaceKey
 from vo.sources.registry import open_source

@@ -108,6 +108,14 @@ Loops = Annotated[
         rich_help_panel=_ODOMETRY,
     ),
 ]
+NoImu = Annotated[
+    bool,
+    typer.Option(
+        "--no-imu",
+        help="Do not use the inertial sensor of the recording.",
+        rich_help_panel=_ODOMETRY,
+    ),
+]
 Vocabulary = Annotated[
     Path | None,
     typer.Option(
@@ -253,6 +261,7 @@ def run_command(
     config: options.Config = "default",
     overrides: options.Overrides = None,
     threads: Threads = None,
+    no_imu: NoImu = False,
     loops: Loops = None,
     vocabulary: Vocabulary = None,
     map_file: Map = None,
@@ -360,6 +369,7 @@ def run_command(
                 map_file,
                 localize,
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
+                no_imu,
             ),
             Scale(scale_from, round(1e9 * scale_offset), georeference, height),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),

@@ -43,6 +43,7 @@ class Settings(NamedTuple):
     map: Path | None
     localize: bool
     masks: Mapping[str, Sequence[str]]
+    no_imu: bool = False
 
     @property
     def all_overrides(self) -> list[str]:
@@ -57,7 +58,8 @@ class Settings(NamedTuple):
         given |= {name: is_on for name, is_on in switches.items() if is_on is not None}
         memory = [f"memory.{name}={json.dumps(value)}" for name, value in given.items()]
         masks = [f"masks.{k}={json.dumps(texts)}" for k, texts in self.masks.items() if texts]
-        return [*self.overrides, *threads, *memory, *masks]
+        imu = ["inertial.enabled=false"] if self.no_imu else []
+        return [*self.overrides, *threads, *memory, *imu, *masks]
 
 
 class Scale(NamedTuple):

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.errors import OutputError
+from vo.inertial_use import InertialUse
 from vo.mapping.local_map import LocalMap
 from vo.metric_scale import MetricScale
 
@@ -28,6 +29,15 @@ class MapMemory(Protocol):
     @property
     def map_use(self) -> MapUse | None:
         """The loaded map, None without one."""
+        ...
+
+    @property
+    def inertial(self) -> InertialUse | None:
+        """What became of the inertial sensor, None without one."""
+        ...
+
+    def is_metric(self, segment: int) -> bool:
+        """Whether an inertial sensor has given lengths of a segment of one camera the metre."""
         ...
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
@@ -74,6 +84,11 @@ class NoMemory:
     closed_loops: tuple[ClosedLoop, ...] = ()
     relocalisations: tuple[Relocalisation, ...] = ()
     map_use: MapUse | None = None
+    inertial: InertialUse | None = None
+
+    def is_metric(self, segment: int) -> bool:
+        """Never."""
+        return False
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Nothing to do."""

@@ -13,6 +13,7 @@ import numpy as np
 from vo.backend.pose_graph import PoseGraph
 from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.geometry.transforms import inverse, rotation_angle
+from vo.inertial_use import InertialUse
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
@@ -45,6 +46,7 @@ class Memory:
     are made, and results are applied a fixed number of frames later.
 
     Attributes:
+        inertial: no inertial sensor is used.
         stopwatch: measures the stage `memory`.
 
     Args:
@@ -56,6 +58,8 @@ class Memory:
         stopwatch: measures the stages.
         worlds: those of a loaded map.
     """
+
+    inertial: InertialUse | None = None
 
     def __init__(
         self,
@@ -119,6 +123,10 @@ class Memory:
         place = self._maker.make(keyframe, landmarks, image)
         is_known = any(loop.later == place.key for loop in self._loops)
         self._future = self._recogniser.add(place, searches=not is_known)
+
+    def is_metric(self, segment: int) -> bool:
+        """Never: no inertial sensor is used."""
+        return False
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Find a lost camera again, and note the first frame whose pose is as it was corrected."""

@@ -8,17 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.geometry.transforms import adjoint, inverse, transform_points
+from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.keyframe import Keyframe
+from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
 from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
 from vo.types import Bytes, Floats
 
 _THUMBNAIL_HEIGHT = 120  # of images by which places are compared
-# Standard deviations of the motion since the keyframe before where the window does not give them:
-# radians, and fractions of the distance.
-_SIGMA_RAD, _SIGMA_RATIO = 0.02, 0.1
 
 
 class PlaceMaker:
@@ -90,29 +88,6 @@ class PlaceMaker:
                 image, (thumbnail_width, thumbnail_height), interpolation=cv2.INTER_AREA
             ),
         )
-
-
-def motion_covariance(before: Keyframe | None, keyframe: Keyframe) -> Floats:
-    """(6, 6) of the motion from one keyframe to the next of its segment, in the frame of the next.
-
-    Both are relative to the first of the segment: the error of the motion is
-    xi - Ad(next_from_before) xi_before, where the two errors are correlated. Zero for the first
-    keyframe of a segment; a rough guess where the window has not determined it.
-    """
-    if before is None or before.frame.segment != keyframe.frame.segment:
-        return np.zeros((6, 6))
-    next_from_before = inverse(keyframe.world_from_cam) @ before.world_from_cam
-    cross = keyframe.cross_covariance.get(before.id)
-    if keyframe.covariance is None or before.covariance is None or cross is None:
-        length = float(np.linalg.norm(next_from_before[:3, 3]))
-        return np.diag([_SIGMA_RAD**2] * 3 + [max(_SIGMA_RATIO * length, 1e-3) ** 2] * 3)
-    moved = adjoint(next_from_before)
-    shared = cross @ moved.T
-    covariance = keyframe.covariance + moved @ before.covariance @ moved.T - shared - shared.T
-    # Differences of large numbers: no direction may come out as certain, or worse.
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    floor = max(1e-6 * float(values[-1]), 1e-14)
-    return np.asarray((vectors * np.maximum(values, floor)) @ vectors.T)
 
 
 def patches(image: Bytes, xy: Floats, octave: NDArray[np.int32], scale_factor: float) -> Bytes:

@@ -11,6 +11,7 @@ import numpy as np
 from vo.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.failures import Failure
+from vo.inertial_use import InertialUse
 from vo.metric_scale import ScaleFindings, has_all_scales
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
@@ -73,6 +74,7 @@ class RunState:
         map_use: the loaded map, None without one.
         networks: what is known of each network in use.
         scale: what sources of the metric scale have measured, None without any or before the end.
+        inertial: the inertial sensor, None without one.
     """
 
     facts: RunFacts
@@ -93,6 +95,7 @@ class RunState:
     map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
     scale: ScaleFindings | None = None
+    inertial: InertialUse | None = None
 
 
 class Segment(NamedTuple):
@@ -150,6 +153,7 @@ class Summary:
     map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
     scale: ScaleFindings | None = None
+    inertial: InertialUse | None = None
 
     @property
     def is_metric(self) -> bool:
@@ -157,7 +161,8 @@ class Summary:
         if self.facts.mode != "mono":
             return True
         scales = {} if self.scale is None else self.scale.by_segment()
-        return has_all_scales([each.segment for each in self.segments], scales)
+        upright = () if self.inertial is None else self.inertial.metric_worlds
+        return has_all_scales([each.segment for each in self.segments], {*scales, *upright})
 
     @property
     def length_unit(self) -> str:
@@ -199,6 +204,7 @@ class Summary:
         del fields["main_failure"]  # without_pose has the reasons
         profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
         live: LiveSummary | None = fields.pop("live")
+        inertial: InertialUse | None = fields.pop("inertial")
         return {
             "schema_version": SCHEMA_VERSION,
             **fields,
@@ -212,6 +218,7 @@ class Summary:
             **({} if self.map_use is None else {"map": asdict(self.map_use)}),
             **({} if self.scale is None else {"scales": [s.to_dict() for s in self.scale.scales]}),
             "networks": [dict(network) for network in self.networks],
+            **({} if inertial is None else {"inertial": inertial.to_dict()}),
             "skipped": [asdict(s) for s in self.skipped],
             "faults": [record.to_dict() for record in self.faults],
             "without_pose": [_range_fields(r) for r in self.without_pose],
@@ -270,6 +277,7 @@ def summarise(state: RunState) -> Summary:
         hidden=tuple(round(ratio, 4) for ratio in state.hidden),
         networks=state.networks,
         scale=state.scale,
+        inertial=state.inertial,
         loops=state.loops,
         relocalisations=state.relocalisations,
         map_use=state.map_use,

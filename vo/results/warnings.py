@@ -9,6 +9,7 @@ from vo.calibration_errors import LensError, RightCameraError
 from vo.closed_loops import MapUse
 from vo.failures import ImageDefect, describe
 from vo.faults import FaultKind
+from vo.inertial_use import InertialUse
 from vo.printable import counted
 from vo.results.fault_warnings import fault_warnings
 from vo.results.frames_without_pose import FrameRange
@@ -41,6 +42,7 @@ def run_warnings(summary: Summary) -> list[str]:
         *far_scene_warnings(summary.median_disparity_px),
         *map_warnings(summary.map_use, [s.segment for s in summary.segments]),
         *_world_warnings(summary),
+        *inertial_warnings(summary.inertial),
     ]
 
 
@@ -147,6 +149,17 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
         return [f"no segment was merged with the map {use.file}: the path is in a world of its own"]
     numbers = ", ".join(str(segment) for segment in apart)
     return [f"not in the world of the map {use.file}, in worlds of their own: segments {numbers}"]
+
+
+def inertial_warnings(use: InertialUse | None) -> list[str]:
+    """A warning if an inertial sensor is wrong, or did not give what it is used for.
+
+    Args:
+        use: the sensor, None without one.
+    """
+    if use is None or use.reason is None or not use.is_error:
+        return []
+    return [f"{use.sensor} is not used, only the images are: {use.reason} (see vo info)"]
 
 
 def far_scene_warnings(median_disparity_px: float | None) -> list[str]:

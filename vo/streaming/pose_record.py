@@ -21,17 +21,22 @@ class PoseRecords:
     """Makes the record of each frame; each of them can be understood without the others.
 
     Args:
-        is_metric: whether lengths are metres, not units of the map.
+        is_metric: whether all lengths are metres, not units of the map.
         faults: of the whole recording; they are in the first record.
     """
 
     def __init__(self, *, is_metric: bool, faults: Sequence[Fault] = ()) -> None:
-        self._length_unit = "m" if is_metric else "map units"
+        self._is_metric = is_metric
         self._recording_faults = tuple(faults)
         self._known: KeyframePose | None = None  # the newest keyframe with a covariance
 
-    def record(self, estimate: Estimate) -> dict[str, Any]:
-        """The record of a frame; call it for all frames, in their order."""
+    def record(self, estimate: Estimate, *, is_metric: bool = False) -> dict[str, Any]:
+        """The record of a frame; call it for all frames, in their order.
+
+        Args:
+            estimate: of the frame.
+            is_metric: whether its lengths are metres, although not all are.
+        """
         self._update_covariance(estimate)
         faults = self._recording_faults + estimate.faults
         self._recording_faults = ()
@@ -44,7 +49,7 @@ class PoseRecords:
             "failure": None if failure is None else failure.reason.name.lower(),
             "segment": estimate.segment,
             "world_from_cam0": _pose(estimate.world_from_cam0),
-            "length_unit": self._length_unit,
+            "length_unit": "m" if self._is_metric or is_metric else "map units",
             "is_keyframe": estimate.is_keyframe,
             "inliers": estimate.inliers,
             "covariance": self._covariance(),

@@ -35,11 +35,16 @@ class PoseStreams:
         self._records = PoseRecords(is_metric=is_metric, faults=faults)
         self._is_live = is_live
 
-    def send(self, estimate: Estimate) -> None:
-        """Send one frame. Whatever happens, the run can finish the frame: see `check`."""
+    def send(self, estimate: Estimate, *, is_metric: bool = False) -> None:
+        """Send one frame. Whatever happens, the run can finish the frame: see `check`.
+
+        Args:
+            estimate: of the frame.
+            is_metric: whether an inertial sensor has given its lengths the metre.
+        """
         if not self._sinks:
             return
-        record = encoded(self._records.record(estimate))
+        record = encoded(self._records.record(estimate, is_metric=is_metric))
         update = PoseUpdate(estimate, record, self._is_live)
         for sink in list(self._sinks):
             try:

@@ -134,6 +134,8 @@ class TrajectoryStore:
         map_from_cam0: Floats,
         scale: Floats,
         covariance: Floats,
+        *,
+        keeps_earlier: bool = False,
     ) -> None:
         """Place keyframes in the map frame; all others of their segments follow.
 
@@ -143,16 +145,22 @@ class TrajectoryStore:
             map_from_cam0: (n, 4, 4).
             scale: (n,) length in the map of one unit of the odometry frame.
             covariance: (n, 6, 6), NaN if unknown.
+            keeps_earlier: whether keyframes before them stay where they were placed before.
         """
+        if len(keyframes) == 0:
+            return
         rows = self._keyframes.rows
         placed = np.searchsorted(rows["id"], keyframes)
         segments = rows["segment"][placed]
         odom_covariance = _symmetric(rows["odom_covariance"][placed])
         odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][placed])
+        first = len(rows)
         for segment in np.unique(segments).tolist():
             chosen = np.flatnonzero(segments == segment)
             self._worlds[segment] = int(worlds[chosen[0]])
             of_segment = np.flatnonzero(rows["segment"] == segment)
+            if keeps_earlier and segment in self._anchors:
+                of_segment = of_segment[np.searchsorted(of_segment, placed[chosen[0]]) :]
             # Each follows the last placed one before it, and the first ones the first placed one.
             ends = np.append(np.searchsorted(of_segment, placed[chosen[1:]]), len(of_segment))
             begin = 0
@@ -166,8 +174,11 @@ class TrajectoryStore:
                 )
                 self._follow(of_segment[begin:end], anchor)
                 self._anchors[segment], begin = anchor, end
-        self._moved |= set(rows["id"][np.isin(rows["segment"], segments)].tolist())
-        self._changed = self._changed_keyframe = 0
+            self._moved |= set(rows["id"][of_segment].tolist())
+            first = min(first, int(of_segment[0]))
+        self._changed_keyframe = min(self._changed_keyframe, first)
+        frame = bisect_left(self.frames["keyframe"], int(rows["id"][first]))
+        self._changed = min(self._changed, self._first_after_tracked(frame))
 
     def apply_scales(self, scales: Mapping[int, MetricScale]) -> None:
         """Convert the poses of worlds to metres, once, after the last frame.

@@ -1,0 +1,194 @@
+"""Runs of one camera with an inertial sensor."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_synth.frame_rendering import render_frames
+from data_synth.plan import make_plan
+from data_synth.recipe import load_recipe
+from data_synth.writers import euroc
+from vo.config import load_config
+from vo.evaluation.ape import absolute_errors
+from vo.formats.trajectory import read_tum
+from vo.geometry.similarity import umeyama
+from vo.run_recording import run
+from vo.types import Floats
+
+GYRO_BIAS, ACCEL_BIAS = np.array([0.02, -0.03, 0.01]), np.array([0.1, -0.1, 0.2])
+FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight seconds by hand through a room, one camera of 353 x 226 pixels, as EuRoC."""
+    settings = ["motion=handheld", "seconds=8", "fps=12", "scale=0.47", "mono=true", "seed=4"]
+    plan = make_plan(load_recipe(None, settings))
+    assert plan.recording.imu is not None
+    imu = plan.recording.imu
+    imu = replace(imu, gyro=imu.gyro + GYRO_BIAS, accel=imu.accel + ACCEL_BIAS)
+    plan = replace(plan, recording=replace(plan.recording, imu=imu))
+    folder = tmp_path_factory.mktemp("inertial") / "walk"
+    with ThreadPoolExecutor() as pool:
+        shots = render_frames(plan, pool, range(len(plan.recording.stamps_ns[0])))
+        euroc.write(folder, plan.recording, shots, "png")
+    return folder
+
+
+def _run(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:
+    config = load_config(overrides=settings)
+    return run(recording, output, config=config, **options).to_dict()
+
+
+@pytest.fixture(scope="module")
+def inertial(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    output = tmp_path_factory.mktemp("inertial_run")
+    return output, _run(walk, output)
+
+
+@pytest.fixture(scope="module")
+def visual(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    output = tmp_path_factory.mktemp("visual_run")
+    return output, _run(walk, output, "inertial.enabled=false")
+
+
+def _poses(output: Path, recording: Path, name: str = "trajectory.tum") -> tuple[Floats, Floats]:
+    """Estimated and true poses at the same times."""
+    found, truth = read_tum(output / name), read_tum(recording / "groundtruth.tum")
+    rows = np.searchsorted(truth.stamps_ns, found.stamps_ns - 1000)
+    return found.world_from_cam, truth.world_from_cam[rows]
+
+
+def _scale_error(output: Path, recording: Path) -> float:
+    found, truth = _poses(output, recording)
+    return abs(1.0 / umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=True).scale - 1.0)
+
+
+def test_lengths_are_metres(inertial: tuple[Path, dict[str, Any]], walk: Path) -> None:
+    output, summary = inertial
+    assert summary["length_unit"] == "m" and summary["verdict"].startswith("complete")
+    assert not [w for w in summary["warnings"] if "scale" in w]
+    assert _scale_error(output, walk) < 0.01
+    found, truth = _poses(output, walk)
+    fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    aligned = found.copy()
+    aligned[:, :3, :3] = fit.rotation @ found[:, :3, :3]
+    aligned[:, :3, 3] = found[:, :3, 3] @ fit.rotation.T + fit.translation
+    length = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
+    assert absolute_errors(aligned, truth).translation.rmse < 0.005 * length
+
+
+def test_world_is_upright(inertial: tuple[Path, dict[str, Any]], walk: Path) -> None:
+    found, truth = _poses(inertial[0], walk)
+    up = (found[:, :3, :3] @ np.swapaxes(truth[:, :3, :3], 1, 2))[:, 2, 2]
+    assert np.degrees(np.arccos(np.clip(up, -1.0, 1.0))).max() < 0.5
+    np.testing.assert_allclose(found[0, :3, 3], 0.0, atol=2e-3)
+    assert found[0, 0, 2] > 0.5 and abs(found[0, 1, 2]) < 0.01  # looks along x
+
+
+def test_states_are_reported_with_their_errors(
+    inertial: tuple[Path, dict[str, Any]], walk: Path
+) -> None:
+    use = inertial[1]["inertial"]
+    assert use["reason"] is None and use["metric_worlds"] == [0] and 0 < use["first_frame"] < 90
+    states = use["states"]
+    assert 0.0 < states["scale_sigma"] < 0.02 and states["tilt_sigma_deg"] < 0.3
+    table = np.loadtxt(
+        walk / "mav0/state_groundtruth_estimate0/data.csv", delimiter=",", comments="#"
+    )
+    gyro_error = states["gyro_bias_rad_s"] - table[-1, 11:14] - GYRO_BIAS
+    accel_error = states["accel_bias_m_s2"] - table[-1, 14:17] - ACCEL_BIAS
+    assert np.linalg.norm(gyro_error) < 0.05 * np.linalg.norm(GYRO_BIAS)
+    assert (np.abs(accel_error) < 4 * np.array(states["accel_bias_sigma_m_s2"])).all()
+
+
+def test_causal_path_is_metric_from_the_first_states_on(
+    inertial: tuple[Path, dict[str, Any]], walk: Path
+) -> None:
+    output, summary = inertial
+    found, truth = _poses(output, walk, "causal.tum")
+    late = read_tum(output / "causal.tum").stamps_ns
+    first = read_tum(walk / "groundtruth.tum").stamps_ns[summary["inertial"]["first_frame"] + 15]
+    rows = late > first
+    scale = umeyama(found[rows, :3, 3], truth[rows, :3, 3], with_scale=True).scale
+    assert abs(scale - 1.0) < 0.03
+
+
+def test_runs_are_repeatable(
+    inertial: tuple[Path, dict[str, Any]], walk: Path, tmp_path: Path
+) -> None:
+    _run(walk, tmp_path / "out", "threads=1")
+    for name in FILES:
+        assert (tmp_path / "out" / name).read_bytes() == (inertial[0] / name).read_bytes(), name
+
+
+def test_without_the_sensor_the_scale_is_unknown(visual: tuple[Path, dict[str, Any]]) -> None:
+    summary = visual[1]
+    assert "inertial" not in summary and summary["length_unit"] == "map units"
+    assert any("the scale is unknown" in warning for warning in summary["warnings"])
+
+
+def _in_g(row: list[str]) -> list[str]:
+    return row[:4] + [repr(float(v) / 9.80665) for v in row[4:7]]
+
+
+def _late(row: list[str]) -> list[str]:
+    return [str(int(row[0]) + 60_000_000_000), *row[1:]]
+
+
+def _flipped(row: list[str]) -> list[str]:
+    return [row[0], row[1], repr(-float(row[2])), repr(-float(row[3])), *row[4:]]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_in_g, "probably in g"),
+        (_late, "covers 0 % of the images"),
+        (_flipped, "rotations by images and by the gyroscope differ"),
+    ],
+)
+def test_a_wrong_sensor_is_told_and_images_alone_are_used(
+    change: Callable[[list[str]], list[str]],
+    words: str,
+    walk: Path,
+    visual: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+) -> None:
+    recording = tmp_path / "walk"
+    shutil.copytree(walk, recording)
+    table = recording / "mav0/imu0/data.csv"
+    lines = table.read_text().splitlines()
+    changed = [",".join(change(line.split(","))) for line in lines[1:]]
+    table.write_text("\n".join([lines[0], *changed]) + "\n")
+    summary = _run(recording, tmp_path / "out")
+    told = [w for w in summary["warnings"] if words in w]
+    assert len(told) == 1 and "\n" not in told[0] and "only the images are" in told[0]
+    assert summary["length_unit"] == "map units"
+    for name in FILES:
+        assert (tmp_path / "out" / name).read_bytes() == (visual[0] / name).read_bytes(), name
+
+
+def test_two_cameras_keep_their_path(synthetic_stereo: Path, tmp_path: Path) -> None:
+    with_imu = _run(synthetic_stereo, tmp_path / "with")
+    without = _run(synthetic_stereo, tmp_path / "without", "inertial.enabled=false")
+    assert with_imu["inertial"]["sensor"] and "inertial" not in without
+    for name in FILES:
+        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+
+
+def test_rendered_hall_is_metric(shared_data: Path, tmp_path: Path) -> None:
+    recording = shared_data / "rendered_hall_stereo"
+    summary = _run(recording, tmp_path, mode="mono")
+    assert summary["length_unit"] == "m"
+    assert _scale_error(tmp_path, recording) < 0.01
+    assert json.loads((tmp_path / "summary.json").read_text())["inertial"]["states"] is not None

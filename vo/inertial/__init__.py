@@ -1,0 +1,1 @@
+"""Inertial measurements beside the cameras: samples, preintegration, metric scale and gravity."""

@@ -1,0 +1,265 @@
+"""Maximum-a-posteriori states at keyframes, by Gauss-Newton on the chain of their measurements.
+
+Source: Campos, Montiel and Tardós, "Inertial-only optimization for visual-inertial
+initialization", 2020; here the visual motions have their covariance instead of being exact, and the
+scale may drift from keyframe to keyframe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.inertial.chain_solver import Equations, empty_equations, solve_chain
+from vo.inertial.factors import Linearised, inertial_residuals, visual_residuals
+from vo.inertial.states import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    LOG_SCALE,
+    POSITION,
+    ROTATION,
+    VELOCITY,
+    WIDTH,
+    States,
+    Steps,
+)
+from vo.types import Floats, ImuNoise, Ints
+
+# Standard deviations before anything is known.
+_GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2 = 0.1, 0.3
+_VELOCITY_M_S, _LOG_SCALE = 100.0, 10.0
+_FIXED_M, _FIXED_RAD = 1e-5, 1e-5
+_FIXED_LOG_SCALE = 1e-5
+# Errors of the visual odometry beside the windows' covariances: of each step, and of a length.
+_STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.001, 1e-4, 0.0015
+_HUBER = 3.0  # normalised residual from which a visual motion counts less
+_MAX_ITERATIONS = 12
+_CONVERGED = 0.01  # largest step, in standard deviations
+_MAX_TURN_RAD = 0.5  # in one iteration
+_MIN_WALK = 1e-6  # rad/s and m/s², standard deviation of a bias's step
+
+
+class Prior(NamedTuple):
+    """Quadratic cost of the first state, by what was measured before it.
+
+    Attributes:
+        at: the state (1) that it is about.
+        information: (WIDTH, WIDTH).
+        gradient: (WIDTH,) at that state.
+    """
+
+    at: States
+    information: Floats
+    gradient: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """States, and what is known of their errors.
+
+    Attributes:
+        states: n of them.
+        covariance: (n, WIDTH, WIDTH).
+        misfit: root mean square of the normalised inertial and visual residuals.
+        has_converged: whether the iterations ended by themselves.
+        reduced: (n, WIDTH, WIDTH) information on each state by what was measured before it.
+        reduced_gradient: (n, WIDTH) the same of the gradient, at the states.
+    """
+
+    states: States
+    covariance: Floats
+    misfit: float
+    has_converged: bool
+    reduced: Floats
+    reduced_gradient: Floats
+
+    def prior_of(self, row: int) -> Prior:
+        """What the states before one say about it, for a chain that begins there."""
+        return Prior(
+            self.states.rows(slice(row, row + 1)), self.reduced[row], self.reduced_gradient[row]
+        )
+
+
+def first_prior(state: States, *, is_metric: bool) -> Prior:
+    """What is known of the first state (1) of a world: its place and heading are chosen."""
+    sigma = np.empty(WIDTH)
+    sigma[ROTATION], sigma[POSITION], sigma[VELOCITY] = np.pi, _FIXED_M, _VELOCITY_M_S
+    sigma[GYRO_BIAS], sigma[ACCEL_BIAS] = _GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2
+    sigma[LOG_SCALE] = _FIXED_LOG_SCALE if is_metric else _LOG_SCALE
+    information = np.diag(sigma**-2.0)
+    up = state.rotation[0].T[:, 2]  # the world's z axis in the sensor's frame
+    information[ROTATION, ROTATION] += np.outer(up, up) / _FIXED_RAD**2
+    about_zero = state._replace(
+        gyro_bias=np.zeros((1, 3)),
+        accel_bias=np.zeros((1, 3)),
+        log_scale=np.zeros(1) if is_metric else state.log_scale,
+    )
+    return Prior(about_zero, information, np.zeros(WIDTH))
+
+
+def estimate_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) -> Estimate:
+    """Iterate to the most probable states.
+
+    Args:
+        states: n, to begin with.
+        steps: the n - 1 measurements between them.
+        prior: of the first.
+        noise: of the sensor.
+
+    Raises:
+        numpy.linalg.LinAlgError: the measurements do not determine the states.
+    """
+    problem = _Problem(steps, prior, noise)
+    has_converged = False
+    for _ in range(_MAX_ITERATIONS):
+        solution = solve_chain(problem.normal_equations(states))
+        turn = float(np.abs(solution.step[:, ROTATION]).max())
+        states = states.moved(solution.step * min(1.0, _MAX_TURN_RAD / max(turn, 1e-12)))
+        variance = np.diagonal(solution.covariance, axis1=1, axis2=2)
+        if float((solution.step**2 / np.maximum(variance, 1e-24)).max()) < _CONVERGED**2:
+            has_converged = True
+            break
+    solution = solve_chain(problem.normal_equations(states))
+    return Estimate(
+        states,
+        solution.covariance,
+        problem.misfit(states),
+        has_converged,
+        solution.reduced,
+        solution.reduced_gradient,
+    )
+
+
+class _Problem:
+    """Normal equations of a chain."""
+
+    def __init__(self, steps: Steps, prior: Prior, noise: ImuNoise) -> None:
+        self._steps, self._prior = steps, prior
+        known = [k for k, m in enumerate(steps.inertial) if m is not None]
+        self._known = np.array(known, np.int64)
+        self._measured = tuple(m for m in steps.inertial if m is not None)
+        self._seen = np.flatnonzero(steps.is_visual)
+        if self._measured:
+            self._inertial_information = np.linalg.inv(
+                np.stack([m.covariance for m in self._measured])
+            )
+        walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
+        self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
+        self._visual_covariance = _visual_covariance(steps)
+
+    def normal_equations(self, states: States) -> Equations:
+        """Normal equations of a step from these states."""
+        equations = empty_equations(states.number, WIDTH)
+        off = states.rows(slice(0, 1)).since(self._prior.at)[0]
+        equations.before[0] += self._prior.information
+        equations.gradient_before[0] += self._prior.gradient + self._prior.information @ off
+        if len(self._known):
+            inertial = self._inertial(states)
+            _add(equations, self._known, inertial, self._inertial_information)
+        self._add_walks(equations, states)
+        if len(self._seen):
+            visual = self._visual(states)
+            information = self._visual_information(states)
+            weight = _huber_weights(_normalised(visual.residual, information))
+            _add(equations, self._seen, visual, information * weight[:, None, None])
+        self._add_scale(equations, states)
+        return equations
+
+    def misfit(self, states: States) -> float:
+        """Root mean square of all normalised residuals, 0 without any."""
+        total, count = 0.0, 0
+        if len(self._known):
+            inertial = self._inertial(states).residual
+            total += float(np.sum(_squared(inertial, self._inertial_information)))
+            count += inertial.size
+        if len(self._seen):
+            visual = self._visual(states).residual
+            total += float(np.sum(_squared(visual, self._visual_information(states))))
+            count += visual.size
+        return float(np.sqrt(total / count)) if count else 0.0
+
+    def _ends(self, states: States, rows: Ints) -> tuple[States, States]:
+        return States(*(f[rows] for f in states)), States(*(f[rows + 1] for f in states))
+
+    def _inertial(self, states: States) -> Linearised:
+        return inertial_residuals(*self._ends(states, self._known), self._measured)
+
+    def _visual(self, states: States) -> Linearised:
+        visual, place = self._steps.visual[self._seen], self._steps.imu_from_cam
+        return visual_residuals(*self._ends(states, self._seen), visual, place)
+
+    def _visual_information(self, states: States) -> Floats:
+        scale = np.exp(states.log_scale[self._seen])
+        factor = np.concatenate([np.ones((len(scale), 3)), np.repeat(scale[:, None], 3, 1)], axis=1)
+        covariance = self._visual_covariance[self._seen]
+        return np.linalg.inv(covariance * factor[:, :, None] * factor[:, None, :])
+
+    def _add_walks(self, equations: Equations, states: States) -> None:
+        """Biases walk; where samples are missing, the velocity may have any value."""
+        change = np.diff(np.concatenate([states.gyro_bias, states.accel_bias], axis=1), axis=0)
+        columns = np.arange(GYRO_BIAS.start, ACCEL_BIAS.stop)
+        _add_change(equations, np.arange(len(change)), columns, self._walk**-2.0, change)
+        missing = np.setdiff1d(np.arange(len(change)), self._known)
+        change = np.diff(states.velocity, axis=0)[missing]
+        weight = np.full_like(change, _VELOCITY_M_S**-2.0)
+        _add_change(equations, missing, np.arange(*VELOCITY.indices(WIDTH)), weight, change)
+
+    def _add_scale(self, equations: Equations, states: States) -> None:
+        """The scale drifts slowly within a segment; another segment has a scale of its own."""
+        change = np.diff(states.log_scale)
+        sigma = np.full(len(change), _STEP_LOG_SCALE)
+        sigma[~self._steps.is_visual] = _LOG_SCALE
+        if self._steps.is_metric:
+            sigma[:] = _FIXED_LOG_SCALE
+        rows, columns = np.arange(len(change)), np.array([LOG_SCALE])
+        _add_change(equations, rows, columns, sigma[:, None] ** -2.0, change[:, None])
+
+
+def _add(equations: Equations, rows: Ints, factors: Linearised, information: Floats) -> None:
+    """Add factors between the states of some rows and the next ones."""
+    first, second = np.swapaxes(factors.first, 1, 2), np.swapaxes(factors.second, 1, 2)
+    weighted_first, weighted_second = first @ information, second @ information
+    residual = factors.residual[:, :, None]
+    equations.after[rows] += weighted_first @ factors.first
+    equations.before[rows + 1] += weighted_second @ factors.second
+    equations.coupling[rows] += weighted_first @ factors.second
+    equations.gradient_after[rows] += (weighted_first @ residual)[..., 0]
+    equations.gradient_before[rows + 1] += (weighted_second @ residual)[..., 0]
+
+
+def _add_change(
+    equations: Equations, rows: Ints, columns: Ints, weight: Floats, change: Floats
+) -> None:
+    """Add the cost of a change (n, c) of some columns to the next state, with weights (n, c)."""
+    at, after = (rows[:, None], columns, columns), (rows[:, None] + 1, columns, columns)
+    equations.after[at] += weight
+    equations.before[after] += weight
+    equations.coupling[at] -= weight
+    equations.gradient_after[at[:2]] -= weight * change
+    equations.gradient_before[after[:2]] += weight * change
+
+
+def _visual_covariance(steps: Steps) -> Floats:
+    """Covariances with the drift that the windows do not contain."""
+    covariance = steps.covariance.copy()
+    length = np.linalg.norm(steps.visual[:, :3, 3], axis=1)
+    shortest = 1e-6 * max(float(length.max(initial=0.0)), 1e-6)
+    for axis in range(3):
+        covariance[:, axis, axis] += _STEP_RAD**2
+        covariance[:, axis + 3, axis + 3] += (_STEP_RATIO * length) ** 2 + shortest**2
+    return covariance
+
+
+def _squared(residual: Floats, information: Floats) -> Floats:
+    return np.asarray(np.einsum("ni,nij,nj->n", residual, information, residual))
+
+
+def _normalised(residual: Floats, information: Floats) -> Floats:
+    squared = np.maximum(_squared(residual, information), 0.0)
+    return np.asarray(np.sqrt(squared / residual.shape[1]))
+
+
+def _huber_weights(size: Floats) -> Floats:
+    return np.asarray(np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0))

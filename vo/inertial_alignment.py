@@ -1,0 +1,208 @@
+"""Metric, upright poses of a run with an inertial sensor.
+
+The visual odometry is left alone: keyframes and the covariances of their motions come from the
+local map, and what the inertial sensor adds is applied to the trajectory, in the map frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
+from vo.errors import OutputError
+from vo.formats.calibration.imu import NOISE_CLASSES
+from vo.geometry.rectification import RectifiedRig
+from vo.geometry.transforms import adjoint, inverse
+from vo.inertial.chain import InertialChain, Node, Placed, certain
+from vo.inertial.initialisation import WRONG, tilt_sigma
+from vo.inertial.samples import InertialSensor, SampleReader
+from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE, POSITION
+from vo.inertial_use import InertialStates, InertialUse
+from vo.mapping.keyframe import Keyframe
+from vo.mapping.keyframe_motion import motion_covariance
+from vo.mapping.local_map import LocalMap
+from vo.metric_scale import MetricScale
+from vo.stopwatch import Stopwatch, timed
+from vo.trajectory.builder import TrajectoryBuilder
+from vo.types import Floats, ImuNoise
+
+
+class InertialAlignment:
+    """Estimates inertial states of the keyframes, and places those of a single camera by them.
+
+    It is called as the memory of a run is: at fixed frames, so that results do not depend on the
+    speed of anything. Metric paths (stereo, depth) keep their world; only its direction of gravity
+    and the biases are estimated.
+
+    Attributes:
+        closed_loops: none.
+        relocalisations: none.
+        map_use: none.
+        stopwatch: measures the stage `inertial`.
+
+    Args:
+        sensor: with known extrinsics.
+        noise: of the sensor; None for what it gives itself, or that of a consumer sensor.
+        rig: the rectified cameras.
+        trajectory: follows.
+        stopwatch: measures the stages.
+    """
+
+    closed_loops: tuple[ClosedLoop, ...] = ()
+    relocalisations: tuple[Relocalisation, ...] = ()
+    map_use: MapUse | None = None
+
+    def __init__(
+        self,
+        sensor: InertialSensor,
+        noise: ImuNoise | None,
+        rig: RectifiedRig,
+        trajectory: TrajectoryBuilder,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.stopwatch = stopwatch
+        self._sensor = sensor
+        self._trajectory = trajectory
+        self._is_metric = rig.is_stereo
+        assert sensor.cam0_from_imu is not None
+        cam_from_imu = inverse(rig.cam0_from_rectified) @ sensor.cam0_from_imu
+        self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
+        self._adjoint = adjoint(sensor.cam0_from_imu)
+        self._chain = InertialChain(
+            SampleReader(sensor),
+            noise or sensor.noise or NOISE_CLASSES["consumer"],
+            inverse(cam_from_imu),
+            is_metric=self._is_metric,
+        )
+        self._newest = -1  # id of the newest keyframe whose states were estimated
+        self._worlds: list[int] = []
+
+    @property
+    def inertial(self) -> InertialUse:
+        """What is known by the sensor."""
+        placed = self._chain.newest
+        if placed is None:
+            reason = self._chain.reason
+            text = None if reason is None else reason.value
+            return InertialUse(self._sensor.name, text, is_error=reason in WRONG)
+        return InertialUse(
+            self._sensor.name,
+            first_frame=self._chain.initialised_frame,
+            metric_worlds=tuple(self._worlds),
+            states=self._states(placed),
+        )
+
+    def is_metric(self, segment: int) -> bool:
+        """Whether lengths of a segment of one camera are metres now."""
+        return self._trajectory.store.world(segment) in self._worlds
+
+    @timed("inertial")
+    def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
+        """Estimate the states of keyframes that were optimised since the last frame."""
+        keyframes = [k for k in local_map.keyframes if k.covariance is not None]
+        if not keyframes or keyframes[-1].id == self._newest:
+            return
+        self._newest = keyframes[-1].id
+        self._set(keyframes)
+        self._place(self._chain.update())
+
+    def forget_from(self, frame_index: int) -> None:
+        """Forget all keyframes from a frame on, which are tracked anew."""
+        self._chain.remove_from(frame_index)
+
+    @timed("inertial")
+    def finish(self, local_map: LocalMap) -> None:
+        """Estimate all states together, after the last frame."""
+        self._set(local_map.keyframes)
+        self._chain.update()
+        self._place(self._chain.finish())
+
+    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
+        """Nothing to save; errors as for `check_savable`."""
+        self.check_savable(path)
+
+    def check_savable(self, path: Path) -> None:
+        """Nothing to save.
+
+        Raises:
+            OutputError: always.
+        """
+        raise OutputError(f"there is no map to save to {path}: loops are not closed; use --loops")
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+    def _set(self, keyframes: list[Keyframe]) -> None:
+        before: Keyframe | None = None
+        for keyframe in keyframes:
+            self._chain.set(
+                Node(
+                    keyframe.id,
+                    keyframe.frame.index,
+                    keyframe.frame.stamp_ns,
+                    keyframe.frame.segment,
+                    keyframe.world_from_cam.copy(),
+                    None if before is None else motion_covariance(before, keyframe),
+                )
+            )
+            before = keyframe
+
+    def _place(self, placed: Placed | None) -> None:
+        """Place the keyframes of a single camera in the metric, upright world."""
+        if placed is None or self._is_metric:
+            return
+        rows = certain(placed)
+        if not rows:
+            return
+        states = placed.estimate.states
+        world_from_imu = np.tile(np.eye(4), (len(rows), 1, 1))
+        world_from_imu[:, :3, :3] = states.rotation[rows]
+        world_from_imu[:, :3, 3] = states.position[rows]
+        self._trajectory.store.place(
+            np.array([placed.nodes[row].keyframe for row in rows], np.int64),
+            np.full(len(rows), placed.world, np.int64),
+            world_from_imu @ self._imu_from_cam0,
+            np.exp(states.log_scale[rows]),
+            self._covariance(placed, rows),
+            keeps_earlier=True,
+        )
+        if placed.world not in self._worlds:
+            self._worlds.append(placed.world)
+
+    def _covariance(self, placed: Placed, rows: list[int]) -> Floats:
+        """(n, 6, 6) of cam0's poses, tangent on the right."""
+        states = placed.estimate.states
+        covariance = placed.estimate.covariance[rows][:, :6, :6]
+        turn = np.tile(np.eye(6), (len(rows), 1, 1))
+        turn[:, POSITION, POSITION] = np.swapaxes(states.rotation[rows], 1, 2)
+        to_cam = self._adjoint @ turn
+        return np.asarray(to_cam @ covariance @ np.swapaxes(to_cam, 1, 2))
+
+    def _states(self, placed: Placed) -> InertialStates:
+        states, covariance = placed.estimate.states, placed.estimate.covariance[-1]
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        to_path = self._path_from_upright(placed)
+        return InertialStates(
+            scale=math.exp(float(states.log_scale[-1])),
+            scale_sigma=0.0 if self._is_metric else float(sigma[LOG_SCALE]),
+            up=tuple(to_path[:, 2].tolist()),
+            tilt_sigma_deg=math.degrees(tilt_sigma(states.rotation[-1], covariance)),
+            velocity_m_s=tuple((to_path @ states.velocity[-1]).tolist()),
+            gyro_bias_rad_s=tuple(states.gyro_bias[-1].tolist()),
+            gyro_bias_sigma_rad_s=tuple(sigma[GYRO_BIAS].tolist()),
+            accel_bias_m_s2=tuple(states.accel_bias[-1].tolist()),
+            accel_bias_sigma_m_s2=tuple(sigma[ACCEL_BIAS].tolist()),
+            misfit=placed.estimate.misfit,
+        )
+
+    def _path_from_upright(self, placed: Placed) -> Floats:
+        """(3, 3) from the upright world to that of the path, which are one for a single camera."""
+        if not self._is_metric:
+            return np.eye(3)
+        (pose,) = self._trajectory.store.keyframes_by_id([placed.nodes[-1].keyframe])
+        path_from_imu = pose.world_from_cam0[:3, :3] @ self._imu_from_cam0[:3, :3].T
+        return np.asarray(path_from_imu @ placed.estimate.states.rotation[-1].T)

@@ -1,0 +1,75 @@
+"""What became of the inertial sensor of a run, as it is reported."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class InertialStates:
+    """States of an inertial sensor at the newest keyframe, with standard deviations.
+
+    Attributes:
+        scale: metres of one unit of the visual map; 1 where that is the metre.
+        scale_sigma: relative.
+        up: (x, y, z) direction away from the earth in the world of the path.
+        tilt_sigma_deg: of that direction, seen from the sensor.
+        velocity_m_s: (x, y, z) in the world of the path.
+        gyro_bias_rad_s: (x, y, z) in the frame of the sensor.
+        gyro_bias_sigma_rad_s: of its axes.
+        accel_bias_m_s2: (x, y, z) in the frame of the sensor.
+        accel_bias_sigma_m_s2: of its axes.
+        misfit: root mean square of the normalised residuals; about 1 or less.
+    """
+
+    scale: float
+    scale_sigma: float
+    up: tuple[float, ...]
+    tilt_sigma_deg: float
+    velocity_m_s: tuple[float, ...]
+    gyro_bias_rad_s: tuple[float, ...]
+    gyro_bias_sigma_rad_s: tuple[float, ...]
+    accel_bias_m_s2: tuple[float, ...]
+    accel_bias_sigma_m_s2: tuple[float, ...]
+    misfit: float
+
+
+@dataclass(frozen=True)
+class InertialUse:
+    """An inertial sensor of a recording.
+
+    Attributes:
+        sensor: its topic or file.
+        reason: why nothing was estimated with it, None where something was.
+        is_error: whether the reason is an error of the sensor.
+        first_frame: number of the frame from which on its states are known, None without.
+        metric_worlds: numbers of the worlds of a single camera whose lengths are metres and whose
+            z axis points up by it.
+        states: the newest ones, None without.
+    """
+
+    sensor: str
+    reason: str | None = None
+    is_error: bool = False
+    first_frame: int | None = None
+    metric_worlds: tuple[int, ...] = ()
+    states: InertialStates | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        fields = asdict(self)
+        if self.states is not None:
+            fields["states"] = {name: _rounded(v) for name, v in asdict(self.states).items()}
+        fields["metric_worlds"] = list(self.metric_worlds)
+        return fields
+
+
+def _rounded(value: float | tuple[float, ...]) -> float | list[float]:
+    if isinstance(value, tuple):
+        return [_rounded_number(v) for v in value]
+    return _rounded_number(value)
+
+
+def _rounded_number(value: float) -> float:
+    return float(f"{value:.6g}")
