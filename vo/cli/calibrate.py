@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,13 +11,11 @@ import typer
 
 from vo.cli import calibrate_options as choices
 from vo.cli import options
+from vo.cli.calibrate_progress import search_progress
 from vo.cli.echo import echo, echo_json
 from vo.errors import ConfigError, OutputError
-from vo.printable import counted
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from vo.calibrating.board import Board
     from vo.calibrating.calibrate import CalibrationResult
 
@@ -49,6 +46,8 @@ def calibrate_command(
     views: choices.Views = 60,
     picture: choices.Picture = None,
     print_board: choices.PrintBoard = None,
+    imu: choices.Imu = False,
+    calibration: choices.Cameras = None,
     imu_noise: choices.ImuNoise = False,
     force: choices.Force = False,
     json_output: options.Json = False,
@@ -68,6 +67,10 @@ def calibrate_command(
     Use the result:
 
       vo run walk.mcap --calibration calibration.yaml -o out
+
+    Calibrate an inertial sensor too, from a recording in which the camera is turned quickly:
+
+      vo calibrate --imu swing.mcap --board charuco --columns 9 --rows 6 --square 0.025
 
     Measure the noise of an inertial sensor that lies still:
 
@@ -92,7 +95,7 @@ def calibrate_command(
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
     offset_ns = options.offset_ns(right_offset)
-    request = _Request(
+    request = Request(
         source,
         format,
         mode,
@@ -106,6 +109,11 @@ def calibrate_command(
         views,
         quiet,
     )
+    if imu:
+        _calibrate_imu(request, made, output, calibration, force, json_output)
+        return
+    if calibration is not None:
+        raise ConfigError("--calibration gives the cameras for --imu; leave it out, or add --imu")
     result = _calibrate_and_write(request, made, output, picture)
     if json_output:
         from vo.calibrating.report import to_dict
@@ -160,7 +168,29 @@ def _print_board(path: Path, board: Board) -> None:
     echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
 
 
-class _Request(NamedTuple):
+def _calibrate_imu(
+    request: Request,
+    board: Board,
+    output: Path,
+    calibration: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    from vo.cli.calibrate_imu import KALIBR_NAME, calibrate_imu
+    from vo.results.output_paths import refuse_to_overwrite
+
+    kalibr = output.with_name(KALIBR_NAME)
+    _refuse_existing([kalibr], force)
+    refuse_to_overwrite([request.path], [output, kalibr])
+    _check_outputs(output, None)
+    try:
+        calibrate_imu(request, board, output, calibration, as_json=as_json)
+    except KeyboardInterrupt:
+        echo(f"interrupted; {output} was not written", err=True)
+        raise typer.Exit(130) from None
+
+
+class Request(NamedTuple):
     """The recording to calibrate from, and the choice of its frames and views."""
 
     path: Path
@@ -178,7 +208,7 @@ class _Request(NamedTuple):
 
 
 def _calibrate_and_write(
-    request: _Request, board: Board, output: Path, picture: Path | None
+    request: Request, board: Board, output: Path, picture: Path | None
 ) -> CalibrationResult:
     from vo.results.output_paths import refuse_to_overwrite
 
@@ -193,7 +223,7 @@ def _calibrate_and_write(
     return result
 
 
-def _calibrate(request: _Request, board: Board) -> CalibrationResult:
+def _calibrate(request: Request, board: Board) -> CalibrationResult:
     from vo.calibrating.calibrate import calibrate
     from vo.calibrating.fit import MIN_VIEWS
     from vo.calibrating.missing_board import explain_missing_board
@@ -221,32 +251,13 @@ def _calibrate(request: _Request, board: Board) -> CalibrationResult:
         step = stride * group_size
         chosen = least_motion_frames(source.frames(start, end, stride), group_size)
         cameras = 2 if source.rig.is_stereo else 1
-        with _progress_bar(standard_error(quiet=quiet), -(-count // step)) as progress:
+        with search_progress(standard_error(quiet=quiet), -(-count // step)) as progress:
             detected = detect_views(board, chosen, cameras, os.cpu_count() or 1, progress)
         if len(detected.views) < min(MIN_VIEWS, detected.frames / 2):
             frames = source.frames(start, end, step)
             raise CalibrationError(explain_missing_board(board, detected, frames))
         size = (source.rig.cam0.width, source.rig.cam0.height)
         return calibrate(board, detected, size, model, max_views)
-
-
-@contextmanager
-def _progress_bar(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
-    """A callback with the numbers of frames searched and of views; a bar only on a terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[found]}"),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-        expand=True,
-    ) as bar:
-        task = bar.add_task("searching for the board", total=total, found="")
-        yield lambda done, found: bar.update(task, completed=done, found=counted(found, "view"))
 
 
 def _check_outputs(output: Path, picture: Path | None) -> None:

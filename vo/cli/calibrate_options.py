@@ -123,6 +123,25 @@ Force = Annotated[
     bool,
     typer.Option("--force", help="Replace an existing file.", rich_help_panel=options.OUTPUT),
 ]
+Imu = Annotated[
+    bool,
+    typer.Option(
+        "--imu",
+        help="Calibrate pose and time offset of an inertial sensor too: turn the camera quickly "
+        "about all axes, with the board in view.",
+        rich_help_panel=_INERTIAL,
+    ),
+]
+Cameras = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        metavar="FILE",
+        help="With --imu: the cameras, calibrated before; else they are calibrated from the same "
+        "recording.",
+        rich_help_panel=_INERTIAL,
+    ),
+]
 ImuNoise = Annotated[
     bool,
     typer.Option(

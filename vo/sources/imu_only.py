@@ -34,7 +34,9 @@ def open_imu(path: Path, format: str | None = None, topics: Sequence[str] = ()) 
         name = choose_format(path, format)
         if FORMATS[name].log:
             log = open_container(path, name)
-            named = next((text.partition("=")[2] or text for text in topics), None)
+            named = next((t.partition("=")[2] for t in topics if t.startswith("imu=")), None)
+            if named is None and len(topics) == 1 and "=" not in topics[0]:
+                named = topics[0]
             found = log_imus(log, imu_topics(log.topics, named), lambda _: None)
         else:
             found = gather(path, name, None, "auto").find_imus(None)
