@@ -16,6 +16,7 @@ __version__ = "0.2.0"
 if TYPE_CHECKING:
     from vo import features
     from vo.api.functions import evaluate, run
+    from vo.api.markers import find_markers
     from vo.api.matching import match
     from vo.api.odometry import Odometry
     from vo.calibration_errors import CalibrationErrors
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from vo.formats.trajectory import read_trajectory
     from vo.formats.trajectory import write_tum as write_trajectory
     from vo.geometry.transforms import quat_xyzw_from_rotation
+    from vo.markers.records import Marker, PlanePose
     from vo.metric_scale import MetricScale, ScaleFindings, ScaleSource
     from vo.recording.exports import Exports
     from vo.results.summary import Summary
@@ -65,9 +67,11 @@ _DEFINED_IN = {
     "FrameStream": "vo.sources.source:FrameStream",
     "InputError": "vo.errors:InputError",
     "KeyframePose": "vo.types:KeyframePose",
+    "Marker": "vo.markers.records:Marker",
     "MetricScale": "vo.metric_scale:MetricScale",
     "Odometry": "vo.api.odometry:Odometry",
     "OutputError": "vo.errors:OutputError",
+    "PlanePose": "vo.markers.records:PlanePose",
     "Recording": "vo.sources.source:Recording",
     "Rig": "vo.types:Rig",
     "ScaleFindings": "vo.metric_scale:ScaleFindings",
@@ -80,6 +84,7 @@ _DEFINED_IN = {
     "VoError": "vo.errors:VoError",
     "evaluate": "vo.api.functions:evaluate",
     "features": "vo.features",
+    "find_markers": "vo.api.markers:find_markers",
     "load_config": "vo.config:load_config",
     "match": "vo.api.matching:match",
     "open": "vo.sources.registry:open_source",
@@ -111,9 +116,11 @@ __all__ = [
     "FrameStream",
     "InputError",
     "KeyframePose",
+    "Marker",
     "MetricScale",
     "Odometry",
     "OutputError",
+    "PlanePose",
     "Recording",
     "Rig",
     "ScaleFindings",
@@ -127,6 +134,7 @@ __all__ = [
     "__version__",
     "evaluate",
     "features",
+    "find_markers",
     "load_config",
     "match",
     "open",

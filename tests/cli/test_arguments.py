@@ -20,6 +20,7 @@ CHOICES = (
     "model",
     "matcher",
     "method",
+    "refinement",
 )  # Typer lists the choices
 METAVAR = r"(-\|)?[A-Z][A-Z.=:,…|xN-]*"
 

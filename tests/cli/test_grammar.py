@@ -50,11 +50,14 @@ def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_formats_and_pictures_are_called_the_same(name: str) -> None:
     options = {p.name: p for p in COMMANDS[name].params}
-    reads_a_recording = name in (*("run", "batch", "info", "convert", "calibrate", "features"),)
+    reads_a_recording = name in (
+        *("run", "batch", "info", "convert", "calibrate", "features"),
+        "markers",
+    )
     writes_a_recording = name in ("convert", "synth")
     assert ("format" in options) == reads_a_recording
     assert ("to" in options) == writes_a_recording
-    with_picture = ("eval", "info", "report", "calibrate", "features", "match")
+    with_picture = ("eval", "info", "report", "calibrate", "features", "match", "markers")
     assert ("picture" in options) == (name in with_picture)
 
 

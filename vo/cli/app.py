@@ -24,6 +24,7 @@ from vo.cli.eval import eval_command
 from vo.cli.features import features_command
 from vo.cli.info import info_command
 from vo.cli.map import map_command
+from vo.cli.markers import markers_command
 from vo.cli.match import match_command
 from vo.cli.models import models_command
 from vo.cli.report import report_command
@@ -158,6 +159,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     _FEATURES: {
         "features": features_command,
         "match": match_command,
+        "markers": markers_command,
         "models": models_command,
         "vocabulary": vocabulary_command,
     },

@@ -1,0 +1,130 @@
+"""`vo markers` from the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from marker_views import Placed, developed, looking_at, random_background, render
+from typer.testing import CliRunner
+
+import vo
+from vo.cli.app import app
+from vo.types import Camera, Rig
+
+CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
+
+
+def _image(path: Path, *numbers: int, distance: float = 1.0, tilt: float = 0.4) -> Path:
+    rng = np.random.default_rng(0)
+    levels = random_background(rng, (480, 640)).astype(np.float64)
+    for n, number in enumerate(numbers):
+        pose = looking_at(np.array([0.25 * n - 0.1, 0.0, distance]), tilt, 1.0, 0.0)
+        levels = render(CAMERA, Placed("4X4_50", number, 0.16, pose), levels.astype(np.uint8))
+    cv2.imwrite(str(path), developed(levels, rng))
+    return path
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    path = tmp_path / "camera.yaml"
+    vo.write_calibration(path, Rig(CAMERA))
+    return path
+
+
+def test_an_image_gives_poses_a_picture_and_rows(tmp_path: Path, calibration: Path) -> None:
+    image = _image(tmp_path / "a.png", 3, 9)
+    picture, table = tmp_path / "found.png", tmp_path / "found.csv"
+    words = ["markers", str(image), "--length", "0.16", "--calibration", str(calibration)]
+    words += ["--json", "--picture", str(picture), "--csv", str(table)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["dictionary"] == "4X4_50"
+    markers = found["frames"][0]["markers"]
+    assert [marker["id"] for marker in markers] == [3, 9]
+    position = np.array(markers[0]["pose"]["cam_from_marker"])[:3, 3]
+    np.testing.assert_allclose(position, [-0.1, 0.0, 1.0], atol=1e-3)
+    assert cv2.imread(str(picture)).shape == (480, 640, 3)
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert [row["id"] for row in rows] == ["3", "9"]
+    assert float(rows[1]["tz"]) == pytest.approx(1.0, abs=1e-3)
+    text = CliRunner().invoke(app, words[:6])
+    assert "dictionary 4X4_50" in " ".join(text.stdout.split())
+    assert "clear" in text.stdout
+
+
+def test_a_recording_gives_one_line_for_each_id(tmp_path: Path, calibration: Path) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for n in range(3):
+        _image(folder / f"{n:03d}.png", 3, distance=1.0 + 0.1 * n)
+    words = ["markers", str(folder), "--length", "0.16", "--calibration", str(calibration)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "3 views in 3 of 3 frames" in result.stdout
+    assert "1.00 to 1.20" in result.stdout
+
+
+def test_without_calibration_there_are_ids_but_no_poses(tmp_path: Path) -> None:
+    image = _image(tmp_path / "a.png", 3)
+    result = CliRunner().invoke(app, ["markers", str(image), "--length", "0.16", "--json"])
+    assert result.exit_code == 0
+    (marker,) = json.loads(result.stdout)["frames"][0]["markers"]
+    assert marker["pose"] is None and marker["id"] == 3
+    assert "has no calibration: ids and corners are found, but no poses" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--length", "160"], "metres, not millimetres: 0.16"),
+        (["--dictionary", "DICT_9X9"], "unknown --dictionary 'DICT_9X9'"),
+        (["--board", "grid"], "--board grid needs --length"),
+        (["--picture", "a.gif"], "must end in .png"),
+    ],
+)
+def test_bad_options_are_one_clear_line(tmp_path: Path, words: list[str], message: str) -> None:
+    image = _image(tmp_path / "a.png", 3)
+    result = CliRunner().invoke(app, ["markers", str(image), *words])
+    assert result.exit_code == 1
+    (line,) = [each for each in result.stderr.splitlines() if each.startswith("error:")]
+    assert message in line
+
+
+def test_two_markers_of_one_id_and_small_ones_are_told(tmp_path: Path) -> None:
+    image = _image(tmp_path / "a.png", 3, 3)
+    result = CliRunner().invoke(app, ["markers", str(image)])
+    assert "marker 3 is seen more than once in frame 0" in " ".join(result.stderr.split())
+    far = _image(tmp_path / "far.png", 3, distance=9.0, tilt=0.1)
+    result = CliRunner().invoke(app, ["markers", str(far), "--dictionary", "4X4_50"])
+    assert result.exit_code == 1
+    assert "marker 3 of 4X4_50 is too small" in " ".join(result.stderr.split())
+
+
+def test_a_printed_sheet_has_the_size_it_says(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    sheet = tmp_path / "sheet.png"
+    words = ["markers", "--print", str(sheet), "--length", "0.05", "--ids", "0-2"]
+    result = CliRunner().invoke(app, [*words, "--dictionary", "tag36h11"])
+    assert result.exit_code == 0, result.output
+    image = cv2.imread(str(sheet), cv2.IMREAD_GRAYSCALE)
+    markers = vo.find_markers(image, dictionary="tag36h11")
+    assert [marker.id for marker in markers] == [0, 1, 2]
+    for marker in markers:
+        assert marker.detected.side_px == pytest.approx(0.05 / 0.0254 * 300, rel=0.01)
+    missing = CliRunner().invoke(app, ["markers", "--print", str(sheet)])
+    assert "--print needs --length" in missing.stderr
+
+
+def test_the_library_finds_the_same(calibration: Path, tmp_path: Path) -> None:
+    image = cv2.imread(str(_image(tmp_path / "a.png", 3)))
+    (marker,) = vo.find_markers(image, 0.16, calibration=str(calibration))
+    assert marker.pose is not None
+    assert marker.pose.distance_m == pytest.approx(np.hypot(0.1, 1.0), abs=1e-3)
+    with pytest.raises(vo.CalibrationError, match="320 x 240"):
+        vo.find_markers(np.zeros((240, 320), np.uint8), 0.16, calibration=CAMERA)

@@ -1,0 +1,273 @@
+"""What `vo markers` does: an image, or the frames of a recording."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from vo.cli.echo import echo, echo_json
+from vo.cli.progress import counting
+from vo.errors import CalibrationError, ConfigError
+from vo.formats.calibration import read_calibration
+from vo.markers.boards import CharucoBoard, MarkerBoard, check_length, make_charuco, make_grid
+from vo.markers.consistency import consistent
+from vo.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
+from vo.markers.dictionaries import AUTO, CANDIDATES, DEFAULT_TO_PRINT, dictionary_name
+from vo.markers.picture import check_picture, draw_markers, save_picture
+from vo.markers.printing import parse_ids, save_sheet
+from vo.markers.records import FrameMarkers
+from vo.markers.search import MarkerFinder, find_too_small
+from vo.markers.table import frame_record, write_csv
+from vo.printable import counted
+from vo.results.output_paths import refuse_to_overwrite
+from vo.sources.listing import IMAGE_SUFFIXES
+from vo.sources.registry import open_source
+from vo.sources.single_image import read_single_image
+from vo.sources.source import Recording
+from vo.sources.uncalibrated import open_uncalibrated
+from vo.types import Bytes, Camera
+
+_log = logging.getLogger(__name__)
+_FRAMES_FOR_AUTO = 12  # in which the dictionary is searched, spread over the recording
+
+
+class BoardRequest(NamedTuple):
+    """`--board` and its dimensions."""
+
+    kind: str
+    columns: int
+    rows: int
+    gap_m: float
+    square_m: float
+
+
+class Request(NamedTuple):
+    """Arguments and options of the command."""
+
+    source: str
+    length_m: float | None
+    dictionary: str
+    refinement: str
+    board: BoardRequest | None
+    calibration: Path | None
+    format: str | None
+    topics: tuple[str, ...]
+    frames: tuple[int, int | None, int]
+    picture: Path | None
+    csv: Path | None
+
+
+@dataclass(frozen=True, eq=False)
+class MarkersResult:
+    """What was found; `dictionary` is None where `auto` has found none."""
+
+    source: str
+    dictionary: str | None
+    length_m: float | None
+    frames: tuple[FrameMarkers, ...]
+    written: tuple[Path, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "source": self.source,
+            "dictionary": self.dictionary,
+            "length_m": self.length_m,
+            "frames": [frame_record(frame) for frame in self.frames],
+            "files": [str(path) for path in self.written],
+        }
+
+
+def write_sheet(
+    path: Path, dictionary: str, ids: str, length_m: float | None, *, is_json: bool
+) -> None:
+    """Write markers to print; raises `VoError`."""
+    if length_m is None:
+        raise ConfigError("--print needs --length, the side of the black square, such as 0.16")
+    name = dictionary_name(dictionary)
+    name = DEFAULT_TO_PRINT if name == AUTO else name
+    numbers = parse_ids(ids)
+    save_sheet(path, name, numbers, length_m)
+    if is_json:
+        echo_json({"output": str(path), "dictionary": name, "ids": numbers, "length_m": length_m})
+        return
+    size = f"{counted(len(numbers), 'marker')} of {name}, {1000 * length_m:g} mm"
+    echo(f"{path}: {size}; print at 100 % and measure the black square", err=True)
+
+
+def run_request(request: Request, console: Console) -> MarkersResult:
+    """Find the markers; raises `VoError`."""
+    if request.length_m is not None:
+        check_length(request.length_m)
+    if request.picture is not None:
+        check_picture(request.picture)
+    name = dictionary_name(request.dictionary)
+    is_image = _is_image(request.source)
+    read = [Path(request.source), request.calibration]
+    if is_image and ":" in request.source:
+        read.append(Path(request.source.rpartition(":")[0]))
+    refuse_to_overwrite(read, [request.picture, request.csv])
+    work = _find_in_image if is_image else _find_in_recording
+    return work(request, name, console)
+
+
+def _is_image(source: str) -> bool:
+    path = Path(source)
+    has_number = not path.exists() and source.rpartition(":")[2].isdigit()
+    has_suffix = path.suffix.lower() in IMAGE_SUFFIXES and not path.is_dir() and "*" not in source
+    return has_number or has_suffix
+
+
+def _find_in_image(request: Request, name: str, console: Console) -> MarkersResult:
+    given = read_single_image(request.source)
+    image, camera = given.image, given.camera
+    height, width = image.shape
+    if request.calibration is not None:
+        camera = read_calibration(request.calibration, (width, height)).rig.cam0
+    camera = _checked_camera(camera, request, (width, height))
+    detector = make_detector(name, Refinement(request.refinement), [image], request.source)
+    if detector is None:
+        _explain_nothing(image, name, None)
+        return MarkersResult(request.source, None, request.length_m, (), ())
+    finder = _finder(request, detector, camera)
+    frame = finder.find(image)
+    if not frame.markers:
+        _explain_nothing(image, name, detector)
+    return _finished(request, detector.name, [frame], image, camera)
+
+
+def _find_in_recording(request: Request, name: str, console: Console) -> MarkersResult:
+    recording, camera = _open(request)
+    start, end, stride = request.frames
+    stop = len(recording) if end is None else min(end, len(recording))
+    step = max(1, (stop - start) // _FRAMES_FOR_AUTO)
+    few = (frame.image0 for frame in recording.frames(start, stop, step))
+    detector = make_detector(name, Refinement(request.refinement), few, request.source)
+    if detector is None:
+        _log.warning("%s shows no marker of any dictionary in a sample of frames", request.source)
+        return MarkersResult(request.source, None, request.length_m, (), ())
+    size = (recording.rig.cam0.width, recording.rig.cam0.height)
+    camera = _checked_camera(camera, request, size)
+    finder = _finder(request, detector, camera)
+    found: list[FrameMarkers] = []
+    image: Bytes | None = None
+    with counting(console, recording.name, max(len(range(start, stop, stride)), 1)) as count:
+        for frame in recording.frames(start, stop, stride):
+            count(str(frame.index))
+            found.append(finder.find(frame.image0, frame.index, frame.stamp_ns))
+            if len(found[-1].markers) > max((len(f.markers) for f in found[:-1]), default=-1):
+                image = frame.image0
+    if not any(frame.markers for frame in found):
+        _log.warning("%s shows no marker of %s", request.source, detector.name)
+    return _finished(request, detector.name, consistent(found), image, camera)
+
+
+def _finished(
+    request: Request,
+    name: str,
+    frames: list[FrameMarkers],
+    image: Bytes | None,
+    camera: Camera | None,
+) -> MarkersResult:
+    """Warnings, files, and the result; the image is of the first frame with most markers."""
+    _warn(frames)
+    written = []
+    if request.picture is not None and image is not None:
+        most = max(frames, key=lambda frame: len(frame.markers))
+        board = request.board
+        length_m = request.length_m or (0.05 if board is None else board.square_m)
+        save_picture(request.picture, draw_markers(image, most, camera, length_m))
+        written.append(request.picture)
+    if request.csv is not None:
+        write_csv(request.csv, frames)
+        written.append(request.csv)
+    return MarkersResult(request.source, name, request.length_m, tuple(frames), tuple(written))
+
+
+def _finder(request: Request, detector: MarkerDetector, camera: Camera | None) -> MarkerFinder:
+    board: MarkerBoard | None = None
+    wanted = request.board
+    if wanted is not None and wanted.kind == "grid":
+        if request.length_m is None:
+            raise ConfigError("--board grid needs --length, the side of a marker")
+        size = (wanted.columns, wanted.rows, request.length_m, wanted.gap_m)
+        board = make_grid(*size, detector.name)
+    elif wanted is not None:
+        marker_m = request.length_m or 0.75 * wanted.square_m
+        size = (wanted.columns, wanted.rows, wanted.square_m, marker_m)
+        board = CharucoBoard(make_charuco(*size, detector.name))
+    return MarkerFinder(detector, request.length_m, camera, board)
+
+
+def _open(request: Request) -> tuple[Recording, Camera | None]:
+    recording: Recording
+    keywords: dict[str, Any] = {"format": request.format, "topics": request.topics}
+    try:
+        recording = open_source(
+            request.source, calibration=request.calibration, mode="mono", **keywords
+        )
+    except CalibrationError:
+        if request.calibration is not None:
+            raise
+        return open_uncalibrated(request.source, mode="mono", **keywords), None
+    return recording, recording.rig.cam0
+
+
+def _checked_camera(
+    camera: Camera | None, request: Request, size: tuple[int, int]
+) -> Camera | None:
+    if camera is None:
+        if request.length_m is not None or request.board is not None:
+            _log.warning(
+                "%s has no calibration: ids and corners are found, but no poses; give "
+                "--calibration FILE",
+                request.source,
+            )
+        return None
+    if (camera.width, camera.height) != size:
+        raise CalibrationError(
+            f"the calibration is for images of {camera.width} x {camera.height}, and those of "
+            f"{request.source} are {size[0]} x {size[1]}"
+        )
+    return camera
+
+
+def _explain_nothing(image: Bytes, name: str, detector: MarkerDetector | None) -> None:
+    """Say why there may be no marker."""
+    detectors = [MarkerDetector(each, is_strict=True) for each in CANDIDATES]
+    for each in detectors if detector is None else [detector]:
+        small = find_too_small(each, image)
+        if small is not None:
+            _log.warning(
+                "marker %d of %s is too small, %.0f px wide; go nearer, or use a larger image or "
+                "marker",
+                small.id,
+                each.name,
+                small.side_px,
+            )
+            return
+    what = "any dictionary" if name == AUTO else name
+    _log.warning("no marker of %s is visible; a marker needs a white margin around it", what)
+
+
+def _warn(frames: list[FrameMarkers]) -> None:
+    repeated = [(frame.frame_index, n) for frame in frames for n in frame.repeated_ids]
+    if repeated:
+        first, number = repeated[0]
+        _log.warning(
+            "marker %d is seen more than once in frame %d%s: give each marker an id of its own",
+            number,
+            first,
+            f" and in {counted(len(repeated) - 1, 'other case')}" if len(repeated) > 1 else "",
+        )
+    small = [m for frame in frames for m in frame.markers if m.detected.side_px < MIN_SIDE_PX]
+    if small:
+        _log.warning(
+            "%s below %.0f px: these poses are uncertain",
+            counted(len(small), "view") + " of markers",
+            MIN_SIDE_PX,
+        )

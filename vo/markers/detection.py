@@ -1,0 +1,159 @@
+"""Detection of markers in an image, with subpixel corners."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import Any
+
+import cv2
+import numpy as np
+
+from vo.errors import ConfigError
+from vo.markers.dictionaries import AUTO, CANDIDATES, dictionary, smallest_containing
+from vo.markers.edge_lines import refine_corners
+from vo.markers.records import DetectedMarker
+from vo.types import Bytes, Camera, Floats
+
+_SUBPIX_SIGMA_PX, _APRILTAG_SIGMA_PX, _RAW_SIGMA_PX = 0.15, 0.12, 0.6
+_MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show
+_CELL_PX = 8  # of a marker seen from the front, for that comparison
+MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
+
+
+class Refinement(StrEnum):
+    """How corners are refined."""
+
+    LINES = "lines"
+    SUBPIX = "subpix"
+    APRILTAG = "apriltag"
+    NONE = "none"
+
+
+class MarkerDetector:
+    """Detects the markers of one dictionary.
+
+    Args:
+        name: of the dictionary, from `dictionary_name`, not `auto`.
+        refinement: of the corners.
+        is_strict: accept only markers without a single wrong bit.
+    """
+
+    def __init__(
+        self, name: str, refinement: Refinement = Refinement.LINES, *, is_strict: bool = False
+    ) -> None:
+        self.name = name
+        self._refinement = refinement
+        self._dictionary = dictionary(name)
+        self.cells = int(self._dictionary.markerSize) + 2
+        self._detector = cv2.aruco.ArucoDetector(
+            self._dictionary, _parameters(refinement, is_strict=is_strict)
+        )
+
+    def detect(self, image: Bytes, camera: Camera | None = None) -> list[DetectedMarker]:
+        """The markers of an image (H, W), by increasing id, and from top to bottom.
+
+        Args:
+            image: uint8, as recorded.
+            camera: whose lens bends straight lines; None without distortion.
+        """
+        found, ids, _ = self._detector.detectMarkers(image)
+        if ids is None:
+            return []
+        markers = []
+        for corners, number in zip(found, np.asarray(ids).ravel().tolist(), strict=True):
+            corners = np.asarray(corners, dtype=np.float64).reshape(4, 2)
+            marker = self._checked(image, int(number), corners, camera)
+            if marker is not None:
+                markers.append(marker)
+        return sorted(markers, key=lambda each: (each.id, *each.corners.mean(axis=0)[::-1]))
+
+    def _checked(
+        self, image: Bytes, number: int, corners: Floats, camera: Camera | None
+    ) -> DetectedMarker | None:
+        """The marker with refined corners; None if it is a chance likeness."""
+        lines = refine_corners(image, corners, self.cells, camera)
+        if lines is None or self._correlation(image, number, lines.corners) < _MIN_CORRELATION:
+            return None
+        if self._refinement is Refinement.LINES:
+            return DetectedMarker(number, lines.corners, lines.sigma_px)
+        sigma = {
+            Refinement.SUBPIX: _SUBPIX_SIGMA_PX,
+            Refinement.APRILTAG: _APRILTAG_SIGMA_PX,
+        }.get(self._refinement, _RAW_SIGMA_PX)
+        return DetectedMarker(number, corners, sigma)
+
+    def _correlation(self, image: Bytes, number: int, corners: Floats) -> float:
+        """Correlation of the means of all cells with the marker's pattern."""
+        side = self.cells * _CELL_PX
+        square = np.array([(0, 0), (side, 0), (side, side), (0, side)], dtype=np.float32) - 0.5
+        matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), square)
+        seen = cv2.warpPerspective(image, matrix, (side, side), flags=cv2.INTER_LINEAR)
+        cells = seen.reshape(self.cells, _CELL_PX, self.cells, _CELL_PX)[:, 2:-2, :, 2:-2]
+        means = cells.astype(np.float64).mean(axis=(1, 3)).ravel()
+        pattern = np.asarray(self._dictionary.generateImageMarker(number, self.cells))
+        expected = pattern.astype(np.float64).ravel()
+        if means.std() < 1e-6 or expected.std() < 1e-6:
+            return 0.0
+        return float(np.corrcoef(means, expected)[0, 1])
+
+
+def find_dictionary(images: Iterable[Bytes], what: str) -> str | None:
+    """The dictionary whose markers some images show, None if they show none.
+
+    Args:
+        images: (H, W) uint8.
+        what: their name, for messages.
+
+    Raises:
+        ConfigError: two dictionaries fit equally well.
+    """
+    detectors = [MarkerDetector(name, is_strict=True) for name in CANDIDATES]
+    counts: Counter[str] = Counter()
+    ids: dict[str, set[int]] = {name: set() for name in CANDIDATES}
+    for image in images:
+        for detector in detectors:
+            numbers = [marker.id for marker in detector.detect(image)]
+            counts[detector.name] += len(numbers)
+            ids[detector.name].update(numbers)
+    best = [name for name in CANDIDATES if counts[name] == max(counts.values(), default=0)]
+    if not counts.total():
+        return None
+    if len(best) > 1:
+        raise ConfigError(
+            f"the markers of {what} fit dictionaries {' and '.join(best)} equally; choose one: "
+            "--dictionary"
+        )
+    return smallest_containing(best[0], sorted(ids[best[0]]))
+
+
+def make_detector(
+    name: str, refinement: Refinement, images: Iterable[Bytes], what: str
+) -> MarkerDetector | None:
+    """A detector of a dictionary, which is found in images if its name is `auto`.
+
+    Returns:
+        None if no image shows a marker of any dictionary.
+
+    Raises:
+        ConfigError: two dictionaries fit equally well.
+    """
+    chosen: str | None = name
+    if name == AUTO:
+        chosen = find_dictionary(images, what)
+    return None if chosen is None else MarkerDetector(chosen, refinement)
+
+
+def _parameters(refinement: Refinement, *, is_strict: bool) -> Any:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = {
+        Refinement.LINES: cv2.aruco.CORNER_REFINE_SUBPIX,
+        Refinement.SUBPIX: cv2.aruco.CORNER_REFINE_SUBPIX,
+        Refinement.APRILTAG: cv2.aruco.CORNER_REFINE_APRILTAG,
+        Refinement.NONE: cv2.aruco.CORNER_REFINE_NONE,
+    }[refinement]
+    parameters.minMarkerPerimeterRate = 0.02
+    if is_strict:
+        parameters.errorCorrectionRate = 0.0
+    return parameters
