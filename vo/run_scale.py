@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from vo.metric_scale import MetricScale, ScaleFindings, choose_scales
 from vo.recording.recorder import Recorder, ScaledRecorder
 from vo.scaling.creation import ScaleSources
@@ -61,8 +59,5 @@ class RunScale:
     def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
         """Finish a recorder, which gets both paths in units of the map, and the scales."""
         if self.by_world and isinstance(recorder, ScaledRecorder):
-            numbers = np.unique(store.frames["segment"]).tolist()
-            worlds = {number: store.world(number) for number in numbers}
-            scales = self.by_world
-            recorder.set_scales({n: scales[w] for n, w in worlds.items() if w in scales})
+            recorder.set_scales(store.scales_of_segments(self.by_world))
         recorder.finish(causal, store.trajectory() if self._unscaled is None else self._unscaled)

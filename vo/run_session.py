@@ -17,7 +17,7 @@ from vo.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.odometry import Odometry
 from vo.printable import one_line
 from vo.progress import Progress
-from vo.recording.recorder import Recorder
+from vo.recording.recorder import LoopClosures, LoopRecorder, Recorder
 from vo.results.covariance import covariance_line
 from vo.results.folder import RunFolder
 from vo.results.frames import frame_line
@@ -259,6 +259,9 @@ class RunSession:
         try:
             if not self._folder.is_finished:
                 self._write_changed()
+                if self._odometry.memory.closed_loops:
+                    odometry = self._odometry.trajectory.odometry(self._scale.by_world)
+                    self._folder.write_odometry(odometry)
         finally:
             self._folder.finish()
 
@@ -272,7 +275,11 @@ class RunSession:
         self._scale.apply(self._odometry.trajectory, self._folder.path)
 
     def _finish_recording(self) -> None:
-        self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
+        store, memory = self._odometry.trajectory, self._odometry.memory
+        if memory.closed_loops and isinstance(self._recorder, LoopRecorder):
+            found = memory.closed_loops, memory.relocalisations
+            self._recorder.set_loops(LoopClosures(*found, store.odometry({})))
+        self._scale.finish(self._recorder, self._causal.trajectory(), store)
 
     def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._statistics.add(estimate)

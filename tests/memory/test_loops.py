@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from room_course import END, FILES, ate, run_rounds
+from rrd import read_rrd
 from typer.testing import CliRunner
 
 from vo.cli.app import app
@@ -19,6 +20,7 @@ from vo.errors import ConfigError
 from vo.formats.trajectory import read_tum
 from vo.odometry import Odometry
 from vo.places.map_file import MapFile
+from vo.recording import entities
 from vo.sources.registry import open_source
 from vo.types import Floats
 
@@ -34,7 +36,8 @@ def plain(rounds: Path) -> Path:
 def closed(rounds: Path) -> Path:
     """Results with loops."""
     saved = rounds.parent / "room.map"
-    run_rounds(rounds, rounds.parent / "closed", "memory.loops=true", save_map=saved)
+    outputs = {"save_map": saved, "rrd": rounds.parent / "room.rrd", "rrd_images": "none"}
+    run_rounds(rounds, rounds.parent / "closed", "memory.loops=true", **outputs)
     return rounds.parent / "closed"
 
 
@@ -100,6 +103,32 @@ def test_the_report_lists_the_loops(closed: Path) -> None:
     page = (closed / "a.html").read_text(encoding="utf-8")
     for loop in _loops(closed):
         assert f'<th scope="row">{loop["frame"]}</th><td>{loop["earlier_frame"]}</td>' in page
+    assert 'id="plot-loops"' in page and ">before loops</text>" in page
+
+
+def test_the_recording_draws_each_loop_where_its_keyframes_are(rounds: Path, closed: Path) -> None:
+    path, truth = read_tum(closed / "trajectory.tum"), read_tum(rounds / "groundtruth.tum")
+    strips = read_rrd(rounds.parent / "room.rrd", "strips")
+    lines = strips[entities.LOOPS]
+    expected: dict[int, list[Floats]] = {}
+    for loop in _loops(closed):
+        stamps = truth.stamps_ns[[loop["frame"], loop["earlier_frame"]]]
+        ends = path.positions[np.searchsorted(path.stamps_ns, stamps)]
+        expected.setdefault(loop["corrected_from"] or END - 1, []).append(ends)
+    assert [frame for frame, _ in lines] == sorted(expected)
+    for frame, found in lines:
+        np.testing.assert_allclose(found, expected[frame], atol=1e-5)
+    assert len(strips[entities.ODOMETRY_PATH]) == 1
+    texts = read_rrd(rounds.parent / "room.rrd", "text")[entities.EVENTS]
+    assert sum("sees the place of frame" in str(text) for _, text in texts) == len(_loops(closed))
+
+
+def test_the_path_before_loops_is_that_of_a_run_without_them(plain: Path, closed: Path) -> None:
+    before = read_tum(closed / "odometry.tum")
+    without = read_tum(plain / "trajectory.tum")
+    np.testing.assert_array_equal(before.stamps_ns, without.stamps_ns)
+    np.testing.assert_array_equal(before.world_from_cam, without.world_from_cam)
+    assert not (plain / "odometry.tum").exists()
 
 
 def test_repeated_runs_and_a_single_thread_give_the_same_bytes(

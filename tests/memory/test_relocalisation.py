@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from room_course import FILES, ate, run_rounds
+from typer.testing import CliRunner
 
+from vo.cli.app import app
 from vo.formats.trajectory import read_tum
 from vo.geometry.transforms import inverse
 from vo.odometry import Odometry
@@ -108,6 +110,12 @@ def test_after_a_cut_the_old_world_goes_on_from_the_frame_that_is_named(
     late = frame >= found["frame"]
     assert angle_deg[late].max() < 2.0
     assert angle_deg[(frame > CUT[-1]) & ~late].min() > 10.0
+
+    page = tmp_path / "report.html"
+    done = CliRunner().invoke(app, ["report", str(tmp_path / "out"), "-o", str(page)])
+    assert done.exit_code == 0, done.output
+    row = f'<th scope="row">{found["frame"]}</th><td>1</td><td>{found["earlier_frame"]}</td>'
+    assert row in page.read_text(encoding="utf-8")
 
     again = run_rounds(rounds, tmp_path / "again", "memory.loops=true", "threads=1")
     for name in FILES:

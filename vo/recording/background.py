@@ -12,7 +12,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from vo.metric_scale import MetricScale
-from vo.recording.recorder import Recorder, ScaledRecorder, TakeSnapshot
+from vo.recording.recorder import (
+    LoopClosures,
+    LoopRecorder,
+    Recorder,
+    ScaledRecorder,
+    TakeSnapshot,
+)
 from vo.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
 
 _QUEUE_SIZE = 32  # frames; their images take most of the memory
@@ -59,6 +65,7 @@ class BackgroundRecorder:
         self._progress = 0
         self._left_out = 0
         self._scales: dict[int, MetricScale] = {}
+        self._closures: LoopClosures | None = None
         self._keyframes: dict[int, KeyframePose] = {}  # of frames that were left out
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
@@ -90,6 +97,10 @@ class BackgroundRecorder:
     def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
         """Keep the scales for the recorder, until it finishes."""
         self._scales = dict(scales)
+
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Keep the loops for the recorder, until it finishes."""
+        self._closures = closures
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Wait until all frames are recorded, as long as there is progress."""
@@ -141,6 +152,8 @@ class BackgroundRecorder:
                 if isinstance(item, _Frame):
                     self._recorder.record(item.estimate, _returning(item.snapshot))
                 else:
+                    if self._closures is not None and isinstance(self._recorder, LoopRecorder):
+                        self._recorder.set_loops(self._closures)
                     if self._scales and isinstance(self._recorder, ScaledRecorder):
                         self._recorder.set_scales(self._scales)
                     self._recorder.finish(*item)

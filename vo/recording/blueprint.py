@@ -35,6 +35,7 @@ def _map_view() -> rrb.Spatial3DView:
         entities.SMOOTHED_PATH,
         entities.SETTLED_LANDMARKS,
         entities.COVARIANCE,
+        entities.LOOPS,
     )
     flat = (entities.FEATURES, entities.MATCHES, entities.EPIPOLAR, entities.RIGHT)
     return rrb.Spatial3DView(

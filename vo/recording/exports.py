@@ -10,7 +10,13 @@ from pathlib import Path
 
 from vo.metric_scale import MetricScale
 from vo.recording.background import BackgroundRecorder
-from vo.recording.recorder import Recorder, ScaledRecorder, TakeSnapshot
+from vo.recording.recorder import (
+    LoopClosures,
+    LoopRecorder,
+    Recorder,
+    ScaledRecorder,
+    TakeSnapshot,
+)
 from vo.types import Estimate, Rig, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -105,6 +111,12 @@ class SeveralRecorders:
         for recorder in self._recorders:
             if isinstance(recorder, ScaledRecorder):
                 recorder.set_scales(scales)
+
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Pass the loops to the recorders that show them."""
+        for recorder in self._recorders:
+            if isinstance(recorder, LoopRecorder):
+                recorder.set_loops(closures)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Finish all recorders."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
+from vo.closed_loops import ClosedLoop, Relocalisation
 from vo.metric_scale import MetricScale
 from vo.types import Estimate, Rig, Snapshot, Trajectory
 
@@ -38,6 +39,28 @@ class ScaledRecorder(Protocol):
 
     def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
         """Before `finish`: the scales of segments; the paths of `finish` stay in map units."""
+
+
+class LoopClosures(NamedTuple):
+    """Loops of a run, and its path before them.
+
+    Attributes:
+        loops: all that were closed.
+        relocalisations: all segments whose place in an older world was found.
+        odometry: the path before any loop, each segment in its own frame.
+    """
+
+    loops: tuple[ClosedLoop, ...]
+    relocalisations: tuple[Relocalisation, ...]
+    odometry: Trajectory
+
+
+@runtime_checkable
+class LoopRecorder(Protocol):
+    """A recorder that shows loops."""
+
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Before `finish`, if loops were closed."""
 
 
 class NullRecorder:

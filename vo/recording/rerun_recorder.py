@@ -15,9 +15,10 @@ from vo.recording.batch import Batch
 from vo.recording.blueprint import make_blueprint
 from vo.recording.counters import Counters
 from vo.recording.ground_truth import aligned_at_pose, aligned_to_path, position_errors
+from vo.recording.loop_layer import LoopLayer
 from vo.recording.map_layer import MapLayer
 from vo.recording.plot_layer import PlotLayer
-from vo.recording.recorder import ImageChoice, TakeSnapshot
+from vo.recording.recorder import ImageChoice, LoopClosures, TakeSnapshot
 from vo.recording.sink import Sink, open_file, open_viewer
 from vo.recording.timelines import Timelines
 from vo.recording.trajectories import RunIndex, add_trajectory
@@ -50,6 +51,7 @@ class RerunRecorder:
         self._batch_s = _BATCH_S if viewer is None else _LIVE_BATCH_S
         self._sinks: list[Sink] = []
         self._truth: Trajectory | None = None
+        self._closures: LoopClosures | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Open the file and the viewer.
@@ -96,6 +98,10 @@ class RerunRecorder:
         if self._sinks:
             self._counters.scales = dict(scales)
 
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Keep the loops, to be drawn on the complete path."""
+        self._closures = closures
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Log both complete paths and the summary; close."""
         if not self._sinks:
@@ -135,6 +141,9 @@ class RerunRecorder:
     def _add_paths(self, causal: Trajectory, smoothed: Trajectory) -> None:
         add_trajectory(self._batch, entities.CAUSAL_POSES, causal, self._index)
         add_trajectory(self._batch, entities.SMOOTHED_POSES, smoothed, self._index)
+        if self._closures is not None:
+            odometry = self._index.by_segment(self._closures.odometry)
+            LoopLayer(self._batch, self._index.by_frame).log(self._closures, smoothed, odometry)
         pieces = self._index.by_segment(smoothed)
         if pieces:
             self._map.finish(self._index.last, pieces)

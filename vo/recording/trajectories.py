@@ -41,6 +41,11 @@ class RunIndex:
         """The newest frame."""
         return self._moments[next(reversed(self._moments))]
 
+    @property
+    def by_frame(self) -> dict[int, Moment]:
+        """The moments by number of their frame."""
+        return {moment.frame_index: moment for moment in self._moments.values()}
+
     def moment(self, stamp_ns: int) -> Moment | None:
         """The moment of the frame with this stamp, None if it was not recorded."""
         return self._moments.get(stamp_ns)

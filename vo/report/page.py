@@ -45,8 +45,11 @@ def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
 def _run_sections(entry: Entry, plots: Sequence[Plot], is_comparison: bool) -> Markup:
     own = [plot for plot in plots if plot.run == entry.number]
     name = f", {entry.name}" if is_comparison else ""
+    loops = [plot for plot in own if plot.name.startswith("loops")]
+    others = [plot for plot in own if plot not in loops]
     return join(
-        sections.plot_section(f"Tracking and time{name}", own),
+        sections.plot_section(f"Loops{name}", loops),
+        sections.plot_section(f"Tracking and time{name}", others),
         sections.image_section(entry, f"Images{name}"),
     )
 
@@ -55,7 +58,12 @@ def _details(entries: Sequence[Entry]) -> list[Markup]:
     each = [
         part(entry)
         for entry in entries
-        for part in (sections.frames_without_pose, sections.segments, sections.loops)
+        for part in (
+            sections.frames_without_pose,
+            sections.segments,
+            sections.loops,
+            sections.relocalisations,
+        )
     ]
     return [*each, sections.provenance(entries)]
 

@@ -63,6 +63,7 @@ class RunRecord:
         config: `config.yaml` as text, empty if missing.
         trajectory: the smoothed path, possibly empty.
         causal: the causal path, possibly empty.
+        odometry: the path before loops, empty without any.
         frames: None if `frames.csv` is missing.
         sigmas: None without covariances.
     """
@@ -72,6 +73,7 @@ class RunRecord:
     config: str
     trajectory: Trajectory
     causal: Trajectory
+    odometry: Trajectory
     frames: FrameTable | None
     sigmas: Sigmas | None
 
@@ -103,6 +105,7 @@ def read_run(folder: Path) -> RunRecord:
         _text(folder / "config.yaml"),
         _trajectory(folder / "trajectory.tum"),
         _trajectory(folder / "causal.tum"),
+        _trajectory(folder / "odometry.tum"),
         _frames(folder / "frames.csv"),
         _sigmas(folder / "covariance.csv"),
     )

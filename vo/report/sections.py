@@ -166,6 +166,21 @@ def loops(entry: Entry) -> Markup:
     return element("details", element("summary", f"Loops, {entry.name}"), inside)
 
 
+def relocalisations(entry: Entry) -> Markup:
+    """Segments whose place in an older world was found, if there are any."""
+    found = entry.run.summary.get("relocalisations", ())
+    if not found:
+        return Markup()
+    rows = [
+        [str(each["frame"]), str(each["segment"]), str(each["earlier_frame"]), str(each["loops"])]
+        + [str(each["inliers"]), _moved(each["correction_m"]), _moved(each["correction_deg"])]
+        for each in found
+    ]
+    heading = ["frame", "segment", "seen before in", "keyframes", "inliers"]
+    inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
+    return element("details", element("summary", f"Relocalisations, {entry.name}"), inside)
+
+
 def _moved(value: float | None) -> str:
     return "–" if value is None else number(value)
 

@@ -43,6 +43,12 @@ _SCHEMA: dict[str, Any] = {
             **dict.fromkeys(("correction_m", "correction_deg"), _NUMBER + _OPTIONAL),
         }
     ],
+    "relocalisations?": [
+        {
+            **dict.fromkeys(("frame", "segment", "earlier_frame", "loops", "inliers"), _WHOLE),
+            **dict.fromkeys(("correction_m", "correction_deg"), _NUMBER),
+        }
+    ],
     "faults?": [{"is_handled": _YES_NO}],
     "length_unit?": _TEXT,
     "calibration?": _TEXT + _OPTIONAL,

@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from vo.errors import OutputError
+from vo.formats.trajectory import tum_line
 from vo.results.covariance import COVARIANCE_HEADING
 from vo.results.frames import FRAMES_HEADING
 from vo.results.growing_file import PARTIAL_SUFFIX, GrowingFile
 from vo.results.poses import POSES_HEADING
 from vo.results.reserved_space import ReservedSpace
+from vo.types import Trajectory
 
 TRAJECTORY = "trajectory.tum"
 CAUSAL = "causal.tum"
+ODOMETRY = "odometry.tum"
 COVARIANCE = "covariance.csv"
 POSES = "poses.csv"
 FRAMES = "frames.csv"
@@ -26,7 +29,7 @@ CONFIG = "config.yaml"
 _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
 GEOJSON, KML = "path.geojson", "path.kml"  # only with --georeference
 
-RESULTS = (*_GROWING, SUMMARY, CONFIG, GEOJSON, KML)
+RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, GEOJSON, KML)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 
@@ -81,6 +84,11 @@ class RunFolder:
         except OutputError:
             if not self._summary_space.write(path, _partial(path), _encoded(text)):
                 raise
+
+    def write_odometry(self, path: Trajectory) -> None:
+        """Write the path before loops were closed, beside the one after."""
+        lines = map(tum_line, path.stamps_ns.tolist(), path.world_from_cam)
+        write_atomically(self.path / ODOMETRY, "".join(f"{line}\n" for line in lines))
 
     @property
     def is_finished(self) -> bool:

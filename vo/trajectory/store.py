@@ -205,6 +205,11 @@ class TrajectoryStore:
             table["covariance"][rows] = (covariance + added)[:, i, j]
         self._changed = self._changed_keyframe = 0
 
+    def scales_of_segments(self, scales: Mapping[int, MetricScale]) -> dict[int, MetricScale]:
+        """Scales by number of the segment, of those by number of the world."""
+        worlds = {n: self.world(n) for n in np.unique(self.frames["segment"]).tolist()}
+        return {number: scales[world] for number, world in worlds.items() if world in scales}
+
     def _follow(self, rows: Ints, anchor: Anchor) -> None:
         """Set the poses of rows of keyframes that follow a placed one."""
         table = self._keyframes.rows
@@ -273,6 +278,17 @@ class TrajectoryStore:
     def trajectory(self, row: int = 0) -> Trajectory:
         """The poses of `path` alone."""
         return Trajectory(self.frames["stamp_ns"][row:].copy(), self._poses(row, "world_from_cam0"))
+
+    def odometry(self, scales: Mapping[int, MetricScale]) -> Trajectory:
+        """The path of the odometry alone, before any loop: each segment in its own frame.
+
+        Args:
+            scales: by number of the world, those of which are converted to metres.
+        """
+        poses, segments = self._poses(0, "odom_from_cam0"), self.frames["segment"]
+        for number, scale in self.scales_of_segments(scales).items():
+            poses[segments == number, :3, 3] *= scale.value
+        return Trajectory(self.frames["stamp_ns"].copy(), poses)
 
     def _poses(self, row: int, frame: str) -> Floats:
         """Poses (n, 4, 4) of all frames from a row on, by the name of the keyframes' poses."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.report.entry import Entry
-from vo.report.plots import errors, paths, style, times, tracking
+from vo.report.plots import errors, loops, paths, style, times, tracking
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +50,14 @@ _COMPARISONS = (
     ("inliers", "Inliers over time.", tracking.draw_inliers),
     ("times", "Cumulative distribution of the wall time per frame.", times.draw_total_times),
 )
+_LOOPS = (
+    "loops",
+    "The path from above, before and after loops were closed, and the keyframes that each loop "
+    "connects.",
+    loops.draw_loops,
+)
 _SINGLE_RUN = (
+    _LOOPS,
     (
         "counts",
         "Matched landmarks, and inliers among them, over time.",
