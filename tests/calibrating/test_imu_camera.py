@@ -19,11 +19,12 @@ from vo.calibrating.board import Board, make_board
 from vo.calibrating.board_poses import BoardPoses, board_poses
 from vo.calibrating.imu_advice import warnings_of
 from vo.calibrating.imu_camera import ImuOnCamera, calibrate_imu_camera
+from vo.calibrating.kalibr_chain import write_chain
 from vo.cli.app import app
 from vo.errors import CalibrationError
-from vo.formats.calibration import read_calibration, write_calibration
+from vo.formats.calibration import ImuCalibration, read_calibration, write_calibration
 from vo.geometry.rotation_rows import exp_rows, log_rows
-from vo.geometry.transforms import rotation_angle, so3_exp, so3_log
+from vo.geometry.transforms import rotation_angle, se3_exp, so3_exp, so3_log
 from vo.types import Camera, Rig, Trajectory
 
 BOARD = make_board("charuco", 7, 5, 0.04)
@@ -190,6 +191,21 @@ def test_the_command_with_calibrated_cameras(swing: Path, tmp_path: Path) -> Non
 def test_the_command_calibrates_cameras_too(swing: Path, tmp_path: Path) -> None:
     run(swing, tmp_path / "a.yaml")
     check(tmp_path / "a.yaml", 1.0, 0.03)
+
+
+def test_kalibrs_layout_of_a_pair(tmp_path: Path) -> None:
+    cam1_from_cam0 = se3_exp(np.array([-0.11, 0.0, 0.01, 0.01, -0.02, 0.0]))
+    imu = ImuCalibration(CAM0_FROM_IMU, MEMS, -0.004)
+    path = tmp_path / "camchain-imucam.yaml"
+    assert write_chain(path, Rig(CAMERA, SMALL, cam1_from_cam0), imu) == ""
+    found = read_calibration(path)
+    assert found.rig.cam0 == CAMERA and found.rig.cam1 == SMALL and found.kind == "Kalibr"
+    assert found.rig.cam1_from_cam0 == pytest.approx(cam1_from_cam0, abs=1e-12)
+    assert found.imu.cam0_from_imu == pytest.approx(CAM0_FROM_IMU, abs=1e-12)
+    assert found.imu.time_offset_s == -0.004
+    lens = replace(CAMERA, distortion=(-0.28, 0.07, 2e-4, 2e-5, 0.1))
+    assert "Kalibr has no radtan" in write_chain(tmp_path / "b.yaml", Rig(lens), imu)
+    assert not (tmp_path / "b.yaml").exists()
 
 
 def test_options_that_do_not_fit(swing: Path, tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def _imu(imu: ImuReport) -> str:
     covered = "" if imu.covered is None else f", covers {100 * imu.covered:.0f} % of the images"
     return (
         f"{imu.name}: {counted(imu.count, 'sample')}, {imu.span_s:.2f} s at {imu.rate_hz:.4g} Hz, "
-        f"{gaps}{covered} (not used by vo run)"
+        f"{gaps}{covered}"
     )
 
 

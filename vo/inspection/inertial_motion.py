@@ -16,7 +16,7 @@ from vo.types import Bytes, Camera, Floats, Ints
 
 _MIN_COMPARED = 20
 _MIN_RATE_RAD_S = 0.05
-_MAX_OFFSET_MS, _MAX_OFFSET_SD = 4.0, 5.0
+_MAX_OFFSET_MS, _MAX_OFFSET_SD = 4.0, 6.0  # intervals overlap, so that the latter is too small
 _MAX_ERROR_DEG = 5.0
 _MAX_SD_DEG = 2.0
 _DEGREES = (30.0, 100.0)  # ratio of rates in degrees to those in radians, with tolerance
