@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from vo.markers.records import Marker, PlanePose
     from vo.metric_scale import MetricScale, ScaleFindings, ScaleSource
     from vo.recording.exports import Exports
+    from vo.rendering.render import Rendered, RenderOptions, render
     from vo.results.summary import Summary
     from vo.sources.registry import open_source as open
     from vo.sources.source import FrameStream, Recording
@@ -73,6 +74,8 @@ _DEFINED_IN = {
     "OutputError": "vo.errors:OutputError",
     "PlanePose": "vo.markers.records:PlanePose",
     "Recording": "vo.sources.source:Recording",
+    "RenderOptions": "vo.rendering.render:RenderOptions",
+    "Rendered": "vo.rendering.render:Rendered",
     "Rig": "vo.types:Rig",
     "ScaleFindings": "vo.metric_scale:ScaleFindings",
     "ScaleSource": "vo.metric_scale:ScaleSource",
@@ -91,6 +94,7 @@ _DEFINED_IN = {
     "quat_xyzw_from_rotation": "vo.geometry.transforms:quat_xyzw_from_rotation",
     "read_calibration": "vo.formats.calibration:read_calibration",
     "read_trajectory": "vo.formats.trajectory:read_trajectory",
+    "render": "vo.rendering.render:render",
     "run": "vo.api.functions:run",
     "write_calibration": "vo.formats.calibration:write_calibration",
     "write_trajectory": "vo.formats.trajectory:write_tum",
@@ -122,6 +126,8 @@ __all__ = [
     "OutputError",
     "PlanePose",
     "Recording",
+    "RenderOptions",
+    "Rendered",
     "Rig",
     "ScaleFindings",
     "ScaleSource",
@@ -141,6 +147,7 @@ __all__ = [
     "quat_xyzw_from_rotation",
     "read_calibration",
     "read_trajectory",
+    "render",
     "run",
     "write_calibration",
     "write_trajectory",

@@ -29,6 +29,7 @@ _ROOMS_WITH_KERNELS = (
     "learned",
     "mapping",
     "places",
+    "rendering",
     "tracking",
 )
 _SIZE = (240, 320)  # of the images, rows and columns

@@ -27,6 +27,7 @@ from vo.cli.map import map_command
 from vo.cli.markers import markers_command
 from vo.cli.match import match_command
 from vo.cli.models import models_command
+from vo.cli.render import render_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.sweep import sweep_command
@@ -148,6 +149,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "compare": compare_command,
         "sweep": sweep_command,
         "view": view_command,
+        "render": render_command,
         "map": map_command,
     },
     _RECORDINGS: {

@@ -1,0 +1,150 @@
+"""`vo render`: a model in the images of a recording, drawn with the poses of a run."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vo.cli import options
+from vo.cli.echo import echo, echo_json
+
+_PLACE = "Place of the model"
+
+
+class Up(StrEnum):
+    """Choices of `--up`."""
+
+    Y = "y"
+    Z = "z"
+    MINUS_Y = "-y"
+
+
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
+Model = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="MODEL",
+        help="Mesh as .ply or .obj.",
+        show_default="axes x (red), y (green), z (blue)",
+    ),
+]
+Output = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Video (.mp4) of all frames with a pose, or picture (.png, .jpg) of one.",
+        rich_help_panel=options.OUTPUT,
+    ),
+]
+At = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,Z",
+        help="Position of the middle of its underside in the world of the run (y down).",
+        rich_help_panel=_PLACE,
+    ),
+]
+InFront = Annotated[
+    str | None,
+    typer.Option(
+        metavar="N:LENGTH",
+        help="In front of the camera at frame N, at this distance, and somewhat below its axis.",
+        show_default="first frame, a quarter of the path's length",
+        rich_help_panel=_PLACE,
+    ),
+]
+Size = Annotated[
+    float | None,
+    typer.Option(
+        metavar="LENGTH",
+        help="Largest extent of the model.",
+        show_default="a fifth of the distance",
+        rich_help_panel=_PLACE,
+    ),
+]
+UpAxis = Annotated[
+    Up,
+    typer.Option(
+        "--up",
+        metavar="AXIS",
+        help="Axis of the model that points up: y, z or -y.",
+        rich_help_panel=_PLACE,
+    ),
+]
+FrameNumber = Annotated[
+    int | None,
+    typer.Option(
+        "--frame", min=0, metavar="N", help="Draw this frame alone.", rich_help_panel=options.INPUT
+    ),
+]
+
+
+def render_command(
+    run: Run,
+    model: Model = None,
+    output: Output = Path("rendered.mp4"),
+    at: At = None,
+    in_front: InFront = None,
+    size: Size = None,
+    up: UpAxis = Up.Y,
+    frame: FrameNumber = None,
+    json_output: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Place a model in a recording, and draw it with the poses of a run.
+
+    Lengths are those of the run: metres, or map units of one camera. The
+    recording must be where it was. Nothing in the images hides the model.
+
+    Draw axes in front of the first camera:
+
+      vo render out/ -o axes.mp4
+
+    Put a statue 6 m in front of the camera at frame 40, 2 m high:
+
+      vo render out/ statue.obj -o statue.mp4 --in-front 40:6 --size 2
+    """
+    from vo.cli.console import standard_error
+    from vo.cli.progress import warnings_on
+    from vo.rendering.render import RenderOptions, render
+    from vo.results.output_paths import refuse_to_overwrite
+
+    place = RenderOptions(
+        None if at is None else _numbers(at), _frame_and_length(in_front), size, up.value, frame
+    )
+    refuse_to_overwrite([model], [output])
+    with warnings_on(standard_error(), quiet=quiet):
+        done = render(run, output, model, place)
+    if json_output:
+        echo_json({**done._asdict(), "output": str(done.output), "at": list(done.at)})
+    elif not quiet:
+        position = ", ".join(f"{value:.3f}" for value in done.at)
+        echo(f"output      {done.output}")
+        echo(f"frames      {done.frames}, with the model in {done.with_model}")
+        echo(f"model at    {position} ({done.unit})")
+
+
+def _numbers(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is no position; give --at X,Y,Z") from None
+    return x, y, z
+
+
+def _frame_and_length(text: str | None) -> tuple[int, float] | None:
+    if text is None:
+        return None
+    number, _, length = text.partition(":")
+    try:
+        return int(number), float(length)
+    except ValueError:
+        raise typer.BadParameter(
+            f"'{text}' is no frame and distance; give --in-front N:LENGTH, such as 40:6"
+        ) from None
