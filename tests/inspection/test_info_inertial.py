@@ -70,6 +70,7 @@ def test_a_sound_sensor_is_described(synthetic_stereo: Path) -> None:
     assert (imu.rate_hz, imu.gaps, imu.covered) == (pytest.approx(200.0), 0, 1.0)
     assert imu.accel_m_s2 == pytest.approx(np.linalg.norm(accel, axis=1).mean())
     assert imu.cam0_from_imu is not None and np.shape(imu.cam0_from_imu) == (4, 4)
+    assert imu.noise is not None and imu.noise["gyro_noise"] == pytest.approx(1.7e-4, rel=0.5)
     assert list(imu_findings(imu)) == []
 
 
@@ -192,6 +193,8 @@ def test_all_topics_of_a_log_are_listed(tmp_path: Path, container: str) -> None:
     (imu,) = report["imu"]
     assert (imu["name"], imu["count"], imu["covered"]) == ("/imu", 30, None)
     assert imu["accel_m_s2"] == pytest.approx(9.81) and imu["cam0_from_imu"] is None
+    assert imu["noise"] is None
     lines = CliRunner().invoke(app, ["info", str(path)]).stdout.splitlines()
+    assert any("noise unknown (taken as that of a consumer sensor)" in line for line in lines)
     assert [line.split()[-3:] for line in lines if "/chatter" in line] == [["read", "by", "vo)"]]
     assert any("/silent" in line and line.endswith("(no messages)") for line in lines)

@@ -117,9 +117,10 @@ def _compared(motion: ImuMotionReport) -> str:
 
 def _motion(imu: ImuReport) -> str:
     transform = "unknown" if imu.cam0_from_imu is None else "known"
+    noise = "unknown (taken as that of a consumer sensor)" if imu.noise is None else "known"
     return (
         f"{imu.looked_at} checked: mean acceleration {imu.accel_m_s2:.4g} m/s², median rate "
-        f"{imu.gyro_rad_s:.3g} rad/s; cam0_from_imu {transform}"
+        f"{imu.gyro_rad_s:.3g} rad/s; cam0_from_imu {transform}, noise {noise}"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -84,6 +85,7 @@ def _check(imu: Imu, image_stamps_ns: Ints, everything: bool) -> ImuReport:
         gyro_saturated=saturated(samples.gyro, _MIN_RANGE_RAD_S),
         accel_saturated=saturated(samples.accel, _MIN_RANGE_M_S2),
         clock_ahead_s=_clock_ahead_s(stamps, image_stamps_ns),
+        noise=None if imu.noise is None else asdict(imu.noise),
     )
 
 

@@ -156,6 +156,7 @@ class ImuReport:
         accel_saturated: the same of the accelerometer.
         clock_ahead_s: first sample minus first image; None without images.
         motion: comparison with the images, of the first sensor only; None without one.
+        noise: densities and random walks, as in `vo.types.ImuNoise`; None if unknown.
     """
 
     name: str
@@ -177,6 +178,7 @@ class ImuReport:
     accel_saturated: float = 0.0
     clock_ahead_s: float | None = None
     motion: ImuMotionReport | None = None
+    noise: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
