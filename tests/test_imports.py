@@ -58,10 +58,12 @@ ALLOWED = {
     # Type checkers see the public names, which are imported when they are first used.
     "vo": GROUND
     | OUTER
-    | {"vo.api", "vo.backend", "vo.features", "vo.markers", "vo.rendering", "vo.stages"},
+    | {"vo.api", "vo.backend", "vo.features", "vo.markers", "vo.rendering", "vo.stages"}
+    | {"vo.objects"},
     "vo.api": GROUND
     | OUTER
-    | {"vo.features", "vo.markers", "vo.odometry", "vo.run_recording", "vo.stages", "vo.warmup"},
+    | {"vo.features", "vo.markers", "vo.odometry", "vo.run_recording", "vo.stages", "vo.warmup"}
+    | {"vo.objects"},
     **{module: BASE for module in BASE},
     "vo.progress": BASE,
     "vo.interrupts": BASE,
@@ -78,6 +80,7 @@ ALLOWED = {
     "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
     "vo.laboratory": GROUND
     | {"vo.features", "vo.frontend", "vo.places", "vo.sources", "vo.evaluation"},
+    "vo.objects": GROUND | {"vo.features", "vo.frontend"},
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.rendering": GROUND | {"vo.report", "vo.sources"},
     "vo.batch": GROUND
@@ -95,7 +98,7 @@ ALLOWED = {
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup", "vo.features", "vo.learned"}
-    | {"vo.laboratory", "vo.markers", "vo.rendering", "vo.places", "vo.batch"}
+    | {"vo.laboratory", "vo.markers", "vo.rendering", "vo.places", "vo.batch", "vo.objects"}
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}

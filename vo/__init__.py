@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
     from vo.api.matching import match
+    from vo.api.objects import ObjectDatabase
     from vo.api.odometry import Odometry
     from vo.calibration_errors import CalibrationErrors
     from vo.config import Config, load_config
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from vo.geometry.transforms import quat_xyzw_from_rotation
     from vo.markers.records import Marker, PlanePose
     from vo.metric_scale import MetricScale, ScaleFindings, ScaleSource
+    from vo.objects.records import FoundObject
     from vo.recording.exports import Exports
     from vo.rendering.render import Rendered, RenderOptions, render
     from vo.results.summary import Summary
@@ -64,12 +66,14 @@ _DEFINED_IN = {
     "FailureReason": "vo.failures:FailureReason",
     "Fault": "vo.faults:Fault",
     "FaultKind": "vo.faults:FaultKind",
+    "FoundObject": "vo.objects.records:FoundObject",
     "Frame": "vo.types:Frame",
     "FrameStream": "vo.sources.source:FrameStream",
     "InputError": "vo.errors:InputError",
     "KeyframePose": "vo.types:KeyframePose",
     "Marker": "vo.markers.records:Marker",
     "MetricScale": "vo.metric_scale:MetricScale",
+    "ObjectDatabase": "vo.api.objects:ObjectDatabase",
     "Odometry": "vo.api.odometry:Odometry",
     "OutputError": "vo.errors:OutputError",
     "PlanePose": "vo.markers.records:PlanePose",
@@ -116,12 +120,14 @@ __all__ = [
     "FailureReason",
     "Fault",
     "FaultKind",
+    "FoundObject",
     "Frame",
     "FrameStream",
     "InputError",
     "KeyframePose",
     "Marker",
     "MetricScale",
+    "ObjectDatabase",
     "Odometry",
     "OutputError",
     "PlanePose",

@@ -28,6 +28,7 @@ _ROOMS_WITH_KERNELS = (
     "geometry",
     "learned",
     "mapping",
+    "objects",
     "places",
     "rendering",
     "tracking",

@@ -39,7 +39,7 @@ def test_every_command_can_be_verbose_quiet_or_print_json(name: str) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
     required = [p for p in COMMANDS[name].params if p.required and p.param_type_name == "argument"]
-    first = {"map": "info", "vocabulary": "train"}.get(name, "x")
+    first = {"map": "info", "vocabulary": "train", "recognize": "list"}.get(name, "x")
     words = [name, *([first, *"x" * len(required)][: len(required)]), "-q", "-v"]
     words += ["-o", "y"] if name in ("run", "vocabulary") else []
     result = CliRunner().invoke(app, words)
@@ -52,12 +52,21 @@ def test_formats_and_pictures_are_called_the_same(name: str) -> None:
     options = {p.name: p for p in COMMANDS[name].params}
     reads_a_recording = name in (
         *("run", "batch", "info", "convert", "calibrate", "features"),
-        "markers",
+        *("markers", "recognize"),
     )
     writes_a_recording = name in ("convert", "synth")
     assert ("format" in options) == reads_a_recording
     assert ("to" in options) == writes_a_recording
-    with_picture = ("eval", "info", "report", "calibrate", "features", "match", "markers")
+    with_picture = (
+        "eval",
+        "info",
+        "report",
+        "calibrate",
+        "features",
+        "match",
+        "markers",
+        "recognize",
+    )
     assert ("picture" in options) == (name in with_picture)
 
 

@@ -27,6 +27,7 @@ from vo.cli.map import map_command
 from vo.cli.markers import markers_command
 from vo.cli.match import match_command
 from vo.cli.models import models_command
+from vo.cli.recognize import recognize_command
 from vo.cli.render import render_command
 from vo.cli.report import report_command
 from vo.cli.run import run_command
@@ -161,6 +162,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     _FEATURES: {
         "features": features_command,
         "match": match_command,
+        "recognize": recognize_command,
         "markers": markers_command,
         "models": models_command,
         "vocabulary": vocabulary_command,

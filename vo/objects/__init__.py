@@ -1,0 +1,1 @@
+"""Recognition of textured objects: a database of them, and their instances in images."""

@@ -1,0 +1,115 @@
+"""Matches of a scene with a side of a stored object; many of the scene may match one of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.objects.records import Part
+from vo.objects.scene_features import SceneFeatures, unit_vectors
+from vo.types import Bools, Floats, Floats32, Ints
+
+_SAME_PLACE = 0.015  # of the size of a part: features so near to each other are of one place
+_MAX_RATIO = 0.72  # of squared distances of the nearest and the nearest of another place
+
+_SHEAR = 0.4  # difference of two motions per distance: views from the side
+_LOOSE_PX = 6.0
+_MAX_TURN = np.deg2rad(35.0)
+_MAX_ZOOM = np.log(2.0)
+
+
+class PartMatches(NamedTuple):
+    """Matches; rows belong together.
+
+    Attributes:
+        scene: (n,) rows of the scene's features.
+        part: (n,) rows of the part's features; one may occur several times.
+        ratio: (n,) squared distance relative to that of another place; lower is better.
+    """
+
+    scene: Ints
+    part: Ints
+    ratio: Floats
+
+    def select(self, rows: Ints | Bools) -> PartMatches:
+        """Some of them."""
+        return PartMatches(self.scene[rows], self.part[rows], self.ratio[rows])
+
+
+class PartVectors(NamedTuple):
+    """A part as it is matched; rows belong together.
+
+    Attributes:
+        vector: (N, width) unit vectors.
+        xy: (N, 2) pixels of the stored image.
+        angle: (N,) radians, NaN without orientation.
+        size: (N,) relative to the smallest features.
+        same: (N, N) which features are at the same place.
+    """
+
+    vector: Floats32
+    xy: Floats32
+    angle: Floats32
+    size: Floats32
+    same: Bools
+
+
+def part_vectors(part: Part) -> PartVectors:
+    """Prepare a part for matching."""
+    xy = part.xy
+    size = float(np.ptp(xy, axis=0).max()) if len(xy) else 0.0
+    away = np.abs(xy[:, None] - xy[None]).max(axis=2)
+    same = np.asarray(away <= _SAME_PLACE * size)
+    return PartVectors(unit_vectors(part.descriptor), xy, part.angle, part.size, same)
+
+
+def match_part(scene: SceneFeatures, part: PartVectors) -> PartMatches:
+    """The nearest feature of the part for each of the scene that has clearly one.
+
+    Source: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004, sec. 7.1;
+    the second-nearest is the nearest at another place of the part.
+    """
+    if not len(scene) or not len(part.vector):
+        empty = np.zeros(0, np.int64)
+        return PartMatches(empty, empty, np.zeros(0))
+    likeness = scene.vector @ part.vector.T
+    nearest = likeness.argmax(axis=1)
+    rows = np.arange(len(scene))
+    best = likeness[rows, nearest]
+    likeness[part.same[nearest]] = -1.0
+    second = likeness.max(axis=1)
+    ratio = (1.0 - best) / np.maximum(1.0 - second, 1e-6)
+    good = np.flatnonzero(ratio <= _MAX_RATIO)
+    return PartMatches(good, nearest[good].astype(np.int64), ratio[good].astype(np.float64))
+
+
+def common_motion(scene: SceneFeatures, part: PartVectors, matches: PartMatches) -> Ints | None:
+    """Rows of the matches of most places that move alike; None if features have no orientation.
+
+    Every match by itself tells a rotation, a scale and a place, as its features do; the one that
+    most others agree with decides, roughly, so that a view from the side still agrees.
+
+    Source: Lowe 2004, sec. 7.3, without bins.
+    """
+    turn = scene.angle[matches.scene] - part.angle[matches.part]
+    if not len(turn) or not np.isfinite(turn).all():
+        return None
+    zoom = np.log(scene.size[matches.scene] / part.size[matches.part])
+    first = part.xy[matches.part].astype(np.float64)
+    second = scene.xy[matches.scene].astype(np.float64)
+    a = (np.exp(zoom) * np.exp(1j * turn)).astype(np.complex128)
+    p, q = first[:, 0] + 1j * first[:, 1], second[:, 0] + 1j * second[:, 1]
+    step = p[None, :] - p[:, None]
+    error = np.abs(q[:, None] + a[:, None] * step - q[None, :])
+    reach = _SHEAR * np.abs(a)[:, None] * np.abs(step) + _LOOSE_PX
+    turned = np.abs(np.angle(np.exp(1j * (turn[None, :] - turn[:, None]))))
+    agree = (
+        (error <= reach) & (turned <= _MAX_TURN) & (np.abs(zoom[None] - zoom[:, None]) <= _MAX_ZOOM)
+    )
+    # Several matches of one place count once.
+    _, place = np.unique(np.rint(first / 3.0), axis=0, return_inverse=True)
+    places = np.zeros((len(p), int(place.max()) + 1), bool)
+    rows, columns = np.nonzero(agree)
+    places[rows, place.ravel()[columns]] = True
+    return np.flatnonzero(agree[int(places.sum(axis=1).argmax())])
