@@ -20,6 +20,7 @@ from vo.frontend.preprocessing import FramePreprocessor
 from vo.frontend.static_masks import StaticMasks, recorded_masks
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
+from vo.geometry.transforms import inverse
 from vo.inertial.samples import InertialSensor
 from vo.map_creator import Initializers, MapCreator
 from vo.map_updater import MapUpdater
@@ -124,7 +125,7 @@ def make_stages(
         stores.append(own)
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
-    motion = components.motion or ConstantVelocity()
+    motion = components.motion or _motion(components, rectified)
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
     policy = _policy(config, is_metric=rig.is_metric)
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
@@ -161,6 +162,18 @@ def _inertial_or_none(
     from vo.inertial_alignment import InertialAlignment
 
     return InertialAlignment(sensor, components.inertial_noise, rig, trajectory, stopwatch)
+
+
+def _motion(components: Components, rig: RectifiedRig) -> MotionModel:
+    """The built-in motion model; that of two cameras needs no gyroscope."""
+    sensor = components.inertial_sensor
+    if sensor is None or sensor.cam0_from_imu is None or rig.is_stereo:
+        return ConstantVelocity()
+    from vo.inertial.samples import SampleReader
+    from vo.tracking.gyro_motion import GyroMotion
+
+    imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified
+    return GyroMotion(SampleReader(sensor), imu_from_cam)
 
 
 def _local_map(
