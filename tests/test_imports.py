@@ -73,7 +73,7 @@ ALLOWED = {
     **{room: GROUND | _below(n) for n, rooms in enumerate(FLOORS) for room in rooms},
     "vo.odometry": GROUND | _below(len(FLOORS) - 1) | {"vo.warmup"},
     **{room: GROUND for room in OUTER},
-    "vo.scaling": GROUND | {"vo.sources"},
+    "vo.scaling": GROUND | {"vo.markers", "vo.sources"},
     "vo.results": GROUND | {"vo"},
     "vo.calibrating": GROUND,
     "vo.markers": GROUND | {"vo.calibrating"},

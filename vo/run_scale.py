@@ -39,7 +39,7 @@ class RunScale:
             source.observe(estimate, snapshot)
 
     def apply(self, store: TrajectoryStore, folder: Path) -> None:
-        """Measure, convert the path, and write the files of the path on the globe.
+        """Measure, convert the path, and write the files of markers and globe.
 
         Raises:
             OutputError: one of them cannot be written.
@@ -52,6 +52,8 @@ class RunScale:
         self.findings = choose_scales(measured)
         if self.by_world:
             store.apply_scales(self.by_world)
+        if self._sources.markers is not None:
+            self._sources.markers.write(folder, self.by_world)
         if self._sources.on_globe is not None:
             notes = write_georeference(folder, store.path(), self._sources.on_globe)
             self.findings = choose_scales([*measured, ScaleFindings((), tuple(notes))])

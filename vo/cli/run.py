@@ -271,6 +271,8 @@ def run_command(
     scale_offset: scale_options.ScaleOffset = 0.0,
     georeference: scale_options.Georeference = False,
     height: scale_options.Height = None,
+    markers: scale_options.Markers = None,
+    marker_dictionary: scale_options.MarkerDictionary = "auto",
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
     spawn: Spawn = False,
@@ -339,6 +341,7 @@ def run_command(
     from vo.cli.run_status import parse_share
 
     topics = tuple(topic or ())
+    offset_ns = round(1e9 * scale_offset)
     if json_output and "-" in (poses or ()):
         raise typer.BadParameter("--json and --poses - both need standard output; use one of them")
     min_share = None if fail_under is None else parse_share(fail_under)
@@ -371,7 +374,7 @@ def run_command(
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
                 no_imu,
             ),
-            Scale(scale_from, round(1e9 * scale_offset), georeference, height),
+            Scale(scale_from, offset_ns, georeference, height, markers, marker_dictionary),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
                 output,

@@ -69,6 +69,8 @@ class Scale(NamedTuple):
     offset_ns: int
     georeference: bool
     height_m: float | None = None
+    marker_length_m: float | None = None
+    marker_dictionary: str = "auto"
 
 
 class Visualisation(NamedTuple):

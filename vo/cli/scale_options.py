@@ -44,3 +44,20 @@ Height = Annotated[
         rich_help_panel=_SCALE,
     ),
 ]
+Markers = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Search ArUco or AprilTag markers with black squares of this side: they give a mono "
+        "path its scale, and are written to markers.csv.",
+        rich_help_panel=_SCALE,
+    ),
+]
+MarkerDictionary = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Dictionary of --markers, such as tag36h11; auto: the one that the images show.",
+        rich_help_panel=_SCALE,
+    ),
+]

@@ -19,6 +19,7 @@ from vo.types import Bytes, Camera, Floats
 _SUBPIX_SIGMA_PX, _APRILTAG_SIGMA_PX, _RAW_SIGMA_PX = 0.15, 0.12, 0.6
 _MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show
 _CELL_PX = 8  # of a marker seen from the front, for that comparison
+_MIN_LEAD = 2  # markers by which a dictionary is ahead of the next one
 MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
 
 
@@ -99,33 +100,62 @@ class MarkerDetector:
         return float(np.corrcoef(means, expected)[0, 1])
 
 
-def find_dictionary(images: Iterable[Bytes], what: str) -> str | None:
-    """The dictionary whose markers some images show, None if they show none.
+class DictionarySearch:
+    """Finds the dictionary whose markers images show, one image after the other."""
 
-    Args:
-        images: (H, W) uint8.
-        what: their name, for messages.
+    def __init__(self) -> None:
+        dictionaries = [dictionary(name) for name in CANDIDATES]
+        parameters = _parameters(Refinement.LINES, is_strict=True)
+        self._all = cv2.aruco.ArucoDetector(dictionaries, parameters)
+        self._single: dict[str, MarkerDetector] = {}
+        self._counts: Counter[str] = Counter()
+        self._ids: dict[str, set[int]] = {}
+
+    def add(self, image: Bytes) -> str | None:
+        """The largest dictionary of a kind that leads by two markers after this image (H, W)."""
+        _, ids, _, which = self._all.detectMarkersMultiDict(image)
+        if ids is not None:
+            for index in sorted(set(np.asarray(which).ravel().tolist())):
+                self._count(CANDIDATES[index], image)
+        first, second = ([*self._counts.most_common(2), ("", 0), ("", 0)])[:2]
+        return first[0] if first[1] >= second[1] + _MIN_LEAD else None
+
+    def found(self, what: str) -> str | None:
+        """The dictionary with most markers, the smallest with all ids; None without any marker.
+
+        Raises:
+            ConfigError: two dictionaries fit `what` equally well.
+        """
+        most = max(self._counts.values(), default=0)
+        best = [name for name in CANDIDATES if self._counts[name] == most]
+        if not most:
+            return None
+        if len(best) > 1:
+            raise ConfigError(
+                f"the markers of {what} fit dictionaries {' and '.join(best)} equally; choose one: "
+                "--dictionary"
+            )
+        return smallest_containing(best[0], sorted(self._ids[best[0]]))
+
+    def _count(self, name: str, image: Bytes) -> None:
+        if name not in self._single:
+            self._single[name] = MarkerDetector(name, is_strict=True)
+        numbers = [marker.id for marker in self._single[name].detect(image)]
+        if numbers:
+            self._counts[name] += len(numbers)
+            self._ids.setdefault(name, set()).update(numbers)
+
+
+def find_dictionary(images: Iterable[Bytes], what: str) -> str | None:
+    """The dictionary whose markers images (H, W) show, None if they show none.
 
     Raises:
         ConfigError: two dictionaries fit equally well.
     """
-    detectors = [MarkerDetector(name, is_strict=True) for name in CANDIDATES]
-    counts: Counter[str] = Counter()
-    ids: dict[str, set[int]] = {name: set() for name in CANDIDATES}
+    search = DictionarySearch()
     for image in images:
-        for detector in detectors:
-            numbers = [marker.id for marker in detector.detect(image)]
-            counts[detector.name] += len(numbers)
-            ids[detector.name].update(numbers)
-    best = [name for name in CANDIDATES if counts[name] == max(counts.values(), default=0)]
-    if not counts.total():
-        return None
-    if len(best) > 1:
-        raise ConfigError(
-            f"the markers of {what} fit dictionaries {' and '.join(best)} equally; choose one: "
-            "--dictionary"
-        )
-    return smallest_containing(best[0], sorted(ids[best[0]]))
+        search.add(image)
+    return search.found(what)
 
 
 def make_detector(

@@ -28,8 +28,9 @@ CONFIG = "config.yaml"
 
 _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
 GEOJSON, KML = "path.geojson", "path.kml"  # only with --georeference
+MARKERS = "markers.csv"  # only with --markers
 
-RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, GEOJSON, KML)
+RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, GEOJSON, KML, MARKERS)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 

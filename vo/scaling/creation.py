@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from vo.errors import ConfigError, SourceError
+from vo.markers.scale_source import MarkerSource
 from vo.metric_scale import ScaleSource
 from vo.scaling.height_source import HeightSource
 from vo.scaling.position_source import PositionSource
@@ -25,19 +26,24 @@ class ScaleOptions:
         offset_ns: added to the times of the positions.
         georeference: whether the path is placed on the globe.
         height_m: height of the camera above flat ground, None if it is unknown.
+        marker_length_m: side of markers that may be in view, None for no search.
+        marker_dictionary: theirs, as for `vo markers`.
     """
 
     positions: str | None = None
     offset_ns: int = 0
     georeference: bool = False
     height_m: float | None = None
+    marker_length_m: float | None = None
+    marker_dictionary: str = "auto"
 
 
 class ScaleSources(NamedTuple):
-    """All sources of scale of a run; `on_globe` places its path, None for no such files."""
+    """All sources of scale of a run; `on_globe` and `markers` write files."""
 
     all: tuple[ScaleSource, ...] = ()
     on_globe: PositionSource | None = None
+    markers: MarkerSource | None = None
 
 
 def make_scale_sources(
@@ -59,6 +65,8 @@ def make_scale_sources(
         SourceError: positions are missing, damaged or of another time.
     """
     is_metric = stream.rig.is_metric
+    markers = _markers(options, is_metric=is_metric)
+    others = others if markers is None else (markers, *others)
     if options.height_m is not None:
         if is_metric:
             raise ConfigError(
@@ -75,7 +83,7 @@ def make_scale_sources(
             raise ConfigError("--georeference needs positions: give them by --scale-from")
         if options.offset_ns:
             raise ConfigError("--scale-offset is for the positions of --scale-from; give both")
-        return ScaleSources(tuple(others))
+        return ScaleSources(tuple(others), None, markers)
     positions = read_positions(options.positions, recording).shifted(options.offset_ns)
     if options.georeference and positions.origin is None:
         raise ConfigError(
@@ -86,4 +94,15 @@ def make_scale_sources(
         source.check_times(stream.stamps_ns)
     if len(positions.stamps_ns) < 2:
         raise SourceError(f"{positions.name} has only one position; give at least two")
-    return ScaleSources((source, *others), source if options.georeference else None)
+    return ScaleSources((source, *others), source if options.georeference else None, markers)
+
+
+def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
+    if options.marker_length_m is not None:
+        length_m, dictionary = options.marker_length_m, options.marker_dictionary
+        return MarkerSource(length_m, dictionary, is_metric=is_metric)
+    if options.marker_dictionary != "auto":
+        raise ConfigError(
+            "--marker-dictionary is for --markers, the side of the squares; give both"
+        )
+    return None

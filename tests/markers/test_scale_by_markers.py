@@ -1,0 +1,203 @@
+"""The scale of a mono path by markers, simulated and in whole runs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from marker_views import Placed, render
+from typer.testing import CliRunner
+
+from vo.cli.app import app
+from vo.formats.trajectory import read_tum
+from vo.geometry.similarity import umeyama
+from vo.geometry.transforms import inverse, make_transform, rotation_angle, se3_exp, so3_exp
+from vo.markers.plane_pose import plane_pose, square_points
+from vo.markers.scale_fit import MarkerView, ScaleFit, fit_scale
+from vo.sources.registry import open_source
+from vo.types import Camera, Floats, Trajectory
+
+LENGTH_M = 0.16
+CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
+FACING = so3_exp(np.array([np.pi, 0.0, 0.0]))  # towards a camera that looks along z
+FRAMES, STEP_NS = 24, 80_000_000
+
+
+def _views(
+    rng: np.random.Generator, units: float, corner_px: float, drift: float, span_m: float = 1.0
+) -> tuple[list[MarkerView], Floats, Floats]:
+    """Views of a marker from a moving camera; poses of an odometry that drifts; the true marker."""
+    tilt = so3_exp(rng.normal(0.0, 0.3, 3))
+    marker = make_transform(FACING @ tilt, np.array([0.1, rng.uniform(-0.2, 0.2), 2.2]))
+    direction = rng.normal(size=3) * (1.0, 1.0, 0.5)
+    direction /= np.linalg.norm(direction)
+    walk, views, poses = np.zeros(6), [], []
+    sigma = max(corner_px, 0.01)
+    for n in range(FRAMES):
+        share = n / (FRAMES - 1)
+        bend = 0.03 * np.array([np.sin(5 * share), np.cos(4 * share), np.sin(3 * share)])
+        turn = so3_exp(np.array([0.05 * np.sin(3 * share), 0.1 * share, 0.02 * share]))
+        true = make_transform(turn, direction * span_m * (share - 0.5) + min(span_m, 1.0) * bend)
+        pose = true.copy()
+        pose[:3, 3] *= units
+        walk += np.concatenate([rng.normal(0, 3e-4, 3), rng.normal(0, 8e-4 * units, 3)]) * drift
+        seen = inverse(true) @ marker
+        points = square_points(LENGTH_M) @ seen[:3, :3].T + seen[:3, 3]
+        pixels = points[:, :2] / points[:, 2:] * 600.0 + (319.5, 239.5)
+        pixels = pixels + rng.normal(0.0, corner_px, (4, 2))
+        if pixels.min() < 0 or (pixels > (639, 479)).any():
+            continue
+        found = plane_pose(CAMERA, square_points(LENGTH_M), pixels, sigma)
+        assert found is not None
+        solutions = (found.cam_from_marker, *([] if found.other is None else [found.other]))
+        rays = (pixels - (319.5, 239.5)) / 600.0
+        sigmas = np.full(2, sigma / 600.0)
+        views.append(MarkerView(n, n * STEP_NS, 3, rays, sigmas, solutions, np.eye(4)))
+        poses.append(pose @ se3_exp(walk))
+    return views, np.array(poses), marker
+
+
+def _fit(views: list[MarkerView], poses: Floats, *, is_metric: bool = False) -> ScaleFit:
+    fit = fit_scale(views, poses, LENGTH_M, is_metric=is_metric)
+    assert fit is not None
+    return fit
+
+
+def test_exact_views_give_the_exact_scale_and_marker() -> None:
+    views, poses, marker = _views(np.random.default_rng(0), 0.4, 0.0, 0.0)
+    fit = _fit(views, poses)
+    assert fit.metres_per_unit == pytest.approx(1.0 / 0.4, rel=1e-9)
+    (placed,) = fit.markers
+    np.testing.assert_allclose(placed.world_from_marker, marker, atol=1e-8)
+    assert (placed.views, placed.first_frame, placed.last_frame) == (24, 0, 23)
+    assert fit.relative_sigma == pytest.approx(0.0035, abs=0.0015)  # the size of the path itself
+
+
+def test_a_wrong_solution_of_some_views_does_not_matter() -> None:
+    views, poses, marker = _views(np.random.default_rng(1), 2.0, 0.0, 0.0)
+    flipped = [
+        view._replace(solutions=view.solutions[::-1]) if n % 3 == 0 else view
+        for n, view in enumerate(views)
+    ]
+    fit = _fit(flipped, poses)
+    assert fit.metres_per_unit == pytest.approx(0.5, rel=1e-6)
+    turned = rotation_angle(fit.markers[0].world_from_marker[:3, :3] @ marker[:3, :3].T)
+    assert turned < 1e-5
+
+
+@pytest.mark.parametrize("span_m", [1.0, 0.4])
+def test_the_stated_sigma_covers_the_truth(span_m: float) -> None:
+    errors, sigmas = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        units = float(np.exp(rng.uniform(-1.0, 1.0)))
+        views, poses, _ = _views(rng, units, 0.05, 1.0, span_m)
+        fit = _fit(views, poses)
+        errors.append(np.log(fit.metres_per_unit * units))
+        sigmas.append(fit.relative_sigma)
+    covered = np.sum(np.abs(errors) < 1.96 * np.array(sigmas))
+    assert covered >= 36
+    assert np.sqrt(np.mean(np.square(errors))) > 0.5 * np.mean(sigmas)  # and is not idle
+
+
+def test_a_camera_that_stands_still_says_that_it_knows_nothing() -> None:
+    views, poses, _ = _views(np.random.default_rng(2), 0.7, 0.05, 1.0, span_m=0.002)
+    fit = fit_scale(views, poses, LENGTH_M, is_metric=False)
+    assert fit is None or fit.relative_sigma > 0.1
+
+
+@pytest.fixture(scope="module")
+def with_marker(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The walk, with a marker that hangs in front of the camera for all of its three seconds."""
+    folder = tmp_path_factory.mktemp("marked") / "walk"
+    shutil.copytree(synthetic_stereo, folder)
+    recording = open_source(synthetic_stereo, mode="mono")
+    truth = read_tum(synthetic_stereo / "groundtruth.tum")
+    camera = recording.rig.cam0
+    middle = truth.world_from_cam[len(truth) // 2]
+    world_from_marker = middle @ make_transform(
+        FACING @ so3_exp(np.array([0.3, 0.4, 0.1])), np.array([0.0, 0.0, 1.6])
+    )
+    files = sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))
+    assert len(files) == len(truth)
+    for path, world_from_cam in zip(files, truth.world_from_cam, strict=True):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        pose = inverse(world_from_cam) @ world_from_marker
+        if pose[2, 3] > 0.4:
+            placed = Placed("4X4_50", 7, LENGTH_M, pose)
+            levels = cv2.GaussianBlur(render(camera, placed, image), (0, 0), 0.5)
+            image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(path), image)
+    return folder
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert isinstance(found, dict)
+    return found
+
+
+def _scale_to(truth: Trajectory, path: Path) -> float:
+    """Scale that aligns a path with the truth, 1 for a path in metres."""
+    estimate = read_tum(path)
+    _, mine, theirs = np.intersect1d(
+        estimate.stamps_ns, truth.stamps_ns, return_indices=True, assume_unique=True
+    )
+    assert len(mine) > 20
+    found = umeyama(estimate.positions[mine], truth.positions[theirs], with_scale=True)
+    return float(found.scale)
+
+
+def test_a_marker_in_view_gives_a_mono_run_in_metres(with_marker: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    words = ["run", str(with_marker), "-o", str(output), "--mode", "mono", "--config", "fast"]
+    result = CliRunner().invoke(app, [*words, "--markers", "0.16"])
+    assert result.exit_code == 0, result.output
+    summary = _summary(output)
+    assert summary["length_unit"] == "m"
+    (scale,) = summary["scales"]
+    assert scale["source"] == "markers 7"
+    assert scale["sigma"] / scale["value"] < 0.02
+    truth = read_tum(with_marker / "groundtruth.tum")
+    assert _scale_to(truth, output / "trajectory.tum") == pytest.approx(1.0, abs=0.01)
+    (row,) = csv.DictReader((output / "markers.csv").read_text().splitlines())
+    assert row["id"] == "7" and int(row["views"]) >= 10
+    assert 1.0 < float(row["tz"]) < 4.0
+
+
+def test_a_run_without_a_marker_says_so(synthetic_stereo: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    words = ["run", str(synthetic_stereo), "-o", str(output), "--mode", "mono", "--end", "12"]
+    result = CliRunner().invoke(app, [*words, "--config", "fast", "--markers", "0.16"])
+    assert result.exit_code == 0, result.output
+    summary = _summary(output)
+    assert summary["length_unit"] == "map units"
+    assert any("no marker of any dictionary was seen" in text for text in summary["warnings"])
+
+
+def test_a_length_in_millimetres_is_refused_before_the_run(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "out"
+    words = ["run", str(synthetic_stereo), "-o", str(output), "--markers", "160"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert "metres, not millimetres: 0.16" in result.stderr
+    assert not output.exists()
+    words[-2:] = ["--marker-dictionary", "tag36h11"]
+    result = CliRunner().invoke(app, words)
+    assert "--marker-dictionary is for --markers" in result.stderr
+
+
+def test_a_wrong_marker_contradicts_a_stereo_run(with_marker: Path, tmp_path: Path) -> None:
+    words = ["run", str(with_marker), "-o", str(tmp_path / "out"), "--config", "fast", "--json"]
+    result = CliRunner().invoke(app, [*words, "--markers", "0.2", "--marker-dictionary", "4X4_50"])
+    assert result.exit_code == 0, result.output
+    warnings = _summary(tmp_path / "out")["warnings"]
+    assert any("by the markers of 200 mm all lengths would be +2" in text for text in warnings)
