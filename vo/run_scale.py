@@ -54,6 +54,9 @@ class RunScale:
             store.apply_scales(self.by_world)
         if self._sources.markers is not None:
             self._sources.markers.write(folder, self.by_world)
+            worlds, untold = self._sources.markers.new_worlds(self.by_world)
+            store.turn_worlds(worlds)
+            self.findings = choose_scales([*measured, ScaleFindings((), untold)])
         if self._sources.on_globe is not None:
             notes = write_georeference(folder, store.path(), self._sources.on_globe)
             self.findings = choose_scales([*measured, ScaleFindings((), tuple(notes))])

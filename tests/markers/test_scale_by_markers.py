@@ -26,6 +26,7 @@ from vo.types import Camera, Floats, Trajectory
 LENGTH_M = 0.16
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 FACING = so3_exp(np.array([np.pi, 0.0, 0.0]))  # towards a camera that looks along z
+HANGING = make_transform(FACING @ so3_exp(np.array([0.3, 0.4, 0.1])), np.array([0.0, 0.0, 1.6]))
 FRAMES, STEP_NS = 24, 80_000_000
 
 
@@ -121,9 +122,7 @@ def with_marker(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory
     truth = read_tum(synthetic_stereo / "groundtruth.tum")
     camera = recording.rig.cam0
     middle = truth.world_from_cam[len(truth) // 2]
-    world_from_marker = middle @ make_transform(
-        FACING @ so3_exp(np.array([0.3, 0.4, 0.1])), np.array([0.0, 0.0, 1.6])
-    )
+    world_from_marker = middle @ HANGING
     files = sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))
     assert len(files) == len(truth)
     for path, world_from_cam in zip(files, truth.world_from_cam, strict=True):
@@ -193,6 +192,26 @@ def test_a_length_in_millimetres_is_refused_before_the_run(
     words[-2:] = ["--marker-dictionary", "tag36h11"]
     result = CliRunner().invoke(app, words)
     assert "--marker-dictionary is for --markers" in result.stderr
+
+
+def test_the_world_can_be_that_of_a_marker(with_marker: Path, tmp_path: Path) -> None:
+    truth = read_tum(with_marker / "groundtruth.tum")
+    output = tmp_path / "out"
+    words = ["run", str(with_marker), "-o", str(output), "--config", "fast", "--markers", "0.16"]
+    result = CliRunner().invoke(app, [*words, "--end", "15", "--world", "marker:7"])
+    assert result.exit_code == 0, result.output
+    (row,) = csv.DictReader((output / "markers.csv").read_text().splitlines())
+    assert [float(row[name]) for name in ("tx", "ty", "tz", "qw")] == pytest.approx([0, 0, 0, 1])
+    estimate = read_tum(output / "trajectory.tum")
+    marker = truth.world_from_cam[len(truth) // 2] @ HANGING
+    number = int(np.flatnonzero(truth.stamps_ns == estimate.stamps_ns[5])[0])
+    expected = inverse(marker) @ truth.world_from_cam[number]
+    np.testing.assert_allclose(estimate.positions[5], expected[:3, 3], atol=0.02)
+    absent = CliRunner().invoke(app, [*words, "--end", "12", "--world", "marker:9", "--json"])
+    assert "marker 9 has no pose in the path" in " ".join(_summary(output)["warnings"])
+    assert absent.exit_code == 0
+    wrong = CliRunner().invoke(app, [*words, "--world", "tag 7"])
+    assert "--world is 'tag 7'; give marker:ID" in wrong.stderr
 
 
 def test_a_wrong_marker_contradicts_a_stereo_run(with_marker: Path, tmp_path: Path) -> None:

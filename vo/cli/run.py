@@ -273,6 +273,7 @@ def run_command(
     height: scale_options.Height = None,
     markers: scale_options.Markers = None,
     marker_dictionary: scale_options.MarkerDictionary = "auto",
+    world: scale_options.World = None,
     rrd: Rrd = None,
     rrd_images: RrdImages = ImageSize.HALF,
     spawn: Spawn = False,
@@ -374,7 +375,7 @@ def run_command(
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
                 no_imu,
             ),
-            Scale(scale_from, offset_ns, georeference, height, markers, marker_dictionary),
+            Scale(scale_from, offset_ns, georeference, height, markers, marker_dictionary, world),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
                 output,

@@ -71,6 +71,7 @@ class Scale(NamedTuple):
     height_m: float | None = None
     marker_length_m: float | None = None
     marker_dictionary: str = "auto"
+    world: str | None = None
 
 
 class Visualisation(NamedTuple):

@@ -61,3 +61,12 @@ MarkerDictionary = Annotated[
         rich_help_panel=_SCALE,
     ),
 ]
+World = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MARKER:ID",
+        help="Write the path in the frame of this marker, such as marker:7, instead of that of the "
+        "first camera.",
+        rich_help_panel=_SCALE,
+    ),
+]

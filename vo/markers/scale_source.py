@@ -21,7 +21,7 @@ from vo.markers.records import DetectedMarker
 from vo.markers.scale_fit import MarkerView, PlacedMarker, ScaleFit, fit_scale
 from vo.metric_scale import MetricScale, ScaleFindings
 from vo.printable import counted
-from vo.types import Camera, Estimate, PlacedFrames, Snapshot, View
+from vo.types import Camera, Estimate, Floats, PlacedFrames, Snapshot, View
 
 MARKERS_FILE = "markers.csv"
 MAX_RELATIVE_SIGMA = 0.1
@@ -51,16 +51,25 @@ class MarkerSource:
         dictionary: as for `vo markers`.
         is_metric: whether the path is in metres already, as in stereo: then only their poses are
             found, and a contradiction is reported.
+        origin: id of the marker whose frame becomes that of its world, None for no change.
 
     Raises:
         ConfigError: an implausible length, or an unknown dictionary.
     """
 
-    def __init__(self, length_m: float, dictionary: str = AUTO, *, is_metric: bool) -> None:
+    def __init__(
+        self,
+        length_m: float,
+        dictionary: str = AUTO,
+        *,
+        is_metric: bool,
+        origin: int | None = None,
+    ) -> None:
         check_length(length_m)
         name = dictionary_name(dictionary)
         self._length_m = length_m
         self._is_metric = is_metric
+        self._origin = origin
         self._search = DictionarySearch() if name == AUTO else None
         self._detector = None if name == AUTO else MarkerDetector(name)
         self._views: list[MarkerView] = []
@@ -117,6 +126,29 @@ class MarkerSource:
             notes += [note] if note else []
         return ScaleFindings(tuple(scales), tuple(notes))
 
+    def new_worlds(
+        self, scales: Mapping[int, MetricScale]
+    ) -> tuple[dict[int, Floats], tuple[str, ...]]:
+        """New frames of worlds, and why there are none.
+
+        Args:
+            scales: by which the worlds have been converted, perhaps those of another source.
+
+        Returns:
+            (4, 4) marker_from_world by number of the world, in metres; sentences for the user.
+        """
+        if self._origin is None:
+            return {}, ()
+        found = {
+            each.world: inverse(_in_metres(each, scales))
+            for each in self._found
+            if each.marker.id == self._origin
+        }
+        if found:
+            return found, ()
+        note = f"marker {self._origin} has no pose in the path, which keeps its world frame"
+        return {}, (note,)
+
     def write(self, folder: Path, scales: Mapping[int, MetricScale]) -> None:
         """Write markers.csv: the markers whose pose in a world is known, in metres.
 
@@ -130,10 +162,10 @@ class MarkerSource:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_COLUMNS)
+        worlds, _ = self.new_worlds(scales)
         for each in self._found:
-            scale = scales.get(each.world)
-            factor = (1.0 if scale is None else scale.value) / each.metres_per_unit
-            writer.writerow(_row(each.world, each.marker, factor))
+            pose = worlds.get(each.world, np.eye(4)) @ _in_metres(each, scales)
+            writer.writerow(_row(each, pose))
         path = folder / MARKERS_FILE
         try:
             path.write_text(text.getvalue(), encoding="utf-8")
@@ -206,9 +238,17 @@ def _listed(ids: Sequence[int]) -> str:
     return ", ".join(str(number) for number in ids)
 
 
-def _row(world: int, marker: PlacedMarker, factor: float) -> Sequence[object]:
-    pose = marker.world_from_marker
-    numbers = (*(factor * pose[:3, 3]), *quat_xyzw_from_rotation(pose[:3, :3]))
-    texts = [f"{value:.9g}" for value in numbers] + [f"{factor * marker.sigma_m:.4g}"]
+def _in_metres(found: _Found, scales: Mapping[int, MetricScale]) -> Floats:
+    """world_from_marker (4, 4) in the metres of the path."""
+    scale = scales.get(found.world)
+    pose = found.marker.world_from_marker.copy()
+    pose[:3, 3] *= (1.0 if scale is None else scale.value) / found.metres_per_unit
+    return pose
+
+
+def _row(found: _Found, world_from_marker: Floats) -> Sequence[object]:
+    marker = found.marker
+    quat = quat_xyzw_from_rotation(world_from_marker[:3, :3])
+    texts = [f"{value:.9g}" for value in (*world_from_marker[:3, 3], *quat)]
     ends = (marker.views, marker.first_frame, marker.last_frame, f"{marker.error:.3f}")
-    return (world, marker.id, *texts, *ends)
+    return (found.world, marker.id, *texts, f"{marker.sigma_m:.4g}", *ends)

@@ -28,6 +28,7 @@ class ScaleOptions:
         height_m: height of the camera above flat ground, None if it is unknown.
         marker_length_m: side of markers that may be in view, None for no search.
         marker_dictionary: theirs, as for `vo markers`.
+        world: `marker:ID` for the frame of that marker, None for that of the first camera.
     """
 
     positions: str | None = None
@@ -36,6 +37,7 @@ class ScaleOptions:
     height_m: float | None = None
     marker_length_m: float | None = None
     marker_dictionary: str = "auto"
+    world: str | None = None
 
 
 class ScaleSources(NamedTuple):
@@ -100,9 +102,21 @@ def make_scale_sources(
 def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
     if options.marker_length_m is not None:
         length_m, dictionary = options.marker_length_m, options.marker_dictionary
-        return MarkerSource(length_m, dictionary, is_metric=is_metric)
+        origin = None if options.world is None else _marker_of(options)
+        return MarkerSource(length_m, dictionary, is_metric=is_metric, origin=origin)
+    if options.world is not None:
+        raise ConfigError("--world marker:ID needs --markers, the side of the squares; give both")
     if options.marker_dictionary != "auto":
         raise ConfigError(
             "--marker-dictionary is for --markers, the side of the squares; give both"
         )
     return None
+
+
+def _marker_of(options: ScaleOptions) -> int:
+    kind, _, number = (options.world or "").partition(":")
+    if kind != "marker" or not (number.isascii() and number.isdigit()):
+        raise ConfigError(f"--world is '{options.world}'; give marker:ID, such as marker:7")
+    if options.georeference:
+        raise ConfigError("--georeference places the path by positions; leave --world out")
+    return int(number)

@@ -210,6 +210,16 @@ class TrajectoryStore:
         worlds = {n: self.world(n) for n in np.unique(self.frames["segment"]).tolist()}
         return {number: scales[world] for number, world in worlds.items() if world in scales}
 
+    def turn_worlds(self, new_from_old: Mapping[int, Floats]) -> None:
+        """Give worlds other frames after the last frame: (4, 4) by number of the world."""
+        table = self._keyframes.rows
+        for row, segment in enumerate(table["segment"].tolist()):
+            turn = new_from_old.get(self.world(segment))
+            if turn is not None:
+                table["world_from_cam0"][row] = turn[:3, :3] @ table["world_from_cam0"][row]
+                table["world_from_cam0"][row, :, 3] += turn[:3, 3]
+        self._changed = self._changed_keyframe = 0
+
     def _follow(self, rows: Ints, anchor: Anchor) -> None:
         """Set the poses of rows of keyframes that follow a placed one."""
         table = self._keyframes.rows
