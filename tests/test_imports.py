@@ -63,7 +63,7 @@ ALLOWED = {
     "vo.api": GROUND
     | OUTER
     | {"vo.features", "vo.markers", "vo.odometry", "vo.run_recording", "vo.stages", "vo.warmup"}
-    | {"vo.objects"},
+    | {"vo.memory", "vo.objects", "vo.places"},
     **{module: BASE for module in BASE},
     "vo.progress": BASE,
     "vo.interrupts": BASE,
@@ -98,7 +98,15 @@ ALLOWED = {
     | OUTER
     | {"vo", "vo.report", "vo.calibrating", "vo.inspection", "vo.progress", "vo.backend"}
     | {"vo.odometry", "vo.run_recording", "vo.warmup", "vo.features", "vo.learned"}
-    | {"vo.laboratory", "vo.markers", "vo.rendering", "vo.places", "vo.batch", "vo.objects"}
+    | {
+        "vo.laboratory",
+        "vo.markers",
+        "vo.rendering",
+        "vo.places",
+        "vo.batch",
+        "vo.objects",
+        "vo.api",
+    }
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
     "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}

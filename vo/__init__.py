@@ -15,6 +15,7 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from vo import features
+    from vo.api import maps
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
     from vo.api.matching import match
@@ -93,6 +94,7 @@ _DEFINED_IN = {
     "features": "vo.features",
     "find_markers": "vo.api.markers:find_markers",
     "load_config": "vo.config:load_config",
+    "maps": "vo.api.maps",
     "match": "vo.api.matching:match",
     "open": "vo.sources.registry:open_source",
     "quat_xyzw_from_rotation": "vo.geometry.transforms:quat_xyzw_from_rotation",
@@ -148,6 +150,7 @@ __all__ = [
     "features",
     "find_markers",
     "load_config",
+    "maps",
     "match",
     "open",
     "quat_xyzw_from_rotation",

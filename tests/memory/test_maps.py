@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+import vo
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from data_synth.writers import euroc
+from vo.cli.app import app
 from vo.config import load_config
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.formats.trajectory import read_tum
@@ -164,3 +169,54 @@ def test_settings_that_contradict_each_other_are_refused(first: Path, tmp_path: 
             *(first / "room", tmp_path / "c", setting, "memory.localize=true"),
             save_map=tmp_path / "x.map",
         )
+
+
+def test_two_maps_of_a_place_are_merged_into_one_world(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    other, both = tmp_path / "again.map", tmp_path / "both.map"
+    _run(second, tmp_path / "out", save_map=other, mode="stereo")
+    done = CliRunner().invoke(
+        app, ["map", "merge", str(first / "room.map"), str(other), "-o", str(both)]
+    )
+    assert done.exit_code == 0, done.output
+    assert "keyframes recognised in both maps" in done.stdout
+    contents = vo.maps.info(both)
+    assert contents["sessions"] == [str(first / "room"), str(second)]
+    assert contents["worlds"] == [{"world": 0, "keyframes": contents["keyframes"]}]
+    truth, world_from_map = read_tum(second / "groundtruth.tum"), _world_from_map(first / "room")
+    with MapFile(first / "room.map") as old, vo.maps.load(both) as merged:
+        poses = dict(zip(merged.placed.keys, merged.placed.world_from_cam, strict=True))
+        for key, pose in zip(old.placed.keys, old.placed.world_from_cam, strict=True):
+            np.testing.assert_allclose(poses[key], pose, atol=1e-9)
+        errors = []
+        for key in merged.keys:
+            if key.session == 1:
+                row = np.searchsorted(truth.stamps_ns, merged.place(key).frame.stamp_ns)
+                position = (world_from_map @ poses[key])[:3, 3]
+                errors.append(np.linalg.norm(position - truth.positions[row]))
+    assert len(errors) >= 5 and np.median(errors) < 0.03
+    # The merged map is one to continue in, and to export.
+    setting = f"memory.map={json.dumps(str(both))}"
+    again = _run(second, tmp_path / "in", setting, "memory.localize=true", mode="stereo")
+    assert again["map"]["met"] == [0]
+    assert vo.maps.export(both, tmp_path / "both.ply") > 1000
+
+
+def test_maps_that_share_no_place_are_not_merged(first: Path, second: Path, tmp_path: Path) -> None:
+    mirrored = replace_images(second, tmp_path / "mirrored")
+    other, both = tmp_path / "mirrored.map", tmp_path / "both.map"
+    _run(mirrored, tmp_path / "out", save_map=other, mode="stereo")
+    with pytest.raises(ConfigError, match="share no place that is recognised"):
+        vo.maps.merge(first / "room.map", other, both)
+    assert not both.exists()
+    with pytest.raises(OutputError, match="is an input and would be replaced"):
+        vo.maps.merge(first / "room.map", other, other)
+
+
+def replace_images(recording: Path, folder: Path) -> Path:
+    """A copy of a recording whose images are upside down: another place, consistent in itself."""
+    shutil.copytree(recording, folder)
+    for path in folder.rglob("*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[::-1])
+    return folder

@@ -1,18 +1,15 @@
-"""`vo map`: what a map file contains, and its points for other programs."""
+"""`vo map`: what a map file contains, its points for other programs, and two maps as one."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from vo.cli import options
 from vo.cli.echo import echo, echo_json
-
-if TYPE_CHECKING:
-    from vo.places.map_file import MapFile
 
 
 class MapAction(StrEnum):
@@ -20,23 +17,27 @@ class MapAction(StrEnum):
 
     INFO = "info"
     EXPORT = "export"
+    MERGE = "merge"
 
 
 Action = Annotated[
     MapAction,
     typer.Argument(
         metavar="ACTION",
-        help="info: check a map and list what is in it; export: write its points as PLY.",
+        help="info: check a map and list what is in it; export: write its points as PLY; "
+        "merge: write two maps that share a place as one.",
     ),
 ]
-File = Annotated[Path, typer.Argument(metavar="FILE", help="Map file.")]
+Files = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help="Map file; two of them to merge.")
+]
 Output = Annotated[
     Path | None,
     typer.Option(
         "--output",
         "-o",
         metavar="FILE",
-        help="PLY file to write (export).",
+        help="File to write: PLY (export), or a map (merge).",
         rich_help_panel=options.OUTPUT,
     ),
 ]
@@ -50,16 +51,28 @@ World = Annotated[
 ]
 
 
+Vocabulary = Annotated[
+    Path | None,
+    typer.Option(
+        "--vocabulary",
+        metavar="FILE",
+        help="Vocabulary of both maps (merge); by default the built-in one.",
+        rich_help_panel=options.INPUT,
+    ),
+]
+
+
 def map_command(
     action: Action,
-    file: File,
+    files: Files,
     output: Output = None,
     world: World = None,
+    vocabulary: Vocabulary = None,
     json_output: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Check a map file, and export it.
+    """Check a map file, export it, or merge two.
 
     List what is in a map, and check every part of it:
 
@@ -68,53 +81,53 @@ def map_command(
     Write its points as a PLY file:
 
       vo map export house.map -o house.ply
+
+    Write two maps that share a place as one:
+
+      vo map merge ground.map upper.map -o house.map
     """
     from vo.errors import ConfigError
-    from vo.places.map_file import MapFile
-    from vo.places.map_points import export_ply
     from vo.results.output_paths import refuse_to_overwrite
 
-    refuse_to_overwrite([file], [output])
-    if (action is MapAction.EXPORT) != (output is not None):
-        raise ConfigError("-o FILE.ply belongs to `vo map export`, which needs it")
-    with MapFile(file) as map_file:
-        result = _contents(map_file)
-        if output is not None:
-            worlds = {row["world"]: row["keyframes"] for row in result["worlds"]}
-            if not worlds or (world is not None and world not in worlds):
-                known = ", ".join(map(str, worlds)) or "none"
-                raise ConfigError(f"{file} has no such world; its worlds are: {known}")
-            chosen = max(worlds, key=lambda n: (worlds[n], -n)) if world is None else world
-            count = export_ply(map_file, output, chosen)
-            result = {"output": str(output), "world": chosen, "points": count}
+    refuse_to_overwrite(files, [output])
+    expected = 2 if action is MapAction.MERGE else 1
+    if len(files) != expected:
+        what = "one map" if expected == 1 else "two maps"
+        raise ConfigError(f"`vo map {action.value}` takes {what}, not {len(files)}")
+    if (action is MapAction.INFO) != (output is None):
+        raise ConfigError("-o FILE belongs to `vo map export` and `vo map merge`, which need it")
+    result = _do(action, files, output, world, vocabulary)
     if json_output:
         echo_json(result)
     elif not quiet:
         _print(result)
 
 
-def _contents(map_file: MapFile) -> dict[str, Any]:
-    """What is in a map; every keyframe is read, and so its checksum verified."""
-    import numpy as np
+def _do(
+    action: MapAction,
+    files: list[Path],
+    output: Path | None,
+    world: int | None,
+    vocabulary: Path | None,
+) -> dict[str, Any]:
+    from vo.api import maps
+    from vo.places.map_contents import chosen_world
 
-    header = map_file.header
-    observations = sum(len(map_file.place(key).landmarks.id) for key in map_file.keys)
-    worlds, counts = np.unique(map_file.placed.world, return_counts=True)
-    pairs = zip(worlds.tolist(), counts.tolist(), strict=True)
-    return {
-        "path": str(map_file.path),
-        "bytes": map_file.path.stat().st_size,
-        "sessions": list(header.sessions),
-        "keyframes": len(map_file),
-        "worlds": [{"world": world, "keyframes": count} for world, count in pairs],
-        "loops": len(map_file.loops),
-        "observations": observations,
-        "camera": f"{header.camera.width}x{header.camera.height}",
-        "vocabulary": header.vocabulary,
-    }
+    if output is None:
+        return maps.info(files[0])
+    if action is MapAction.MERGE:
+        recognised = maps.merge(files[0], files[1], output, vocabulary=vocabulary)
+        return {"output": str(output), "recognised": recognised}
+    with maps.load(files[0]) as map_file:
+        chosen = chosen_world(map_file, world)
+    count = maps.export(files[0], output, world=chosen)
+    return {"output": str(output), "world": chosen, "points": count}
 
 
 def _print(result: dict[str, Any]) -> None:
+    if "recognised" in result:
+        echo(f"{result['recognised']} keyframes recognised in both maps: {result['output']}")
+        return
     if "output" in result:
         echo(f"{result['points']} points of world {result['world']}: {result['output']}")
         return

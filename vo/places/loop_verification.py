@@ -236,12 +236,12 @@ def _distance_apart(relation: Floats, pairs: LandmarkPairs) -> float:
 
 
 def _covariance(pair: KeyframePair, relation: Relation) -> Floats:
-    """(7, 7) covariance of the relation, infinite if it is not determined."""
+    """(7, 7) covariance of the relation, huge if it is not determined."""
     size = 7 if pair.with_scale else 6
     result = np.zeros((7, 7))
     try:
         inverse = np.linalg.inv(relation.information[:size, :size])
     except np.linalg.LinAlgError:
-        inverse = np.diag(np.full(size, np.inf))
+        inverse = np.diag(np.full(size, 1e12))
     result[:size, :size] = _COVARIANCE_SCALE * inverse
     return result

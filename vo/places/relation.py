@@ -15,6 +15,7 @@ _SAMPLES = 500
 _MIN_AREA = 1e-3  # of the triangle of a sample, relative to its longest side squared
 _HUBER = 2.0
 _ITERATIONS = 10
+_MAX_LOG_SCALE = 5.0  # beyond, the pairs determine no scale
 _CONVERGED = 1e-4  # squared Mahalanobis length of a step
 
 
@@ -185,7 +186,8 @@ def refine_relation(
 ) -> Relation:
     """Minimise Huber-weighted reprojection errors in both images over the relation.
 
-    The uncertainty of each landmark's depth is part of its error.
+    The uncertainty of each landmark's depth is part of its error. A relation whose scale diverges
+    has no information.
 
     Args:
         start: (4, 4) first guess of earlier_from_later.
@@ -199,7 +201,10 @@ def refine_relation(
         step = np.zeros(7)
         damped = normal[:size, :size] + 1e-9 * np.diag(np.diag(normal)[:size] + 1e-9)
         step[:size] = np.linalg.solve(damped, right[:size])
+        step[6] = np.clip(step[6], -1.0, 1.0)
         relation = relation @ sim3.retract(step)
+        if abs(np.log(sim3.scale_of(relation))) > _MAX_LOG_SCALE:
+            return Relation(relation, np.zeros((7, 7)))
         if step[:size] @ damped @ step[:size] < _CONVERGED:
             break
     normal, _, _ = _normal_equations(relation, pairs, cameras, 9.0)
