@@ -17,6 +17,7 @@ STAGES = (
     "window",
     "smooth",
     "memory",
+    "inertial",
     "write",
     "record",
 )
