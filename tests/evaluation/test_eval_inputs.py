@@ -167,6 +167,19 @@ def test_only_the_longest_segment_is_evaluated(tmp_path: Path) -> None:
     assert len(load_inputs(run, truth, all_segments=True).estimate) == 6
 
 
+def test_a_segment_between_two_merged_ones_is_not_taken_for_a_part_of_them(tmp_path: Path) -> None:
+    spans = [(500_000_000, 5_500_000_000), (2_500_000_000, 2_500_000_000)]
+    segments = [
+        {"segment": number, "first_stamp_ns": a, "last_stamp_ns": b}
+        for number, (a, b) in enumerate(spans)
+    ]
+    run = run_folder(tmp_path / "run", {"mode": "mono", "segments": segments})
+    rows = [f"{i},{i * 10**9 + 500_000_000},{int(i == 2)},0" for i in range(6)]
+    written(run / "poses.csv", "\n".join(["frame,stamp_ns,segment,keyframe", *rows]) + "\n")
+    inputs = load_inputs(run, written(tmp_path / "groundtruth.tum", TUM))
+    assert inputs.estimate.stamps_ns.tolist() == [i * 10**9 + 500_000_000 for i in (0, 1, 3, 4, 5)]
+
+
 @pytest.mark.parametrize("segments", [1, [], [{}], [{}, {}], [{"first_stamp_ns": "x"}, 3]])
 def test_invalid_segments_are_ignored(tmp_path: Path, segments: object) -> None:
     run = run_folder(tmp_path / "run", {"segments": segments})

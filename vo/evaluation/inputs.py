@@ -11,7 +11,7 @@ import numpy as np
 from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
 from vo.errors import CalibrationError, EvaluationError, SourceError
-from vo.evaluation.frame_numbers import frame_numbers
+from vo.evaluation.frame_numbers import frame_numbers, segment_numbers
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.euroc_layout import find_camera_on_body
 from vo.formats.trajectory import detect_format, has_stamps, read_trajectory
@@ -248,6 +248,9 @@ def _with_longest_segment(inputs: Inputs, summary: dict[str, Any]) -> Inputs:
     except (KeyError, TypeError, ValueError):
         return inputs
     masks = [(stamps_ns >= first) & (stamps_ns <= last) for first, last in spans]
+    numbers = segment_numbers(inputs.estimate_path, stamps_ns)
+    if numbers is not None and all("segment" in s for s in segments):
+        masks = [numbers == s["segment"] for s in segments]
     kept = max(masks, key=np.count_nonzero)
     if not kept.any():
         return inputs
