@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from room_course import END
+from room_course import END, run_rounds
 
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
@@ -35,3 +35,12 @@ def rounds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with ThreadPoolExecutor() as pool:
         euroc.write(folder, recording, render_frames(plan, pool, range(END)), "png")
     return folder
+
+
+@pytest.fixture(scope="session")
+def closed(rounds: Path) -> Path:
+    """Results of the rounds with loops; `room.map` and `room.rrd` are in the folder beside."""
+    output, saved = rounds.parent / "closed", rounds.parent / "room.map"
+    outputs = {"save_map": saved, "rrd": rounds.parent / "room.rrd", "rrd_images": "none"}
+    run_rounds(rounds, output, "memory.loops=true", **outputs)
+    return output

@@ -32,15 +32,6 @@ def plain(rounds: Path) -> Path:
     return rounds.parent / "plain"
 
 
-@pytest.fixture(scope="module")
-def closed(rounds: Path) -> Path:
-    """Results with loops."""
-    saved = rounds.parent / "room.map"
-    outputs = {"save_map": saved, "rrd": rounds.parent / "room.rrd", "rrd_images": "none"}
-    run_rounds(rounds, rounds.parent / "closed", "memory.loops=true", **outputs)
-    return rounds.parent / "closed"
-
-
 def _loops(folder: Path) -> list[dict[str, Any]]:
     loops: list[dict[str, Any]] = json.loads((folder / "summary.json").read_text())["loops"]
     return loops

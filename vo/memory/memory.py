@@ -258,10 +258,10 @@ class Memory:
 
     def _note(self, recognised: Recognised) -> None:
         """Add the result of a search to the graph."""
-        place, loop = recognised.place, recognised.loop
+        place = recognised.place
         self._frames[place.key] = place.frame
         self._graph.add_keyframe(place)
-        if loop is not None:
+        for loop in recognised.loops:
             self._graph.add_loop(loop)
             self._loops.append(loop)
         self._graph.remove_keyframes(recognised.removed)

@@ -13,7 +13,7 @@ from vo.memory.loaded_map import LoadedMap, with_covariance_of
 from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapHeader, write_map
-from vo.places.records import Candidate, Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
 from vo.scheduling import give_way
 from vo.types import Camera
 
@@ -21,6 +21,8 @@ SUCCESSION = 3  # newest keyframes that the verifier needs
 _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
 _MIN_SHARED = 15  # landmarks
 _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
+# After so many keyframes in a row with loops, only one is searched in so much time.
+_STEADY, _PAUSE_NS = 3, 1_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +32,12 @@ class Recognised:
     Attributes:
         place: the keyframe.
         removed: keyframes that became redundant.
-        loop: to an earlier keyframe, or None.
+        loops: to earlier keyframes.
     """
 
     place: Place
     removed: tuple[PlaceKey, ...]
-    loop: Loop | None
+    loops: tuple[Loop, ...]
 
 
 class Recogniser:
@@ -69,6 +71,8 @@ class Recogniser:
         self._loaded = loaded
         self._localizes = localizes
         self._recent: deque[Place] = deque(maxlen=SUCCESSION)  # newest first, of one segment
+        self._in_a_row = 0  # keyframes with loops
+        self._last_found_ns = 0  # time of the last one of them
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
 
     def add(self, place: Place, *, searches: bool = True) -> Future[Recognised]:
@@ -138,33 +142,53 @@ class Recogniser:
     def _recognise(self, place: Place, *, searches: bool) -> Recognised:
         if self._recent and self._recent[0].frame.segment != place.frame.segment:
             self._recent.clear()
+            self._in_a_row = 0
         self._recent.appendleft(place)
         removed = () if self._localizes else self._database.add(place)
-        return Recognised(place, removed, self._find(list(self._recent)) if searches else None)
+        stamp_ns = place.frame.stamp_ns
+        pauses = self._in_a_row >= _STEADY and stamp_ns - self._last_found_ns < _PAUSE_NS
+        if not searches or pauses:
+            return Recognised(place, removed, ())
+        loops = self._find(list(self._recent))
+        self._in_a_row = self._in_a_row + 1 if loops else 0
+        self._last_found_ns = stamp_ns
+        return Recognised(place, removed, loops)
 
-    def _find(self, later: Sequence[Place]) -> Loop | None:
-        """A loop of the first of consecutive keyframes, newest first."""
+    def _find(self, later: Sequence[Place]) -> tuple[Loop, ...]:
+        """Loops of the first of consecutive keyframes, newest first.
+
+        Odometry decides whether a place of its own segment is the right one. To another segment,
+        all places that look the same are needed: the pose graph refuses one that exists twice.
+        """
         for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
-            loop = self._verified(later, candidate)
-            if loop is not None:
-                self._database.protect(loop.earlier)
-                if not self._localizes:
-                    self._database.protect(loop.later)
-                return loop
-        return None
+            earlier = self._database.get(candidate.key)
+            loop = self._verified(later, earlier)
+            if loop is None:
+                continue
+            loops = [loop]
+            of_run = earlier.key.session == later[0].key.session
+            if not of_run or earlier.frame.segment != later[0].frame.segment:
+                rivals = self._database.rivals(later[0], candidate.key)
+                also = (self._verified(later, self._database.get(rival.key)) for rival in rivals)
+                loops += [each for each in also if each is not None]
+            for each in loops:
+                self._database.protect(each.earlier)
+            if not self._localizes:
+                self._database.protect(later[0].key)
+            return tuple(loops)
+        return ()
 
-    def _verified(self, later: Sequence[Place], candidate: Candidate) -> Loop | None:
-        """The loop from the newest keyframe to a candidate, None if they are not the same place."""
-        earlier = self._database.get(candidate.key)
+    def _verified(self, later: Sequence[Place], earlier: Place) -> Loop | None:
+        """The loop from the newest keyframe to an earlier one, None if they are other places."""
         beside = [earlier]
-        for key, _ in self._database.covisible(candidate.key, _MIN_SHARED):
+        for key, _ in self._database.covisible(earlier.key, _MIN_SHARED):
             if len(beside) > _NEIGHBOURS:
                 break
             place = self._database.get(key)
             if place.frame.segment == earlier.frame.segment:
                 beside.append(place)
         loaded = self._loaded
-        is_loaded = loaded is not None and candidate.key in loaded.frames
+        is_loaded = loaded is not None and earlier.key in loaded.frames
         camera = loaded.camera if loaded is not None and is_loaded else None
         result = self._verifier.verify(later, beside, self._camera, camera)
         return result if isinstance(result, Loop) else None

@@ -31,6 +31,7 @@ _MIN_RATIO = 0.3  # minimum score relative to that of consecutive keyframes
 _MIN_CONSECUTIVE = 0.02  # below, consecutive keyframes are too different to compare with
 _GROUP_GAP = 3  # stored keyframes between two of a group
 _MAX_CANDIDATES = 5
+_RIVAL_RATIO, _MAX_RIVALS = 0.6, 2  # score relative to that of the candidate, and their number
 _FIRST_SIZE = 4096
 
 
@@ -167,6 +168,29 @@ class KeyframeDatabase:
                 keyframes, and those that are covisible with one of them. For one that is not
                 stored, no keyframe of its segment is one.
         """
+        return self._groups(self._ratios(query))
+
+    def rivals(self, query: Place, key: PlaceKey) -> list[Candidate]:
+        """Other places that a query resembles about as much as that of a candidate, best first.
+
+        Args:
+            query: a keyframe, stored or not.
+            key: of the candidate. Its neighbours in time and its covisible keyframes, directly or
+                through a third one, show the same place.
+        """
+        ratio, number = self._ratios(query), self._number_of[key]
+        limit = _RIVAL_RATIO * float(ratio[number])
+        found: list[Candidate] = []
+        while len(found) < _MAX_RIVALS:
+            ratio[self._connected(number)] = 0.0
+            number = int(np.argmax(ratio))
+            if ratio[number] <= limit:
+                break
+            found.append(Candidate(self._keys[number], float(ratio[number])))
+        return found
+
+    def _ratios(self, query: Place | Descriptors) -> Floats32:
+        """(N,) scores relative to those of consecutive keyframes, 0 for what is no candidate."""
         place = query if isinstance(query, Place) else None
         bag = self.vocabulary.bag(query.descriptor if isinstance(query, Place) else query)
         scores = self._index.scores(bag)
@@ -178,7 +202,7 @@ class KeyframeDatabase:
         elif place is not None:
             segment = self._segments.get((place.key.session, place.frame.segment), -1)
             scores[self._segment[: len(self._keys)] == segment] = 0.0
-        return self._groups(scores / np.float32(expected))
+        return np.asarray(scores / np.float32(expected))
 
     def _expected_score(self, number: int | None = None, scores: Floats32 | None = None) -> float:
         """Score of consecutive keyframes: with the one before, or the mean of all."""

@@ -1,0 +1,115 @@
+"""Two copies of the same room: odometry or ambiguity must tell that they are two."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vo.backend.pose_graph import PoseGraph
+from vo.config import load_config
+from vo.geometry.transforms import make_transform
+from vo.memory.recognition import Recogniser
+from vo.places.database import KeyframeDatabase
+from vo.places.loop_verification import LoopVerifier
+from vo.places.map_file import MapFile
+from vo.places.records import Place, PlacedKeyframes, PlaceKey
+from vo.places.vocabulary_file import built_in_vocabulary
+from vo.types import Camera, Descriptors
+
+FIRST_ROUND, SECOND_ROUND = 115, 135  # its last frame, and the first one of the next round
+CORRIDOR = 8  # keyframes
+APART = 30.0  # of the two rooms, in units of the map: some ten times the size of a room
+
+
+@pytest.fixture(scope="module")
+def places(rounds: Path, closed: Path) -> tuple[list[Place], list[Place], Camera]:
+    """Keyframes of the first round through a room and of the second one, and their camera."""
+    assert closed.is_dir()  # it has saved the map
+    with closing(MapFile(rounds.parent / "room.map")) as file:
+        stored = sorted((file.place(key) for key in file.keys), key=lambda place: place.key)
+        first = [place for place in stored if place.frame.index <= FIRST_ROUND]
+        second = [place for place in stored if place.frame.index >= SECOND_ROUND]
+        return first, second, file.header.camera
+
+
+def _elsewhere(places: Sequence[Place], visit: int, segment: int, apart: float) -> list[Place]:
+    """The keyframes as of a later visit to a copy of the room."""
+    motion = make_transform(np.eye(3), np.array([apart, 0.0, 0.0]))
+    return [
+        replace(
+            place,
+            key=PlaceKey(0, place.key.keyframe + 1000 * visit),
+            frame=replace(
+                place.frame,
+                index=place.frame.index + 1000 * visit,
+                stamp_ns=place.frame.stamp_ns + visit * 100_000_000_000,
+                segment=segment,
+            ),
+            odom_from_cam=motion @ place.odom_from_cam,
+            landmarks=replace(place.landmarks, id=place.landmarks.id + 100_000 * visit),
+        )
+        for place in places
+    ]
+
+
+def _corridor(places: Sequence[Place], visit: int) -> list[Place]:
+    """Keyframes on the way to the copy, which look like nothing else."""
+    random = np.random.default_rng(visit)
+
+    def other(descriptor: Descriptors) -> Descriptors:
+        return random.integers(0, 256, descriptor.shape, dtype=np.uint8)
+
+    return [
+        replace(
+            place,
+            descriptor=other(place.descriptor),
+            landmarks=replace(place.landmarks, descriptor=other(place.landmarks.descriptor)),
+        )
+        for step in range(CORRIDOR)
+        for place in _elsewhere(places[step : step + 1], visit, 0, APART * step / CORRIDOR)
+    ]
+
+
+def _placed(places: Sequence[Place], camera: Camera) -> tuple[PlacedKeyframes, int]:
+    """Where the pose graph has the keyframes, and the number of its loops."""
+    scale_factor = load_config("default").features.scale_factor
+    graph, count = PoseGraph(), 0
+    with KeyframeDatabase(built_in_vocabulary()) as database:
+        recogniser = Recogniser(database, LoopVerifier(scale_factor), camera, threads=1)
+        for place in places:
+            recognised = recogniser.add(place).result()
+            graph.add_keyframe(place)
+            for loop in recognised.loops:
+                graph.add_loop(loop)
+            count += len(recognised.loops)
+            graph.remove_keyframes(recognised.removed)
+    graph.submit()
+    return graph.result(), count
+
+
+def test_a_walk_between_two_copies_of_a_room_closes_no_loop(
+    places: tuple[list[Place], list[Place], Camera],
+) -> None:
+    first, second, camera = places
+    same, count = _placed([*first, *_elsewhere(second, 1, 0, 0.0)], camera)
+    assert count >= 3 and not same.rejected
+    way = _corridor(first, 1)
+    copy, count = _placed([*first, *way, *_elsewhere(second, 2, 0, APART)], camera)
+    assert len(copy.rejected) == count >= 3  # the images are the same, only odometry differs
+
+
+def test_a_lost_camera_in_one_of_two_copies_is_not_merged_with_either(
+    places: tuple[list[Place], list[Place], Camera],
+) -> None:
+    first, second, camera = places
+    lost = _elsewhere(second, 3, 1, 0.0)
+    alone, _ = _placed([*first, *lost], camera)
+    assert set(alone.world.tolist()) == {0}
+    copy = [*_corridor(first, 1), *_elsewhere(first, 2, 0, APART)]
+    both, _ = _placed([*first, *copy, *lost], camera)
+    assert set(both.world.tolist()) == {0, 1}
