@@ -28,7 +28,7 @@ def stream(count: int, words: Bytes, images_with: np.ndarray, seed: int) -> Iter
     random = np.random.default_rng(seed)
     chance = np.cumsum(images_with) / images_with.sum()
     patch = random.integers(0, 256, (LANDMARKS, PATCH_PX, PATCH_PX), dtype=np.uint8)
-    thumbnail = random.integers(0, 256, (60, 94), dtype=np.uint8)
+    thumbnail = random.integers(0, 256, (120, 188), dtype=np.uint8)
     floats = random.normal(size=(LANDMARKS, 3)).astype(np.float32)
     descriptor = np.zeros((0, 32), np.uint8)
     for n in range(count):

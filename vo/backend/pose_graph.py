@@ -94,10 +94,10 @@ class PoseGraph:
     def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
         """Remove culled keyframes; the motions before and after each are joined.
 
-        Keyframes of loops stay, for what the loops measured.
+        Keyframes of loops stay, for what the loops measured. Those removed before are ignored.
         """
         needed = {key for loop in self._loops for key in (loop.earlier, loop.later)}
-        gone = set(keys) - needed
+        gone = {key for key in keys if key in self._nodes} - needed
         carried: _Node | None = None
         for node in self._ordered():
             if carried is not None and carried.chain == node.chain:
