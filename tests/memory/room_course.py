@@ -19,8 +19,9 @@ END = 190  # frames: a round takes 126
 
 
 def run_rounds(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:
-    """Run with settings; the summary."""
-    run(recording, output, config=load_config("default", settings), **options)
+    """Run with settings, without the inertial sensor; the summary."""
+    config = load_config("default", ["inertial.enabled=false", *settings])
+    run(recording, output, config=config, **options)
     summary: dict[str, Any] = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     return summary
 

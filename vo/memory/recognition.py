@@ -22,7 +22,7 @@ _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
 _MIN_SHARED = 15  # landmarks
 _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
 # After so many keyframes in a row with loops, only one is searched in so much time.
-_STEADY, _PAUSE_NS = 3, 1_000_000_000
+_STEADY, _PAUSE_NS = 3, 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
