@@ -101,13 +101,13 @@ def _search(database: KeyframeDatabase, loaded: LoadedMap, places: list[Place]) 
     verifier = LoopVerifier(scale_factor, sigma_px=sigma_px, seed=config.seed)
     recogniser = Recogniser(database, verifier, loaded.camera, 1, loaded, localizes=True)
     recent: deque[Place] = deque(maxlen=SUCCESSION)
-    found = []
+    found: list[Loop] = []
     for place in places:
         if recent and _segment(recent[0]) != _segment(place):
             recent.clear()
         recent.appendleft(place)
-        found.append(recogniser.search(list(recent)).result().loop)
-    return [loop for loop in found if loop is not None]
+        found += recogniser.search(list(recent)).result().loops
+    return found
 
 
 def _segment(place: Place) -> tuple[int, int]:
