@@ -24,7 +24,7 @@ from vo.run_recording import run
 from vo.scaling.creation import ScaleOptions
 from vo.types import Estimate, PlacedFrames, Snapshot
 
-FAST = load_config("fast")
+FAST = load_config("fast", ["inertial.enabled=false"])
 VALUE, SIGMA = 2.5, 0.05
 ORIGIN = np.array([-33.9, 151.2, 40.0])
 

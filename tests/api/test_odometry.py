@@ -41,7 +41,7 @@ ORDERS = {
 
 
 def same_bytes(source: Path, mode: str, imports: str, folder: Path) -> None:
-    command = [VO, "run", source, "--mode", mode, "-o", folder / "run", "-q"]
+    command = [VO, "run", source, "--mode", mode, "--no-imu", "-o", folder / "run", "-q"]
     subprocess.run(command, check=True, timeout=300)
     program = PROGRAM.format(imports=imports)
     words = [sys.executable, "-c", program, source, mode, folder]

@@ -265,7 +265,7 @@ def test_error_for_a_table_with_only_missing_files(euroc: Path) -> None:
 
 
 def test_right_camera_missing(folder_recording: Path) -> None:
-    for name in ("image_1", "image_01", "mav0/cam1", "right"):
+    for name in ("image_1", "image_01", "mav0/cam1", "undistorted_images/cam1", "right"):
         shutil.rmtree(folder_recording / name, ignore_errors=True)
     message = _message(folder_recording, SourceError, mode="stereo")
     assert f"{folder_recording.name} has no images of a right camera" in message
@@ -326,7 +326,7 @@ def test_broken_ground_truth(
 def test_no_ground_truth(folder_recording: Path, caplog: pytest.LogCaptureFixture) -> None:
     if folder_recording.name == "nerf":
         pytest.skip("the file of the camera always has the poses")
-    for name in ("poses.txt", "groundtruth.txt", "groundtruth.tum"):
+    for name in ("poses.txt", "groundtruth.txt", "groundtruth.tum", "GNSSPoses.txt"):
         (folder_recording / name).unlink(missing_ok=True)
     for name in ("mav0/state_groundtruth_estimate0", "oxts"):
         shutil.rmtree(folder_recording / name, ignore_errors=True)
