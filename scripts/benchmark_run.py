@@ -83,8 +83,11 @@ def limit_ms(folder: Path, patterns: tuple[str, ...], frames: int) -> float:
 def run_case(
     case: Case, folder: Path, out: Path, options: argparse.Namespace, *more: str
 ) -> tuple[str, float]:
-    """`vo run` on a sequence: the reason of a failure, else an empty string; wall time in s."""
-    command = [str(VO), "run", str(folder), "--output", str(out), "--quiet", *more]
+    """`vo run` on a sequence: the reason of a failure, else an empty string; wall time in s.
+
+    Inertial sensors are left out, as the other systems were measured without them.
+    """
+    command = [str(VO), "run", str(folder), "--output", str(out), "--quiet", "--no-imu", *more]
     command += ["--mode", case.mode, "--config", str(options.config)]
     command += [part for setting in options.set for part in ("--set", setting)]
     if case.folder.startswith("tum_"):

@@ -153,7 +153,8 @@ def run_conditions(report: Result) -> str:
     setting = f"preset `{report['config']}`" + "".join(f", `{s}`" for s in report["set"])
     return (
         f"{_machine(report)}; {setting}; {chosen}. "
-        "Every figure is of the whole command `vo run`, started as a user starts it."
+        "Every figure is of the whole command `vo run`, started as a user starts it, without "
+        "inertial sensors (`--no-imu`)."
     )
 
 
