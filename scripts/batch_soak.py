@@ -33,7 +33,6 @@ VO = ROOT / ".venv" / "bin" / "vo"
 RECIPE = ["world=room", "motion=handheld", "camera=pinhole", "scale=0.5", "speed=1"]
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 BAD = ("missing", "empty", "truncated", "hanging", "memory")
-FRAMES = 20
 _TIMEOUT_S, _MEMORY_MB = 45.0, 3000
 
 
@@ -42,7 +41,7 @@ def main() -> None:
     options = _options()
     with tempfile.TemporaryDirectory(prefix="vo-batch-") as name:
         work = Path(name)
-        kinds = make_recordings(work, options.count)
+        kinds = make_recordings(work, options.count, options.frames)
         problems = check_batch(work, kinds, options.kills)
         problems += check_bytes(work, kinds, options.same)
         print_throughput(work, kinds, options.single, ray=options.ray)
@@ -52,9 +51,10 @@ def main() -> None:
     sys.exit(1 if problems else 0)
 
 
-def make_recordings(work: Path, count: int) -> dict[str, str]:
+def make_recordings(work: Path, count: int, frames: int) -> dict[str, str]:
     """Recordings in `sources` and `manifest.csv`; the kind of each by name."""
     source = work / "long"
+    (work / "sources").mkdir()
     words = [word for each in [*RECIPE, "seconds=12"] for word in ("--set", each)]
     subprocess.run([VO, "synth", source, "-q", *words], check=True)
     names = sorted(path.name for path in (source / "mav0" / "cam0" / "data").iterdir())
@@ -63,15 +63,21 @@ def make_recordings(work: Path, count: int) -> dict[str, str]:
     for number in range(count):
         name = f"r{number:03d}"
         kinds[name] = BAD[number // 10 % len(BAD)] if number % 10 == 7 else "good"
-        first = random.randrange(len(names) - FRAMES)
-        _make(source, work / "sources" / name, names[first : first + FRAMES], kinds[name])
-    rows = [f"{work / 'sources' / name},{name},{kind}" for name, kind in kinds.items()]
+        first = random.randrange(len(names) - frames)
+        _make(source, work / "sources" / name, names[first : first + frames], kinds[name])
+    rows = [
+        f"{work / 'sources' / name}{'.mcap' if kind == 'hanging' else ''},{name},{kind}"
+        for name, kind in kinds.items()
+    ]
     (work / "manifest.csv").write_text("source,name,kind\n" + "\n".join(rows) + "\n")
     return kinds
 
 
 def _make(source: Path, target: Path, images: list[str], kind: str) -> None:
     if kind == "missing":
+        return
+    if kind == "hanging":
+        os.mkfifo(target.with_suffix(".mcap"))
         return
     target.mkdir(parents=True)
     if kind == "empty":
@@ -92,10 +98,6 @@ def _make(source: Path, target: Path, images: list[str], kind: str) -> None:
                 break
             else:
                 os.link(camera / "data" / image, copy / "data" / image)
-        if kind == "hanging":
-            table = copy / "data.csv"
-            table.unlink()
-            os.mkfifo(table)
     for truth in source.glob("groundtruth*"):
         shutil.copy(truth, target)
 
@@ -240,6 +242,7 @@ def _options() -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--count", type=int, default=200, help="recordings")
+    parser.add_argument("--frames", type=int, default=20, help="of each recording, up to 200")
     parser.add_argument("--kills", type=int, default=3, help="SIGKILLs of the batch")
     parser.add_argument("--same", type=int, default=20, help="results compared with single runs")
     parser.add_argument("--single", type=int, default=20, help="runs for the throughput")
