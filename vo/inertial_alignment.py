@@ -7,13 +7,9 @@ local map, and what the inertial sensor adds is applied to the trajectory, in th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
-from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
-from vo.errors import OutputError
 from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse
@@ -25,13 +21,13 @@ from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.local_map import LocalMap
-from vo.metric_scale import MetricScale
+from vo.memory.contract import NoMemory
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Floats, ImuNoise
 
 
-class InertialAlignment:
+class InertialAlignment(NoMemory):
     """Estimates inertial states of the keyframes, and places those of a single camera by them.
 
     It is called as the memory of a run is: at fixed frames, so that results do not depend on the
@@ -39,9 +35,6 @@ class InertialAlignment:
     and the biases are estimated.
 
     Attributes:
-        closed_loops: none.
-        relocalisations: none.
-        map_use: none.
         stopwatch: measures the stage `inertial`.
 
     Args:
@@ -51,10 +44,6 @@ class InertialAlignment:
         trajectory: follows.
         stopwatch: measures the stages.
     """
-
-    closed_loops: tuple[ClosedLoop, ...] = ()
-    relocalisations: tuple[Relocalisation, ...] = ()
-    map_use: MapUse | None = None
 
     def __init__(
         self,
@@ -120,21 +109,6 @@ class InertialAlignment:
         self._set(local_map.keyframes)
         self._chain.update()
         self._place(self._chain.finish())
-
-    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
-        """Nothing to save; errors as for `check_savable`."""
-        self.check_savable(path)
-
-    def check_savable(self, path: Path) -> None:
-        """Nothing to save.
-
-        Raises:
-            OutputError: always.
-        """
-        raise OutputError(f"there is no map to save to {path}: loops are not closed; use --loops")
-
-    def close(self) -> None:
-        """Nothing to end."""
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from vo.metric_scale import MetricScale, ScaleFindings, choose_scales
@@ -52,14 +53,15 @@ class RunScale:
         self.findings = choose_scales(measured)
         if self.by_world:
             store.apply_scales(self.by_world)
+        notes: list[str] = []
         if self._sources.markers is not None:
             self._sources.markers.write(folder, self.by_world)
             worlds, untold = self._sources.markers.new_worlds(self.by_world)
             store.turn_worlds(worlds)
-            self.findings = choose_scales([*measured, ScaleFindings((), untold)])
+            notes += untold
         if self._sources.on_globe is not None:
-            notes = write_georeference(folder, store.path(), self._sources.on_globe)
-            self.findings = choose_scales([*measured, ScaleFindings((), tuple(notes))])
+            notes += write_georeference(folder, store.path(), self._sources.on_globe)
+        self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))
 
     def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
         """Finish a recorder, which gets both paths in units of the map, and the scales."""

@@ -84,7 +84,11 @@ class NoMemory:
     closed_loops: tuple[ClosedLoop, ...] = ()
     relocalisations: tuple[Relocalisation, ...] = ()
     map_use: MapUse | None = None
-    inertial: InertialUse | None = None
+
+    @property
+    def inertial(self) -> InertialUse | None:
+        """None."""
+        return None
 
     def is_metric(self, segment: int) -> bool:
         """Never."""
