@@ -34,8 +34,8 @@ FLOORS = (
     {"vo.places", "vo.inertial"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
-    {"vo.map_updater", "vo.snapshot", "vo.memory", "vo.inertial_alignment"},
-    {"vo.map_creator"},
+    {"vo.map_updater", "vo.snapshot", "vo.memory"},
+    {"vo.map_creator", "vo.inertial_alignment"},
     {"vo.stages"},
     {"vo.odometry"},
 )
