@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from vo.cli import options, scale_options
+from vo.cli import memory_options, options, scale_options, viewer_options
 from vo.cli.run_request import (
     ForScripts,
     Input,
@@ -19,18 +18,6 @@ from vo.cli.run_request import (
     Settings,
     Visualisation,
 )
-
-# Headings of the options in `--help`, besides those in `options`.
-_ODOMETRY, _VISUALISATION = options.ODOMETRY, "Visualisation with rerun"
-
-
-class ImageSize(StrEnum):
-    """Choices of `--rrd-images`."""
-
-    FULL = "full"
-    HALF = "half"
-    NONE = "none"
-
 
 Recording = Annotated[
     str,
@@ -96,16 +83,7 @@ Threads = Annotated[
         metavar="N",
         help="Number of CPU cores to use, 0 for all; the result does not depend on it.",
         show_default="that of --config",
-        rich_help_panel=_ODOMETRY,
-    ),
-]
-Loops = Annotated[
-    bool | None,
-    typer.Option(
-        "--loops/--no-loops",
-        help="Recognise places that were seen before, and correct the drift.",
-        show_default="that of --config",
-        rich_help_panel=_ODOMETRY,
+        rich_help_panel=options.ODOMETRY,
     ),
 ]
 NoImu = Annotated[
@@ -113,76 +91,7 @@ NoImu = Annotated[
     typer.Option(
         "--no-imu",
         help="Do not use the inertial sensor of the recording.",
-        rich_help_panel=_ODOMETRY,
-    ),
-]
-Vocabulary = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Vocabulary of place recognition, from `vo vocabulary train`.",
-        show_default="the built-in one",
-        rich_help_panel=_ODOMETRY,
-    ),
-]
-Map = Annotated[
-    Path | None,
-    typer.Option(
-        "--map",
-        metavar="FILE",
-        help="Continue in a map from --save-map, whose places are recognised; includes --loops.",
-        rich_help_panel=_ODOMETRY,
-    ),
-]
-Localize = Annotated[
-    bool,
-    typer.Option(
-        "--localize",
-        help="Only localise in --map, and add nothing to it.",
-        rich_help_panel=_ODOMETRY,
-    ),
-]
-SaveMap = Annotated[
-    Path | None,
-    typer.Option(
-        "--save-map",
-        metavar="FILE",
-        help="Also write the stored keyframes and their poses, with --loops, for --map and vo map.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Rrd = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Record for the rerun viewer to this file, for `vo view`.",
-        rich_help_panel=_VISUALISATION,
-    ),
-]
-RrdImages = Annotated[
-    ImageSize,
-    typer.Option(help="Size of the images in the viewer.", rich_help_panel=_VISUALISATION),
-]
-Spawn = Annotated[
-    bool,
-    typer.Option(
-        "--spawn", help="Open a rerun viewer and stream to it.", rich_help_panel=_VISUALISATION
-    ),
-]
-Connect = Annotated[
-    str | None,
-    typer.Option(
-        metavar="HOST:PORT",
-        help="Stream to a running rerun viewer.",
-        rich_help_panel=_VISUALISATION,
-    ),
-]
-Serve = Annotated[
-    bool,
-    typer.Option(
-        "--serve",
-        help="Stream to a web page for a browser on this machine.",
-        rich_help_panel=_VISUALISATION,
+        rich_help_panel=options.ODOMETRY,
     ),
 ]
 Mcap = Annotated[
@@ -262,11 +171,11 @@ def run_command(
     overrides: options.Overrides = None,
     threads: Threads = None,
     no_imu: NoImu = False,
-    loops: Loops = None,
-    vocabulary: Vocabulary = None,
-    map_file: Map = None,
-    localize: Localize = False,
-    save_map: SaveMap = None,
+    loops: memory_options.Loops = None,
+    vocabulary: memory_options.Vocabulary = None,
+    map_file: memory_options.Map = None,
+    localize: memory_options.Localize = False,
+    save_map: memory_options.SaveMap = None,
     scale_from: scale_options.ScaleFrom = None,
     scale_offset: scale_options.ScaleOffset = 0.0,
     georeference: scale_options.Georeference = False,
@@ -274,11 +183,11 @@ def run_command(
     markers: scale_options.Markers = None,
     marker_dictionary: scale_options.MarkerDictionary = "auto",
     world: scale_options.World = None,
-    rrd: Rrd = None,
-    rrd_images: RrdImages = ImageSize.HALF,
-    spawn: Spawn = False,
-    connect: Connect = None,
-    serve: Serve = False,
+    rrd: viewer_options.Rrd = None,
+    rrd_images: viewer_options.RrdImages = viewer_options.ImageSize.HALF,
+    spawn: viewer_options.Spawn = False,
+    connect: viewer_options.Connect = None,
+    serve: viewer_options.Serve = False,
     mcap: Mcap = None,
     colmap: Colmap = None,
     ply: Ply = None,
