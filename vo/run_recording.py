@@ -34,7 +34,7 @@ from vo.sources.source import FrameStream, LiveStream, Recording
 from vo.stages import BUILT_IN, Components
 from vo.streaming.sink import PoseSink
 from vo.streaming.streams import opened_streams
-from vo.trajectory.store import InterpolatedFrames
+from vo.trajectory.interpolation import InterpolatedFrames
 from vo.types import Mode
 
 

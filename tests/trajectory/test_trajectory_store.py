@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vo.geometry.transforms import interpolate, se3_exp
-from vo.trajectory.store import InterpolatedFrames, TrajectoryStore
+from vo.trajectory.interpolation import InterpolatedFrames
+from vo.trajectory.store import TrajectoryStore
 from vo.types import Floats, KeyframePose
 
 

@@ -8,11 +8,8 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from vo.backend.pose_graph import PoseGraph
 from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
-from vo.geometry.transforms import inverse, rotation_angle
 from vo.inertial_use import InertialUse
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
@@ -20,12 +17,13 @@ from vo.mapping.local_map import LocalMap
 from vo.memory.early_search import EarlySearch
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.place_maker import PlaceMaker
+from vo.memory.placed_worlds import of_worlds, scaled_worlds
 from vo.memory.recognition import Recognised, Recogniser
+from vo.memory.reports import LoopEnds, closed_loop, correction_of, relocalisation
 from vo.metric_scale import MetricScale
-from vo.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.places.records import Loop, PlaceKey
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
-from vo.trajectory.map_frame import scaled_covariance
 from vo.types import Bytes, Floats
 
 # A result of the pose graph is applied after so many further stored keyframes; the number is fixed,
@@ -208,7 +206,8 @@ class Memory:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
         self._graph.submit()
-        placed = self._scaled(self._graph.result(), scales)
+        placed = self._graph.result()
+        placed = scaled_worlds(placed, self._factors(placed.keys, scales))
         accepted = [self._loops[n] for n in sorted(self._closed)]
         self._recogniser.save_map(path, source, placed, accepted)
 
@@ -218,29 +217,15 @@ class Memory:
         self._recogniser.close()
         self._graph.close()
 
-    def _scaled(
-        self, placed: PlacedKeyframes, scales: Mapping[int, MetricScale]
-    ) -> PlacedKeyframes:
-        """Keyframes with the worlds of the run that have a scale in metres."""
-        factor = np.ones(len(placed.keys))
+    def _factors(
+        self, keys: Sequence[PlaceKey], scales: Mapping[int, MetricScale]
+    ) -> dict[int, float]:
+        """Scales by the row of a keyframe of the run, where its world has one."""
         world_of = self._trajectory.store.world
-        for n, key in enumerate(placed.keys):
-            scale = scales.get(world_of(self._frames[key].segment)) if key in self._frames else None
-            if scale is not None:
-                factor[placed.world == placed.world[n]] = scale.value
-        if (factor == 1.0).all():
-            return placed
-        world_from_cam = placed.world_from_cam.copy()
-        world_from_cam[:, :3, 3] *= factor[:, None]
-        covariance = np.stack(
-            [scaled_covariance(c, f) for c, f in zip(placed.covariance, factor, strict=True)]
+        worlds = (
+            (n, world_of(self._frames[k].segment)) for n, k in enumerate(keys) if k in self._frames
         )
-        return replace(
-            placed,
-            world_from_cam=world_from_cam,
-            scale=placed.scale * factor,
-            covariance=covariance,
-        )
+        return {n: scales[world].value for n, world in worlds if world in scales}
 
     def _apply_recognised(self) -> None:
         """Wait for the results of all searches."""
@@ -307,7 +292,7 @@ class Memory:
         before = {n: self._pose(loops[n].later) for n in new}
         apart = {n: self._is_joined_by(loops[n]) for n in new}
         was_apart = self._is_apart(self._segment)
-        connected = _of_worlds(placed, [loops[n] for n in touched])
+        connected = of_worlds(placed, [loops[n] for n in touched])
         connected = self._worlds.numbered(connected, self._frames)
         self._trajectory.place(connected, self._maker.session)
         for n in new:
@@ -326,37 +311,17 @@ class Memory:
             return None
         newest = max(joining, key=lambda n: self._frames[self._loops[n].later].index)
         loop = self._loops[newest]
-        known = self._worlds.frame(loop.earlier)
-        correction = _change(before[newest], self._pose(loop.later))
-        return Relocalisation(
-            frame=-1,
-            segment=self._segment,
-            keyframe=self._frames[loop.later].index,
-            earlier_frame=(known or self._frames[loop.earlier]).index,
-            loops=len(joining),
-            inliers=loop.inliers,
-            correction_m=correction[0],
-            correction_deg=correction[1],
-            earlier_session=None if known is None else loop.earlier.session,
-        )
+        correction = correction_of(before[newest], self._pose(loop.later))
+        return relocalisation(self._ends(loop), loop.inliers, len(joining), correction)
 
     def _report(self, loop: Loop, before: Floats, *, is_merge: bool) -> ClosedLoop:
-        later, known = self._frames[loop.later], self._worlds.frame(loop.earlier)
-        earlier = known or self._frames[loop.earlier]
-        kind = "merge" if is_merge else "loop"
-        correction = _change(before, self._pose(loop.later))
-        return ClosedLoop(
-            kind=kind if known is None else "session",
-            frame=later.index,
-            earlier_frame=earlier.index,
-            segment=later.segment,
-            earlier_segment=earlier.segment,
-            inliers=loop.inliers,
-            corrected_from=None,
-            correction_m=None if is_merge else correction[0],
-            correction_deg=None if is_merge else correction[1],
-            earlier_session=None if known is None else loop.earlier.session,
-        )
+        correction = None if is_merge else correction_of(before, self._pose(loop.later))
+        return closed_loop(self._ends(loop), loop.inliers, correction)
+
+    def _ends(self, loop: Loop) -> LoopEnds:
+        known = self._worlds.frame(loop.earlier)
+        session = None if known is None else loop.earlier.session
+        return LoopEnds(self._frames[loop.later], known or self._frames[loop.earlier], session)
 
     def _is_apart(self, segment: int) -> bool:
         """Whether nothing connects a segment with an older world."""
@@ -373,24 +338,3 @@ class Memory:
     def _pose(self, key: PlaceKey) -> Floats:
         (pose,) = self._trajectory.store.keyframes_by_id([key.keyframe])
         return pose.world_from_cam0
-
-
-def _change(before: Floats, after: Floats) -> tuple[float, float]:
-    """Distance and angle in degrees from one pose to another."""
-    change = inverse(before) @ after
-    return float(np.linalg.norm(change[:3, 3])), math.degrees(rotation_angle(change[:3, :3]))
-
-
-def _of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes:
-    """The keyframes of worlds with loops; others stay where they are, to the last bit."""
-    world_of = dict(zip(placed.keys, placed.world.tolist(), strict=True))
-    worlds = {world_of[loop.later] for loop in loops if loop.later in world_of}
-    rows = [n for n, world in enumerate(placed.world.tolist()) if world in worlds]
-    return replace(
-        placed,
-        keys=tuple(placed.keys[n] for n in rows),
-        world=placed.world[rows],
-        world_from_cam=placed.world_from_cam[rows],
-        scale=placed.scale[rows],
-        covariance=placed.covariance[rows],
-    )

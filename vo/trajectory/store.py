@@ -4,63 +4,26 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.geometry.transforms import interpolate, inverse, whole_transforms
+from vo.geometry.transforms import inverse, whole_transforms
 from vo.metric_scale import MetricScale
+from vo.trajectory.interpolation import InterpolatedFrames, fill
 from vo.trajectory.map_frame import Anchor, make_anchor, scaled_covariance
+from vo.trajectory.rows import (
+    FRAME,
+    KEYFRAME,
+    TRIANGLE,
+    in_proportion,
+    keyframe_fields,
+    keyframe_poses,
+    symmetric,
+)
 from vo.trajectory.table import Table
 from vo.types import Floats, Ints, KeyframePose, PlacedFrames, Trajectory
-
-_FRAME = np.dtype(
-    [
-        ("frame_index", np.int64),
-        ("stamp_ns", np.int64),
-        ("segment", np.int32),
-        ("keyframe", np.int32),  # id, not decreasing
-        ("fraction", np.float64),  # of the time between two tracked frames, 0 for a tracked one
-        ("keyframe_from_cam", np.float64, (3, 4)),
-    ]
-)
-_KEYFRAME = np.dtype(
-    [
-        ("id", np.int64),
-        ("frame_index", np.int64),
-        ("stamp_ns", np.int64),
-        ("segment", np.int32),
-        ("odom_from_cam0", np.float64, (3, 4)),  # in the odometry frame
-        ("world_from_cam0", np.float64, (3, 4)),  # in the map frame
-        ("scale", np.float64),  # length in the map frame of one unit of the odometry frame
-        ("odom_covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
-        ("covariance", np.float64, (21,)),
-    ]
-)
-_TRIANGLE = np.triu_indices(6)
-
-
-@dataclass(frozen=True, eq=False)
-class InterpolatedFrames:
-    """Frames that are not tracked but interpolated between tracked ones.
-
-    Attributes:
-        stamps_ns: (N,) of all frames of the recording.
-        stride: step between requested frames.
-        every: every so many requested frames one is tracked.
-    """
-
-    stamps_ns: Ints
-    stride: int
-    every: int
-
-    def between(self, first: int, last: int) -> range:
-        """Frames between two tracked ones; none if tracked frames are missing between them."""
-        if last - first != self.stride * self.every:
-            return range(0)
-        return range(first + self.stride, last, self.stride)
 
 
 class TrajectoryStore:
@@ -77,8 +40,8 @@ class TrajectoryStore:
 
     def __init__(self) -> None:
         self.interpolated: InterpolatedFrames | None = None
-        self._frames = Table(_FRAME)
-        self._keyframes = Table(_KEYFRAME)
+        self._frames = Table(FRAME)
+        self._keyframes = Table(KEYFRAME)
         self._changed = self._changed_keyframe = 0
         self._moved: set[int] = set()  # ids of keyframes
         self._anchors: dict[int, Anchor] = {}  # newest keyframe that was placed, by segment
@@ -108,8 +71,8 @@ class TrajectoryStore:
         """Add a keyframe by its id, or replace its pose and covariance in the odometry frame."""
         self._moved.add(keyframe)
         place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
-        triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[_TRIANGLE]
-        fields = _keyframe_fields(place, pose, triangle, self._anchors.get(pose.segment))
+        triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[TRIANGLE]
+        fields = keyframe_fields(place, pose, triangle, self._anchors.get(pose.segment))
         row = self._keyframe_row(keyframe)
         if row == len(self._keyframes):
             self._keyframes.append(*fields)
@@ -152,7 +115,7 @@ class TrajectoryStore:
         rows = self._keyframes.rows
         placed = np.searchsorted(rows["id"], keyframes)
         segments = rows["segment"][placed]
-        odom_covariance = _symmetric(rows["odom_covariance"][placed])
+        odom_covariance = symmetric(rows["odom_covariance"][placed])
         odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][placed])
         first = len(rows)
         for segment in np.unique(segments).tolist():
@@ -199,9 +162,9 @@ class TrajectoryStore:
             poses[:, :3, 3] *= scale.value
             table["world_from_cam0"][rows] = poses[:, :3]
             table["scale"][rows] *= scale.value
-            covariance = scaled_covariance(_symmetric(table["covariance"][rows]), scale.value)
-            added = scale.relative_sigma**2 * _in_proportion(poses)
-            i, j = _TRIANGLE
+            covariance = scaled_covariance(symmetric(table["covariance"][rows]), scale.value)
+            added = scale.relative_sigma**2 * in_proportion(poses)
+            i, j = TRIANGLE
             table["covariance"][rows] = (covariance + added)[:, i, j]
         self._changed = self._changed_keyframe = 0
 
@@ -226,9 +189,9 @@ class TrajectoryStore:
         odom_from_cam0 = whole_transforms(table["odom_from_cam0"][rows])
         table["world_from_cam0"][rows] = anchor.place(odom_from_cam0)[:, :3]
         table["scale"][rows] = anchor.scale
-        covariance = _symmetric(table["odom_covariance"][rows])
+        covariance = symmetric(table["odom_covariance"][rows])
         known = np.isfinite(covariance).all(axis=(1, 2))
-        i, j = _TRIANGLE
+        i, j = TRIANGLE
         moved = anchor.covariance(odom_from_cam0[known], covariance[known])
         table["covariance"][rows[known]] = moved[:, i, j]
 
@@ -266,11 +229,11 @@ class TrajectoryStore:
 
     def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
         """Keyframes by increasing ids."""
-        return _keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
+        return keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
 
     def keyframes(self, row: int = 0) -> list[KeyframePose]:
         """Keyframes from a row on."""
-        return _keyframe_poses(self._keyframes.rows[row:])
+        return keyframe_poses(self._keyframes.rows[row:])
 
     def path(self, row: int = 0) -> PlacedFrames:
         """All frames with their current poses, from a row on."""
@@ -311,7 +274,7 @@ class TrajectoryStore:
         if frame == "world_from_cam0":
             moved[:, :3, 3] *= self._keyframes.rows["scale"][rows, None]
         poses = whole_transforms(self._keyframes.rows[frame][rows]) @ moved
-        _fill(poses, frames["fraction"])
+        fill(poses, frames["fraction"])
         return np.asarray(poses[row - first :])
 
     def _add_interpolated(self, frame_index: int, segment: int) -> None:
@@ -343,58 +306,3 @@ class TrajectoryStore:
             return keyframes
         first = self._keyframe_row(int(keyframes[0]))
         return first + np.searchsorted(self._keyframes.rows["id"][first:], keyframes)
-
-
-def _fill(poses: Floats, fraction: Floats) -> None:
-    """Interpolate poses along the geodesic where the fraction is not 0; the ends are tracked."""
-    tracked = np.flatnonzero(fraction == 0)
-    for row in np.flatnonzero(fraction > 0).tolist():
-        after = int(np.searchsorted(tracked, row))
-        first, last = poses[tracked[after - 1]], poses[tracked[after]]
-        poses[row] = interpolate(first, last, float(fraction[row]))
-
-
-def _keyframe_fields(
-    place: tuple[int, int, int, int], pose: KeyframePose, triangle: Floats, anchor: Anchor | None
-) -> tuple[Any, ...]:
-    """Fields of a row of a keyframe, which follows the anchor of its segment."""
-    odom_from_cam0 = pose.world_from_cam0
-    if anchor is None:
-        return (*place, odom_from_cam0[:3], odom_from_cam0[:3], 1.0, triangle, triangle)
-    in_map = triangle
-    if pose.covariance is not None:
-        in_map = anchor.covariance(odom_from_cam0[None], pose.covariance[None])[0][_TRIANGLE]
-    map_from_cam0 = anchor.place(odom_from_cam0)
-    return (*place, odom_from_cam0[:3], map_from_cam0[:3], anchor.scale, triangle, in_map)
-
-
-def _symmetric(triangles: Floats) -> Floats:
-    """(n, 6, 6) matrices of their upper triangles (n, 21)."""
-    result = np.zeros((len(triangles), 6, 6))
-    i, j = _TRIANGLE
-    result[:, i, j] = result[:, j, i] = triangles
-    return result
-
-
-def _in_proportion(world_from_cam0: Floats) -> Floats:
-    """(n, 6, 6) covariances of poses (n, 4, 4) in a world whose lengths all have a sigma of 1."""
-    to_origin = -inverse(world_from_cam0)[:, :3, 3]
-    result = np.zeros((len(to_origin), 6, 6))
-    result[:, 3:, 3:] = to_origin[:, :, None] * to_origin[:, None, :]
-    return result
-
-
-def _keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
-    world_from_cam0 = whole_transforms(rows["world_from_cam0"])
-    covariance = _symmetric(rows["covariance"])
-    known = np.isfinite(rows["covariance"][:, 0])
-    return [
-        KeyframePose(
-            int(row["frame_index"]),
-            int(row["stamp_ns"]),
-            int(row["segment"]),
-            world_from_cam0[k],
-            covariance[k] if known[k] else None,
-        )
-        for k, row in enumerate(rows)
-    ]

@@ -1,0 +1,52 @@
+"""Keyframes that the pose graph has placed, by their worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vo.places.records import Loop, PlacedKeyframes
+from vo.trajectory.map_frame import scaled_covariance
+
+
+def of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes:
+    """The keyframes of worlds with loops; others stay where they are, to the last bit."""
+    world_of = dict(zip(placed.keys, placed.world.tolist(), strict=True))
+    worlds = {world_of[loop.later] for loop in loops if loop.later in world_of}
+    rows = [n for n, world in enumerate(placed.world.tolist()) if world in worlds]
+    return replace(
+        placed,
+        keys=tuple(placed.keys[n] for n in rows),
+        world=placed.world[rows],
+        world_from_cam=placed.world_from_cam[rows],
+        scale=placed.scale[rows],
+        covariance=placed.covariance[rows],
+    )
+
+
+def scaled_worlds(placed: PlacedKeyframes, factor_of: Mapping[int, float]) -> PlacedKeyframes:
+    """Placed keyframes with some worlds in another unit.
+
+    Args:
+        placed: all of them.
+        factor_of: length in the new unit of one of the old unit, by rows of keyframes; it holds for
+            all keyframes of the same world.
+    """
+    factor = np.ones(len(placed.keys))
+    for row, value in factor_of.items():
+        factor[placed.world == placed.world[row]] = value
+    if (factor == 1.0).all():
+        return placed
+    world_from_cam = placed.world_from_cam.copy()
+    world_from_cam[:, :3, 3] *= factor[:, None]
+    covariance = np.stack(
+        [scaled_covariance(c, f) for c, f in zip(placed.covariance, factor, strict=True)]
+    )
+    return replace(
+        placed,
+        world_from_cam=world_from_cam,
+        scale=placed.scale * factor,
+        covariance=covariance,
+    )

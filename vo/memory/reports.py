@@ -1,0 +1,67 @@
+"""What is reported of loops and relocalisations."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.closed_loops import ClosedLoop, Relocalisation
+from vo.geometry.transforms import inverse, rotation_angle
+from vo.mapping.keyframe import FrameId
+from vo.types import Floats
+
+
+class LoopEnds(NamedTuple):
+    """The frames of a loop.
+
+    Attributes:
+        later: of the run.
+        earlier: of the run or of the loaded map.
+        session: number of the session of the loaded map; None for the run itself.
+    """
+
+    later: FrameId
+    earlier: FrameId
+    session: int | None
+
+
+def correction_of(before: Floats, after: Floats) -> tuple[float, float]:
+    """Distance and angle in degrees from one pose (4, 4) to another."""
+    change = inverse(before) @ after
+    return float(np.linalg.norm(change[:3, 3])), math.degrees(rotation_angle(change[:3, :3]))
+
+
+def closed_loop(ends: LoopEnds, inliers: int, correction: tuple[float, float] | None) -> ClosedLoop:
+    """A loop that is accepted; it has no correction where it connects two worlds."""
+    kind = "merge" if correction is None else "loop"
+    return ClosedLoop(
+        kind=kind if ends.session is None else "session",
+        frame=ends.later.index,
+        earlier_frame=ends.earlier.index,
+        segment=ends.later.segment,
+        earlier_segment=ends.earlier.segment,
+        inliers=inliers,
+        corrected_from=None,
+        correction_m=None if correction is None else correction[0],
+        correction_deg=None if correction is None else correction[1],
+        earlier_session=ends.session,
+    )
+
+
+def relocalisation(
+    ends: LoopEnds, inliers: int, loops: int, correction: tuple[float, float]
+) -> Relocalisation:
+    """A relocalisation by so many loops, the newest of which is given; its frame is not known yet."""
+    return Relocalisation(
+        frame=-1,
+        segment=ends.later.segment,
+        keyframe=ends.later.index,
+        earlier_frame=ends.earlier.index,
+        loops=loops,
+        inliers=inliers,
+        correction_m=correction[0],
+        correction_deg=correction[1],
+        earlier_session=ends.session,
+    )

@@ -1,0 +1,84 @@
+"""Rows of the tables of a trajectory, and what they stand for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.geometry.transforms import inverse, whole_transforms
+from vo.trajectory.map_frame import Anchor
+from vo.types import Floats, KeyframePose
+
+FRAME = np.dtype(
+    [
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("keyframe", np.int32),  # id, not decreasing
+        ("fraction", np.float64),  # of the time between two tracked frames, 0 for a tracked one
+        ("keyframe_from_cam", np.float64, (3, 4)),
+    ]
+)
+KEYFRAME = np.dtype(
+    [
+        ("id", np.int64),
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("odom_from_cam0", np.float64, (3, 4)),  # in the odometry frame
+        ("world_from_cam0", np.float64, (3, 4)),  # in the map frame
+        ("scale", np.float64),  # length in the map frame of one unit of the odometry frame
+        ("odom_covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
+        ("covariance", np.float64, (21,)),
+    ]
+)
+TRIANGLE = np.triu_indices(6)
+
+
+def keyframe_fields(
+    place: tuple[int, int, int, int], pose: KeyframePose, triangle: Floats, anchor: Anchor | None
+) -> tuple[Any, ...]:
+    """Fields of a row of a keyframe, which follows the anchor of its segment."""
+    odom_from_cam0 = pose.world_from_cam0
+    if anchor is None:
+        return (*place, odom_from_cam0[:3], odom_from_cam0[:3], 1.0, triangle, triangle)
+    in_map = triangle
+    if pose.covariance is not None:
+        in_map = anchor.covariance(odom_from_cam0[None], pose.covariance[None])[0][TRIANGLE]
+    map_from_cam0 = anchor.place(odom_from_cam0)
+    return (*place, odom_from_cam0[:3], map_from_cam0[:3], anchor.scale, triangle, in_map)
+
+
+def symmetric(triangles: Floats) -> Floats:
+    """(n, 6, 6) matrices of their upper triangles (n, 21)."""
+    result = np.zeros((len(triangles), 6, 6))
+    i, j = TRIANGLE
+    result[:, i, j] = result[:, j, i] = triangles
+    return result
+
+
+def in_proportion(world_from_cam0: Floats) -> Floats:
+    """(n, 6, 6) covariances of poses (n, 4, 4) in a world whose lengths all have a sigma of 1."""
+    to_origin = -inverse(world_from_cam0)[:, :3, 3]
+    result = np.zeros((len(to_origin), 6, 6))
+    result[:, 3:, 3:] = to_origin[:, :, None] * to_origin[:, None, :]
+    return result
+
+
+def keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
+    """Keyframes in the map frame."""
+    world_from_cam0 = whole_transforms(rows["world_from_cam0"])
+    covariance = symmetric(rows["covariance"])
+    known = np.isfinite(rows["covariance"][:, 0])
+    return [
+        KeyframePose(
+            int(row["frame_index"]),
+            int(row["stamp_ns"]),
+            int(row["segment"]),
+            world_from_cam0[k],
+            covariance[k] if known[k] else None,
+        )
+        for k, row in enumerate(rows)
+    ]
