@@ -36,6 +36,7 @@ FLOORS = (
     {"vo.trajectory"},
     {"vo.map_updater", "vo.snapshot", "vo.memory"},
     {"vo.map_creator", "vo.inertial_alignment"},
+    {"vo.placement"},
     {"vo.stages"},
     {"vo.odometry"},
 )

@@ -21,18 +21,17 @@ from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.local_map import LocalMap
-from vo.memory.contract import NoMemory
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Floats, ImuNoise
 
 
-class InertialAlignment(NoMemory):
+class InertialAlignment:
     """Estimates inertial states of the keyframes, and places those of a single camera by them.
 
-    It is called as the memory of a run is: at fixed frames, so that results do not depend on the
-    speed of anything. Metric paths (stereo, depth) keep their world; only its direction of gravity
-    and the biases are estimated.
+    It is called at fixed frames, so that results do not depend on the speed of anything. Metric
+    paths (stereo, depth) keep their world; only its direction of gravity and the biases are
+    estimated.
 
     Attributes:
         stopwatch: measures the stage `inertial`.
@@ -71,7 +70,7 @@ class InertialAlignment(NoMemory):
         self._worlds: list[int] = []
 
     @property
-    def inertial(self) -> InertialUse:
+    def use(self) -> InertialUse:
         """What is known by the sensor."""
         placed = self._chain.newest
         if placed is None:
@@ -90,7 +89,7 @@ class InertialAlignment(NoMemory):
         return self._trajectory.store.world(segment) in self._worlds
 
     @timed("inertial")
-    def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
+    def begin_frame(self, local_map: LocalMap) -> None:
         """Estimate the states of keyframes that were optimised since the last frame."""
         keyframes = [k for k in local_map.keyframes if k.covariance is not None]
         if not keyframes or keyframes[-1].id == self._newest:

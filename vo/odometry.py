@@ -39,7 +39,7 @@ class Odometry:
     Attributes:
         stopwatch: measures the stages.
         hidden: ratio of the recorded images that masks of the whole run hide, by camera.
-        memory: stores keyframes and closes loops, if the settings say so.
+        placement: closes loops and uses an inertial sensor, if it is asked to.
         networks: model, device and SHA-256 of each network in use.
 
     Args:
@@ -78,7 +78,7 @@ class Odometry:
         self._mapper = stages.mapper
         self._updater = stages.updater
         self._trajectory = stages.trajectory
-        self.memory = stages.memory
+        self.placement = stages.placement
         self._config = config
         self._state = State.STARTING
         self._segment = 0
@@ -117,13 +117,13 @@ class Odometry:
         """Apply the last results of the optimizer; the time by stage that it took."""
         self.update_map()
         self._updater.apply()
-        self.memory.finish(self._map)
+        self.placement.finish(self._map)
         return self.stopwatch.take()
 
     def close(self) -> None:
         """Hand the map to the keyframe store, and end threads and processes."""
         self._map.clear()
-        self.memory.close()
+        self.placement.close()
         self._window_optimizer.close()
         self._preprocessor.close()
 
@@ -154,9 +154,9 @@ class Odometry:
         """Track a frame, after the frames before it once more if they were misled."""
         frame = self._preprocess(pending)
         self.update_map()
-        self.memory.begin_frame(frame.index, self._segment, self._map)
+        self.placement.begin_frame(frame.index, self._segment, self._map)
         if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
-            self.memory.forget_from(frame.misled[0].index)
+            self.placement.forget_from(frame.misled[0].index)
             self._creator.restart()
             self._state, self._lost = State.STARTING, []
             for each in frame.misled:

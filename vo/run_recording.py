@@ -148,7 +148,7 @@ def run(
     ):
         save_map = options.get("save_map")
         if save_map is not None:
-            odometry.memory.check_savable(save_map)
+            odometry.placement.check_savable(save_map)
         if every > 1 and isinstance(stream, Recording):
             interpolated = InterpolatedFrames(stream.stamps_ns, request.stride, every)
             odometry.trajectory.interpolated = interpolated

@@ -176,7 +176,7 @@ class RunSession:
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
         for estimate in self._estimates(_awaited(frames, clock, interrupts), interrupts):
             with clock.stage("write"), interrupts.waiting(signals=1):
-                is_metric = self._odometry.memory.is_metric(estimate.segment)
+                is_metric = self._odometry.placement.is_metric(estimate.segment)
                 self._poses.send(estimate, is_metric=is_metric)
             self._output(estimate, clock)
             self._folder.frames.append(frame_line(estimate, clock.stage_ms))
@@ -259,7 +259,7 @@ class RunSession:
         try:
             if not self._folder.is_finished:
                 self._write_changed()
-                if self._odometry.memory.closed_loops:
+                if self._odometry.placement.closed_loops:
                     odometry = self._odometry.trajectory.odometry(self._scale.by_world)
                     self._folder.write_odometry(odometry)
         finally:
@@ -267,7 +267,7 @@ class RunSession:
 
     def _save_map(self) -> None:
         if self._request.save_map is not None:
-            self._odometry.memory.save_map(
+            self._odometry.placement.save_map(
                 self._request.save_map, self._request.public_name, self._scale.by_world
             )
 
@@ -275,9 +275,9 @@ class RunSession:
         self._scale.apply(self._odometry.trajectory, self._folder.path)
 
     def _finish_recording(self) -> None:
-        store, memory = self._odometry.trajectory, self._odometry.memory
-        if memory.closed_loops and isinstance(self._recorder, LoopRecorder):
-            found = memory.closed_loops, memory.relocalisations
+        store, placement = self._odometry.trajectory, self._odometry.placement
+        if placement.closed_loops and isinstance(self._recorder, LoopRecorder):
+            found = placement.closed_loops, placement.relocalisations
             self._recorder.set_loops(LoopClosures(*found, store.odometry({})))
         self._scale.finish(self._recorder, self._causal.trajectory(), store)
 
@@ -336,12 +336,12 @@ class RunSession:
             profile=self._profile(),
             live=self._live_state(),
             hidden=self._odometry.hidden,
-            loops=self._odometry.memory.closed_loops,
-            relocalisations=self._odometry.memory.relocalisations,
-            map_use=self._odometry.memory.map_use,
+            loops=self._odometry.placement.closed_loops,
+            relocalisations=self._odometry.placement.relocalisations,
+            map_use=self._odometry.placement.map_use,
             networks=self._odometry.networks,
             scale=self._scale.findings,
-            inertial=self._odometry.memory.inertial or self._request.unused_imu,
+            inertial=self._odometry.placement.inertial or self._request.unused_imu,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())

@@ -27,7 +27,7 @@ from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
 from vo.mapping.local_map import LocalMap
 from vo.mapping.local_mapper import LocalMapper
-from vo.memory.contract import MapMemory, NoMemory
+from vo.placement import Placement
 from vo.refinement.calibration_refiner import CalibrationRefiner
 from vo.scheduling import available_cores
 from vo.stopwatch import Stopwatch
@@ -43,7 +43,9 @@ from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import ImuNoise, Rig
 
 if TYPE_CHECKING:
+    from vo.inertial_alignment import InertialAlignment
     from vo.learned.xfeat import XFeatExtractor
+    from vo.memory.memory import Memory
 
 
 class Components(NamedTuple):
@@ -87,7 +89,7 @@ class Stages(NamedTuple):
     updater: MapUpdater
     window_optimizer: WindowOptimizer
     trajectory: TrajectoryBuilder
-    memory: MapMemory
+    placement: Placement
 
 
 def make_stages(
@@ -117,12 +119,10 @@ def make_stages(
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     descriptors = frontend.extractor.descriptor_format
     stores = [] if components.keyframe_store is None else [components.keyframe_store]
-    memory = _inertial_or_none(components, rectified, trajectory, stopwatch)
-    if config.memory.loops:
-        from vo.memory.creation import make_memory
-
-        memory = own = make_memory(rectified, descriptors, config, trajectory, stopwatch, threads)
-        stores.append(own)
+    inertial = _inertial(components, rectified, trajectory, stopwatch)
+    memory = _memory(rectified, descriptors, config, trajectory, stopwatch)
+    if memory is not None:
+        stores.append(memory)
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or _motion(components, rectified)
@@ -148,20 +148,34 @@ def make_stages(
         updater,
         optimizer,
         trajectory,
-        memory,
+        Placement(memory, inertial),
     )
 
 
-def _inertial_or_none(
+def _inertial(
     components: Components, rig: RectifiedRig, trajectory: TrajectoryBuilder, stopwatch: Stopwatch
-) -> MapMemory:
-    """What takes the place of a memory where loops are not closed."""
+) -> InertialAlignment | None:
     sensor = components.inertial_sensor
     if sensor is None:
-        return NoMemory()
+        return None
     from vo.inertial_alignment import InertialAlignment
 
     return InertialAlignment(sensor, components.inertial_noise, rig, trajectory, stopwatch)
+
+
+def _memory(
+    rig: RectifiedRig,
+    descriptors: DescriptorFormat,
+    config: Config,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+) -> Memory | None:
+    if not config.memory.loops:
+        return None
+    from vo.memory.creation import make_memory
+
+    threads = config.threads or available_cores()
+    return make_memory(rig, descriptors, config, trajectory, stopwatch, threads)
 
 
 def _motion(components: Components, rig: RectifiedRig) -> MotionModel:

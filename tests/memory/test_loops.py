@@ -148,9 +148,9 @@ def test_loops_of_frames_that_are_tracked_anew_are_forgotten(rounds: Path) -> No
     with closing(Odometry(source.rig, config)) as odometry:
         for _ in odometry.track_all(source.frames(0, END)):
             pass
-        first = odometry.memory.closed_loops[0].frame + 1
+        first = odometry.placement.closed_loops[0].frame + 1
         odometry._map.clear_corrected()
         odometry.trajectory.remove_from(first)
-        odometry.memory.forget_from(first)
-        odometry.memory.finish(odometry._map)
-        assert [loop.frame for loop in odometry.memory.closed_loops] == [first - 1]
+        odometry.placement.forget_from(first)
+        odometry.placement.finish(odometry._map)
+        assert [loop.frame for loop in odometry.placement.closed_loops] == [first - 1]

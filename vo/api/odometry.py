@@ -154,9 +154,9 @@ class Odometry:
                 wall_s=time.perf_counter() - self._begun,
                 calibration=self._odometry.calibration_errors,
                 hidden=self._odometry.hidden,
-                loops=self._odometry.memory.closed_loops,
-                relocalisations=self._odometry.memory.relocalisations,
-                map_use=self._odometry.memory.map_use,
+                loops=self._odometry.placement.closed_loops,
+                relocalisations=self._odometry.placement.relocalisations,
+                map_use=self._odometry.placement.map_use,
                 networks=self._odometry.networks,
             )
             return summarise(state)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from vo.backend.pose_graph import PoseGraph
 from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
-from vo.inertial_use import InertialUse
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
@@ -44,7 +43,6 @@ class Memory:
     are made, and results are applied a fixed number of frames later.
 
     Attributes:
-        inertial: no inertial sensor is used.
         stopwatch: measures the stage `memory`.
 
     Args:
@@ -56,8 +54,6 @@ class Memory:
         stopwatch: measures the stages.
         worlds: those of a loaded map.
     """
-
-    inertial: InertialUse | None = None
 
     def __init__(
         self,
@@ -121,10 +117,6 @@ class Memory:
         place = self._maker.make(keyframe, landmarks, image)
         is_known = any(loop.later == place.key for loop in self._loops)
         self._future = self._recogniser.add(place, searches=not is_known)
-
-    def is_metric(self, segment: int) -> bool:
-        """Never: no inertial sensor is used."""
-        return False
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Find a lost camera again, and note the first frame whose pose is as it was corrected."""

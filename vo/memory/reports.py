@@ -53,7 +53,7 @@ def closed_loop(ends: LoopEnds, inliers: int, correction: tuple[float, float] | 
 def relocalisation(
     ends: LoopEnds, inliers: int, loops: int, correction: tuple[float, float]
 ) -> Relocalisation:
-    """A relocalisation by so many loops, the newest of which is given; its frame is not known yet."""
+    """A relocalisation by so many loops, of which the newest is given; without its frame."""
     return Relocalisation(
         frame=-1,
         segment=ends.later.segment,
