@@ -41,6 +41,29 @@ class MetricScale(NamedTuple):
         return {**self._asdict(), "value": _digits(self.value), "sigma": _digits(self.sigma)}
 
 
+class WorldFrame(NamedTuple):
+    """A frame of markers that a world of a run was given.
+
+    Attributes:
+        segment: number of the world: that of its first segment.
+        name: of the frame: `marker 7`, or the file of a map.
+        markers: ids by which the world was placed.
+        sigma_m: standard deviation of the position, where the markers are.
+        sigma_deg: standard deviation of the rotation.
+    """
+
+    segment: int
+    name: str
+    markers: tuple[int, ...]
+    sigma_m: float
+    sigma_deg: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        sigmas = {"sigma_m": float(f"{self.sigma_m:.4g}"), "sigma_deg": round(self.sigma_deg, 4)}
+        return {**self._asdict(), "markers": list(self.markers), **sigmas}
+
+
 @dataclass(frozen=True)
 class ScaleFindings:
     """What sources of scale have measured.
@@ -48,10 +71,12 @@ class ScaleFindings:
     Attributes:
         scales: at most one of each world.
         notes: sentences for the user: why there is no scale, and what was left out.
+        frames: at most one of each world that has another frame than that of its first camera.
     """
 
     scales: tuple[MetricScale, ...] = ()
     notes: tuple[str, ...] = ()
+    frames: tuple[WorldFrame, ...] = ()
 
     def by_segment(self) -> dict[int, MetricScale]:
         """The scales by the number of their world."""

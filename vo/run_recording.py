@@ -21,7 +21,7 @@ from vo.odometry import Odometry
 from vo.progress import NullProgress, Progress
 from vo.recording.exports import Exports, with_exports
 from vo.recording.recorder import ImageChoice, NullRecorder, Recorder
-from vo.results.folder import RunFolder
+from vo.results.folder import RESULTS, RunFolder
 from vo.results.output_lock import locked_folder
 from vo.results.output_paths import refuse_to_collide, refuse_to_overwrite
 from vo.results.summary import Summary
@@ -187,6 +187,9 @@ def _check_outputs(
     vocabulary = Path(memory.vocabulary) if memory.vocabulary else None
     inputs = (path, options.get("calibration"), vocabulary, *masks)
     refuse_to_overwrite(inputs, (Path(output), *files, save_map))
+    markers = None if options.get("scale") is None else options["scale"].marker_map
+    results = [Path(output) / name for name in RESULTS]  # also a markers.csv of an earlier run
+    refuse_to_overwrite([markers], (*files, save_map, *results))
     # Only the new map may replace the old one.
     refuse_to_overwrite([Path(memory.map) if memory.map else None], (Path(output), *files))
     refuse_to_collide(Path(output), (*files, save_map))

@@ -56,9 +56,10 @@ class RunScale:
         notes: list[str] = []
         if self._sources.markers is not None:
             self._sources.markers.write(folder, self.by_world)
-            worlds, untold = self._sources.markers.new_worlds(self.by_world)
-            store.turn_worlds(worlds)
-            notes += untold
+            new = self._sources.markers.new_worlds(self.by_world)
+            store.turn_worlds(new.poses)
+            notes += new.notes
+            self.findings = replace(self.findings, frames=new.frames)
         if self._sources.on_globe is not None:
             notes += write_georeference(folder, store.path(), self._sources.on_globe)
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from marker_views import Placed, render
 from typer.testing import CliRunner
 
 from vo.cli.app import app
@@ -20,13 +17,11 @@ from vo.geometry.similarity import umeyama
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, se3_exp, so3_exp
 from vo.markers.plane_pose import plane_pose, square_points
 from vo.markers.scale_fit import MarkerView, ScaleFit, fit_scale
-from vo.sources.registry import open_source
 from vo.types import Camera, Floats, Trajectory
 
 LENGTH_M = 0.16
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 FACING = so3_exp(np.array([np.pi, 0.0, 0.0]))  # towards a camera that looks along z
-HANGING = make_transform(FACING @ so3_exp(np.array([0.3, 0.4, 0.1])), np.array([0.0, 0.0, 1.6]))
 FRAMES, STEP_NS = 24, 80_000_000
 
 
@@ -59,13 +54,13 @@ def _views(
         solutions = (found.cam_from_marker, *([] if found.other is None else [found.other]))
         rays = (pixels - (319.5, 239.5)) / 600.0
         sigmas = np.full(2, sigma / 600.0)
-        views.append(MarkerView(n, n * STEP_NS, 3, rays, sigmas, solutions, np.eye(4)))
+        views.append(MarkerView(n, n * STEP_NS, 3, rays, sigmas, solutions, np.eye(4), LENGTH_M))
         poses.append(pose @ se3_exp(walk))
     return views, np.array(poses), marker
 
 
 def _fit(views: list[MarkerView], poses: Floats, *, is_metric: bool = False) -> ScaleFit:
-    fit = fit_scale(views, poses, LENGTH_M, is_metric=is_metric)
+    fit = fit_scale(views, poses, is_metric=is_metric)
     assert fit is not None
     return fit
 
@@ -109,31 +104,8 @@ def test_the_stated_sigma_covers_the_truth(span_m: float) -> None:
 
 def test_a_camera_that_stands_still_says_that_it_knows_nothing() -> None:
     views, poses, _ = _views(np.random.default_rng(2), 0.7, 0.05, 1.0, span_m=0.002)
-    fit = fit_scale(views, poses, LENGTH_M, is_metric=False)
+    fit = fit_scale(views, poses, is_metric=False)
     assert fit is None or fit.relative_sigma > 0.1
-
-
-@pytest.fixture(scope="module")
-def with_marker(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The walk, with a marker that hangs in front of the camera for all of its three seconds."""
-    folder = tmp_path_factory.mktemp("marked") / "walk"
-    shutil.copytree(synthetic_stereo, folder)
-    recording = open_source(synthetic_stereo, mode="mono")
-    truth = read_tum(synthetic_stereo / "groundtruth.tum")
-    camera = recording.rig.cam0
-    middle = truth.world_from_cam[len(truth) // 2]
-    world_from_marker = middle @ HANGING
-    files = sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))
-    assert len(files) == len(truth)
-    for path, world_from_cam in zip(files, truth.world_from_cam, strict=True):
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        pose = inverse(world_from_cam) @ world_from_marker
-        if pose[2, 3] > 0.4:
-            placed = Placed("4X4_50", 7, LENGTH_M, pose)
-            levels = cv2.GaussianBlur(render(camera, placed, image), (0, 0), 0.5)
-            image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-        cv2.imwrite(str(path), image)
-    return folder
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -192,9 +164,14 @@ def test_a_length_in_millimetres_is_refused_before_the_run(
     words[-2:] = ["--marker-dictionary", "tag36h11"]
     result = CliRunner().invoke(app, words)
     assert "--marker-dictionary is for --markers" in result.stderr
+    words[-2:] = ["--markers", "0,16"]
+    result = CliRunner().invoke(app, words)
+    assert "0,16 cannot be read" in result.stderr and "such as 0.16" in result.stderr
 
 
-def test_the_world_can_be_that_of_a_marker(with_marker: Path, tmp_path: Path) -> None:
+def test_the_world_can_be_that_of_a_marker(
+    with_marker: Path, hanging: Floats, tmp_path: Path
+) -> None:
     truth = read_tum(with_marker / "groundtruth.tum")
     output = tmp_path / "out"
     words = ["run", str(with_marker), "-o", str(output), "--config", "fast", "--markers", "0.16"]
@@ -203,7 +180,7 @@ def test_the_world_can_be_that_of_a_marker(with_marker: Path, tmp_path: Path) ->
     (row,) = csv.DictReader((output / "markers.csv").read_text().splitlines())
     assert [float(row[name]) for name in ("tx", "ty", "tz", "qw")] == pytest.approx([0, 0, 0, 1])
     estimate = read_tum(output / "trajectory.tum")
-    marker = truth.world_from_cam[len(truth) // 2] @ HANGING
+    marker = truth.world_from_cam[len(truth) // 2] @ hanging
     number = int(np.flatnonzero(truth.stamps_ns == estimate.stamps_ns[5])[0])
     expected = inverse(marker) @ truth.world_from_cam[number]
     np.testing.assert_allclose(estimate.positions[5], expected[:3, 3], atol=0.02)

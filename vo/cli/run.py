@@ -252,6 +252,7 @@ def run_command(
 
     topics = tuple(topic or ())
     offset_ns = round(1e9 * scale_offset)
+    length_m, marker_map = scale_options.length_or_map(markers)
     if json_output and "-" in (poses or ()):
         raise typer.BadParameter("--json and --poses - both need standard output; use one of them")
     min_share = None if fail_under is None else parse_share(fail_under)
@@ -284,7 +285,16 @@ def run_command(
                 {"files": mask or [], "ignore": ignore or [], "roi": roi or []},
                 no_imu,
             ),
-            Scale(scale_from, offset_ns, georeference, height, markers, marker_dictionary, world),
+            Scale(
+                scale_from,
+                offset_ns,
+                georeference,
+                height,
+                length_m,
+                marker_dictionary,
+                world,
+                marker_map,
+            ),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(
                 output,

@@ -72,6 +72,7 @@ class Scale(NamedTuple):
     marker_length_m: float | None = None
     marker_dictionary: str = "auto"
     world: str | None = None
+    marker_map: Path | None = None
 
 
 class Visualisation(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -45,11 +46,12 @@ Height = Annotated[
     ),
 ]
 Markers = Annotated[
-    float | None,
+    str | None,
     typer.Option(
-        metavar="METRES",
+        metavar="METRES|FILE",
         help="Search ArUco or AprilTag markers with black squares of this side: they give a mono "
-        "path its scale, and are written to markers.csv.",
+        "path its scale, and are written to markers.csv; or of a map with their poses, whose frame "
+        "becomes that of the path (docs/markers.md).",
         rich_help_panel=_SCALE,
     ),
 ]
@@ -70,3 +72,13 @@ World = Annotated[
         rich_help_panel=_SCALE,
     ),
 ]
+
+
+def length_or_map(markers: str | None) -> tuple[float | None, Path | None]:
+    """What `--markers` was given: the side of all markers, or the file of their map."""
+    if markers is None:
+        return None, None
+    try:
+        return float(markers), None
+    except ValueError:
+        return None, Path(markers)

@@ -45,6 +45,7 @@ class MarkerView(NamedTuple):
         sigma: (2,) standard deviations of them.
         solutions: one or two poses (4, 4), cam_from_marker in metres.
         camera_from_cam0: (4, 4) rotation from the recorded camera to that of the rays.
+        length_m: side of the marker.
     """
 
     frame_index: int
@@ -54,6 +55,7 @@ class MarkerView(NamedTuple):
     sigma: Floats
     solutions: tuple[Floats, ...]
     camera_from_cam0: Floats
+    length_m: float
 
 
 class PlacedMarker(NamedTuple):
@@ -66,8 +68,10 @@ class PlacedMarker(NamedTuple):
         views: their number.
         first_frame: number of the first frame that shows it.
         last_frame: number of the last one.
-        error_px: RMS distance of its corners from where they are predicted, in units of their
+        error: RMS distance of its corners from where they are predicted, in units of their
             standard deviation.
+        sigma_rad: standard deviation of the rotation, all axes together, given the path.
+        length_m: side of the marker.
     """
 
     id: int
@@ -77,6 +81,8 @@ class PlacedMarker(NamedTuple):
     first_frame: int
     last_frame: int
     error: float
+    sigma_rad: float
+    length_m: float
 
 
 class ScaleFit(NamedTuple):
@@ -88,14 +94,13 @@ class ScaleFit(NamedTuple):
 
 
 def fit_scale(
-    views: Sequence[MarkerView], world_from_cam0: Floats, length_m: float, *, is_metric: bool
+    views: Sequence[MarkerView], world_from_cam0: Floats, *, is_metric: bool
 ) -> ScaleFit | None:
     """The scale and the markers of one world.
 
     Args:
         views: of its markers, in time order.
         world_from_cam0: (N, 4, 4) pose of each, in units of the map.
-        length_m: side of the markers.
         is_metric: whether these units are metres: the scale is then a check.
 
     Returns:
@@ -106,7 +111,7 @@ def fit_scale(
     rows = [row for row, view in enumerate(views) if view.id in ids]
     if not rows:
         return None
-    problem = _Problem([views[row] for row in rows], world_from_cam0[rows], ids, length_m)
+    problem = _Problem([views[row] for row in rows], world_from_cam0[rows], ids)
     start = problem.first_guess(fixed_scale=is_metric)
     if start is None:
         return None
@@ -138,9 +143,7 @@ class _Linear(NamedTuple):
 
 
 class _Problem:
-    def __init__(
-        self, views: Sequence[MarkerView], poses: Floats, ids: Sequence[int], length_m: float
-    ) -> None:
+    def __init__(self, views: Sequence[MarkerView], poses: Floats, ids: Sequence[int]) -> None:
         self._views = views
         self._ids = ids
         self._marker = np.array([ids.index(view.id) for view in views])
@@ -148,7 +151,7 @@ class _Problem:
         self._cam_from_world = camera @ inverse(poses)
         self._rays = np.stack([view.rays for view in views])
         self._sigma = np.stack([view.sigma for view in views])[:, None]
-        self._corners = square_points(length_m)
+        self._corners = np.stack([square_points(view.length_m) for view in views])
 
     def first_guess(self, *, fixed_scale: bool) -> _State | None:
         """The scale by linear least squares, with the solution of each view that others confirm."""
@@ -286,13 +289,15 @@ class _Problem:
         markers = []
         for m, number in enumerate(self._ids):
             rows = np.flatnonzero(self._marker == m)
-            block = slice(6 * m + 3, 6 * m + 6)
-            sigma_m = metres * float(np.sqrt(np.trace(covariance[block, block])))
+            turn, place = slice(6 * m, 6 * m + 3), slice(6 * m + 3, 6 * m + 6)
+            sigma_m = metres * float(np.sqrt(np.trace(covariance[place, place])))
+            sigma_rad = float(np.sqrt(np.trace(covariance[turn, turn])))
             frames = [self._views[row].frame_index for row in rows.tolist()]
             pose = make_transform(state.rotations[m], metres * state.positions[m])
             error = float(np.sqrt(np.mean(found.distance[rows] ** 2) / 2.0))
-            ends = (frames[0], frames[-1])
-            markers.append(PlacedMarker(number, pose, sigma_m, len(rows), *ends, error))
+            length_m = self._views[int(rows[0])].length_m
+            counts = (len(rows), frames[0], frames[-1])
+            markers.append(PlacedMarker(number, pose, sigma_m, *counts, error, sigma_rad, length_m))
         return ScaleFit(metres, sigma, tuple(markers))
 
     def _drift(self, state: _State, found: _Linear, inverse_normal: Floats) -> Floats:

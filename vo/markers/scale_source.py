@@ -2,52 +2,46 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from vo.errors import OutputError
+from vo.errors import ConfigError
 from vo.geometry.cameras import normalise
-from vo.geometry.transforms import inverse, quat_xyzw_from_rotation
+from vo.geometry.transforms import inverse
 from vo.markers.boards import check_length
 from vo.markers.detection import DictionarySearch, MarkerDetector
-from vo.markers.dictionaries import AUTO, dictionary_name
+from vo.markers.dictionaries import AUTO, dictionary_name, smallest_containing
+from vo.markers.map_fit import fit_map
+from vo.markers.marker_map import MarkerMap
 from vo.markers.plane_pose import plane_pose, square_points
 from vo.markers.records import DetectedMarker
-from vo.markers.scale_fit import MarkerView, PlacedMarker, ScaleFit, fit_scale
+from vo.markers.scale_fit import MarkerView, ScaleFit, fit_scale
+from vo.markers.world_frames import (
+    FoundMarker,
+    NewWorlds,
+    frames_of_map,
+    frames_of_marker,
+    write_markers,
+)
 from vo.metric_scale import MetricScale, ScaleFindings
 from vo.printable import counted
-from vo.types import Camera, Estimate, Floats, PlacedFrames, Snapshot, View
+from vo.types import Camera, Estimate, PlacedFrames, Snapshot, View
 
-MARKERS_FILE = "markers.csv"
 MAX_RELATIVE_SIGMA = 0.1
 _MIN_GAP_NS = 80_000_000  # between two frames in which markers are searched
 _MAX_LENGTH_ERROR = 0.01  # of a path in metres, which is not reported
 _MAX_SIGMAS = 3.0
-_COLUMNS = (
-    *("segment", "id", "tx", "ty", "tz", "qx", "qy", "qz", "qw", "sigma_m"),
-    *("views", "first_frame", "last_frame", "error"),
-)
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A marker in a world, and the scale by which it was placed."""
-
-    world: int
-    marker: PlacedMarker
-    metres_per_unit: float
+_METRIC_SIGMA = 0.003  # relative, of a path in metres
 
 
 class MarkerSource:
     """Finds markers during a run, and the scale of each world by them at its end.
 
     Args:
-        length_m: side of the black squares.
+        markers: side of the black squares in metres, or a map; of a map, other markers are left
+            out, and its frame becomes that of the worlds that show it.
         dictionary: as for `vo markers`.
         is_metric: whether the path is in metres already, as in stereo: then only their poses are
             found, and a contradiction is reported.
@@ -59,15 +53,21 @@ class MarkerSource:
 
     def __init__(
         self,
-        length_m: float,
+        markers: float | MarkerMap,
         dictionary: str = AUTO,
         *,
         is_metric: bool,
         origin: int | None = None,
     ) -> None:
-        check_length(length_m)
         name = dictionary_name(dictionary)
-        self._length_m = length_m
+        self._map = markers if isinstance(markers, MarkerMap) else None
+        if isinstance(markers, MarkerMap):
+            self._lengths_m = {each.id: each.length_m for each in markers.markers.values()}
+            name = _common_dictionary(name, markers)
+        else:
+            check_length(markers)
+            self._lengths_m = {}
+            self._length_m = markers
         self._is_metric = is_metric
         self._origin = origin
         self._search = DictionarySearch() if name == AUTO else None
@@ -75,7 +75,9 @@ class MarkerSource:
         self._views: list[MarkerView] = []
         self._searched_ns: int | None = None
         self._repeated: set[int] = set()
-        self._found: list[_Found] = []
+        self._unknown: set[int] = set()  # seen, and not in the map
+        self._found: list[FoundMarker] = []
+        self._worlds: list[int] = []
 
     def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
         """Search a frame, if it is a keyframe or some time after the last one searched."""
@@ -106,12 +108,16 @@ class MarkerSource:
             "each marker an id of its own"
             for number in sorted(self._repeated)
         ]
+        if self._map is not None and self._unknown:
+            numbers = _listed(sorted(self._unknown))
+            notes.append(f"markers that are not in {self._map.name} are left out: {numbers}")
+        self._worlds = sorted(set(path.world.tolist()))
         if not self._views:
             return ScaleFindings((), (*notes, self._unseen()))
         scales: list[MetricScale] = []
         row_of = {number: row for row, number in enumerate(path.frame_index.tolist())}
         poses = path.trajectory.world_from_cam
-        for world in sorted(set(path.world.tolist())):
+        for world in self._worlds:
             views = [
                 view
                 for view in self._views
@@ -120,34 +126,23 @@ class MarkerSource:
             if not views:
                 continue
             rows = [row_of[view.frame_index] for view in views]
-            fit = fit_scale(views, poses[rows], self._length_m, is_metric=self._is_metric)
-            scale, note = self._judged(world, fit, len(views))
+            fit = fit_scale(views, poses[rows], is_metric=self._is_metric)
+            scale, untold = self._judged(world, fit, len(views))
             scales += [] if scale is None else [scale]
-            notes += [note] if note else []
+            notes += untold
         return ScaleFindings(tuple(scales), tuple(notes))
 
-    def new_worlds(
-        self, scales: Mapping[int, MetricScale]
-    ) -> tuple[dict[int, Floats], tuple[str, ...]]:
+    def new_worlds(self, scales: Mapping[int, MetricScale]) -> NewWorlds:
         """New frames of worlds, and why there are none.
 
         Args:
             scales: by which the worlds have been converted, perhaps those of another source.
-
-        Returns:
-            (4, 4) marker_from_world by number of the world, in metres; sentences for the user.
         """
+        if self._map is not None:
+            return frames_of_map(self._map, self._found, scales, self._worlds)
         if self._origin is None:
-            return {}, ()
-        found = {
-            each.world: inverse(_in_metres(each, scales))
-            for each in self._found
-            if each.marker.id == self._origin
-        }
-        if found:
-            return found, ()
-        note = f"marker {self._origin} has no pose in the path, which keeps its world frame"
-        return {}, (note,)
+            return NewWorlds()
+        return frames_of_marker(self._origin, self._found, scales)
 
     def write(self, folder: Path, scales: Mapping[int, MetricScale]) -> None:
         """Write markers.csv: the markers whose pose in a world is known, in metres.
@@ -159,21 +154,18 @@ class MarkerSource:
         Raises:
             OutputError: it cannot be written.
         """
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        worlds, _ = self.new_worlds(scales)
-        for each in self._found:
-            pose = worlds.get(each.world, np.eye(4)) @ _in_metres(each, scales)
-            writer.writerow(_row(each, pose))
-        path = folder / MARKERS_FILE
-        try:
-            path.write_text(text.getvalue(), encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+        name = AUTO if self._detector is None else self._detector.name
+        if self._found and self._search is not None:
+            name = smallest_containing(name, [each.marker.id for each in self._found])
+        worlds = self.new_worlds(scales).poses
+        write_markers(folder, self._found, worlds, scales, name)
 
     def _add(self, estimate: Estimate, view: View, camera: Camera, marker: DetectedMarker) -> None:
-        points = square_points(self._length_m)
+        length_m = self._length_m if self._map is None else self._lengths_m.get(marker.id)
+        if length_m is None:
+            self._unknown.add(marker.id)
+            return
+        points = square_points(length_m)
         pose = plane_pose(camera, points, marker.corners, marker.sigma_px)
         if pose is None:
             return
@@ -190,39 +182,102 @@ class MarkerSource:
                 sigma,
                 solutions,
                 rotation,
+                length_m,
             )
         )
 
     def _judged(
         self, world: int, fit: ScaleFit | None, views: int
-    ) -> tuple[MetricScale | None, str]:
-        """The scale if it is certain enough, and a sentence if it is not."""
+    ) -> tuple[MetricScale | None, list[str]]:
+        """The scale if it is certain enough, and sentences about what is not as it should be."""
         where = f"in segment {world}"
         if fit is None:
-            return None, f"{where} {counted(views, 'view')} of markers are too few for a scale"
+            few = f"{where} {counted(views, 'view')} of markers are too few for a scale"
+            return None, [few]
+        by_sides, notes, used = fit, [], [marker.id for marker in fit.markers]
+        if self._map is not None:
+            found = self._on_map(fit, self._map)
+            if isinstance(found, str):
+                return None, [f"{where} the markers contradict their map: {found}"]
+            fit, used, told = found
+            notes = [f"{where} {text}" for text in told]
         if fit.relative_sigma > MAX_RELATIVE_SIGMA:
-            return None, (
+            unseen = (
                 f"the scale cannot be observed by markers {where}: the camera moves too little "
                 "while one is in view"
             )
-        self._found += [_Found(world, marker, fit.metres_per_unit) for marker in fit.markers]
-        error = abs(np.log(fit.metres_per_unit))
+            return None, [*notes, unseen]
+        self._found += [
+            FoundMarker(world, marker, by_sides.metres_per_unit, marker.id in used)
+            for marker in fit.markers
+        ]
         if self._is_metric:
-            is_wrong = error > max(_MAX_LENGTH_ERROR, _MAX_SIGMAS * fit.relative_sigma)
-            return None, self._contradiction(fit) if is_wrong else ""
-        numbers = _listed([marker.id for marker in fit.markers])
+            error = abs(np.log(by_sides.metres_per_unit))
+            if error > max(_MAX_LENGTH_ERROR, _MAX_SIGMAS * by_sides.relative_sigma):
+                notes.append(self._contradiction(by_sides))
+            return None, notes
         value, sigma = fit.metres_per_unit, fit.metres_per_unit * fit.relative_sigma
-        return MetricScale(world, value, sigma, f"markers {numbers}"), ""
+        return MetricScale(world, value, sigma, f"markers {_listed(used)}"), notes
+
+    def _on_map(
+        self, fit: ScaleFit, known: MarkerMap
+    ) -> tuple[ScaleFit, list[int], list[str]] | str:
+        """The scale with the distances of the map, the markers that agree with it, and sentences.
+
+        Words about the contradiction, if the markers have no place in the map.
+        """
+        markers, sigma = fit.markers, fit.relative_sigma
+        if self._is_metric:
+            found = [FoundMarker(0, marker, fit.metres_per_unit) for marker in markers]
+            markers, sigma = tuple(each.in_metres({}) for each in found), _METRIC_SIGMA
+        on_map = fit_map(markers, known.markers, sigma)
+        if isinstance(on_map, str):
+            return f"{known.name} {on_map}"
+        told = [
+            f"marker {number} does not fit {known.name}, where it is {off:.2f} m away or turned: "
+            "it is left out"
+            for number, off in on_map.refused.items()
+        ]
+        if on_map.contradicts_sides:
+            told.append(
+                f"{known.name} has distances between markers that are {on_map.scale - 1.0:+.1%} "
+                "longer than by their sides: a length or the map is wrong"
+            )
+        if self._is_metric:
+            return fit, list(on_map.used), told
+        metres = fit.metres_per_unit * on_map.scale
+        fitted = fit._replace(metres_per_unit=metres, relative_sigma=on_map.relative_sigma)
+        return fitted, list(on_map.used), told
 
     def _contradiction(self, fit: ScaleFit) -> str:
+        error = f"{fit.metres_per_unit - 1.0:+.1%}"
+        if self._map is not None:
+            return (
+                f"by the sides of the markers in {self._map.name} all lengths would be {error} "
+                "longer: the calibration or these sides are wrong"
+            )
         return (
-            f"by the markers of {1000 * self._length_m:g} mm all lengths would be "
-            f"{fit.metres_per_unit - 1.0:+.1%} longer: the calibration or --markers is wrong"
+            f"by the markers of {1000 * self._length_m:g} mm all lengths would be {error} longer: "
+            "the calibration or --markers is wrong"
         )
 
     def _unseen(self) -> str:
+        if self._map is not None:
+            return f"no marker of {self._map.name} was seen: the path is not in its frame"
         name = "any dictionary" if self._detector is None else self._detector.name
         return f"no marker of {name} was seen: they say nothing about the scale"
+
+
+def _common_dictionary(given: str, known: MarkerMap) -> str:
+    """The dictionary of an option and a map, `auto` if neither names it."""
+    if AUTO in (given, known.dictionary):
+        return known.dictionary if given == AUTO else given
+    if given != known.dictionary:
+        raise ConfigError(
+            f"--marker-dictionary is {given}, and {known.name} has {known.dictionary}; leave the "
+            "option out"
+        )
+    return given
 
 
 def _camera(view: View) -> Camera:
@@ -236,19 +291,3 @@ def _camera(view: View) -> Camera:
 
 def _listed(ids: Sequence[int]) -> str:
     return ", ".join(str(number) for number in ids)
-
-
-def _in_metres(found: _Found, scales: Mapping[int, MetricScale]) -> Floats:
-    """world_from_marker (4, 4) in the metres of the path."""
-    scale = scales.get(found.world)
-    pose = found.marker.world_from_marker.copy()
-    pose[:3, 3] *= (1.0 if scale is None else scale.value) / found.metres_per_unit
-    return pose
-
-
-def _row(found: _Found, world_from_marker: Floats) -> Sequence[object]:
-    marker = found.marker
-    quat = quat_xyzw_from_rotation(world_from_marker[:3, :3])
-    texts = [f"{value:.9g}" for value in (*world_from_marker[:3, 3], *quat)]
-    ends = (marker.views, marker.first_frame, marker.last_frame, f"{marker.error:.3f}")
-    return (found.world, marker.id, *texts, f"{marker.sigma_m:.4g}", *ends)

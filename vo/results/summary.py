@@ -216,7 +216,7 @@ class Summary:
             "loops": [_loop_fields(loop) for loop in self.loops],
             "relocalisations": [_loop_fields(found) for found in self.relocalisations],
             **({} if self.map_use is None else {"map": asdict(self.map_use)}),
-            **({} if self.scale is None else {"scales": [s.to_dict() for s in self.scale.scales]}),
+            **({} if self.scale is None else _scale_fields(self.scale)),
             "networks": [dict(network) for network in self.networks],
             **({} if inertial is None else {"inertial": inertial.to_dict()}),
             "skipped": [asdict(s) for s in self.skipped],
@@ -301,6 +301,11 @@ def _range_fields(range_: FrameRange) -> dict[str, Any]:
     fields = range_._asdict()
     del fields["defect"]  # it is part of the reason
     return fields
+
+
+def _scale_fields(found: ScaleFindings) -> dict[str, Any]:
+    frames = {"world_frames": [frame.to_dict() for frame in found.frames]} if found.frames else {}
+    return {"scales": [scale.to_dict() for scale in found.scales], **frames}
 
 
 def _loop_fields(loop: ClosedLoop | Relocalisation) -> dict[str, Any]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from vo.errors import ConfigError, SourceError
+from vo.markers.marker_map import read_marker_map
 from vo.markers.scale_source import MarkerSource
 from vo.metric_scale import ScaleSource
 from vo.scaling.height_source import HeightSource
@@ -29,6 +31,7 @@ class ScaleOptions:
         marker_length_m: side of markers that may be in view, None for no search.
         marker_dictionary: theirs, as for `vo markers`.
         world: `marker:ID` for the frame of that marker, None for that of the first camera.
+        marker_map: file with markers of known poses, in place of their side.
     """
 
     positions: str | None = None
@@ -38,6 +41,7 @@ class ScaleOptions:
     marker_length_m: float | None = None
     marker_dictionary: str = "auto"
     world: str | None = None
+    marker_map: Path | None = None
 
 
 class ScaleSources(NamedTuple):
@@ -100,13 +104,25 @@ def make_scale_sources(
 
 
 def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
-    if options.marker_length_m is not None:
-        length_m, dictionary = options.marker_length_m, options.marker_dictionary
+    length_m, dictionary = options.marker_length_m, options.marker_dictionary
+    if options.marker_map is not None:
+        if length_m is not None:
+            raise ConfigError("markers have one side, or a map with sides; give one of them")
+        if options.world is not None:
+            raise ConfigError("--world is the frame of the map of --markers; leave it out")
+        if options.georeference:
+            raise ConfigError(
+                "--georeference places the path by positions, and a map of markers in its frame; "
+                "leave one of them out"
+            )
+        known = read_marker_map(options.marker_map)
+        return MarkerSource(known, dictionary, is_metric=is_metric)
+    if length_m is not None:
         origin = None if options.world is None else _marker_of(options)
         return MarkerSource(length_m, dictionary, is_metric=is_metric, origin=origin)
     if options.world is not None:
         raise ConfigError("--world marker:ID needs --markers, the side of the squares; give both")
-    if options.marker_dictionary != "auto":
+    if dictionary != "auto":
         raise ConfigError(
             "--marker-dictionary is for --markers, the side of the squares; give both"
         )
