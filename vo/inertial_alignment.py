@@ -7,6 +7,7 @@ local map, and what the inertial sensor adds is applied to the trajectory, in th
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,8 +16,9 @@ from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.inertial.chain import InertialChain, Node, Placed, certain
 from vo.inertial.initialisation import WRONG, tilt_sigma
-from vo.inertial.samples import InertialSensor, SampleReader
+from vo.inertial.samples import RetimedSensor, SampleReader
 from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE, POSITION
+from vo.inertial.time_offset import OffsetSearch
 from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
@@ -37,7 +39,7 @@ class InertialAlignment:
         stopwatch: measures the stage `inertial`.
 
     Args:
-        sensor: with known extrinsics.
+        sensor: with known extrinsics; its time offset is replaced where it is wrong.
         noise: of the sensor; None for what it gives itself, or that of a consumer sensor.
         rig: the rectified cameras.
         trajectory: follows.
@@ -46,7 +48,7 @@ class InertialAlignment:
 
     def __init__(
         self,
-        sensor: InertialSensor,
+        sensor: RetimedSensor,
         noise: ImuNoise | None,
         rig: RectifiedRig,
         trajectory: TrajectoryBuilder,
@@ -66,19 +68,28 @@ class InertialAlignment:
             inverse(cam_from_imu),
             is_metric=self._is_metric,
         )
+        self._offset = OffsetSearch(sensor)
         self._newest = -1  # id of the newest keyframe whose states were estimated
         self._worlds: list[int] = []
 
     @property
     def use(self) -> InertialUse:
         """What is known by the sensor."""
+        found = self._offset.found
+        use = InertialUse(
+            self._sensor.name,
+            time_offset_s=None if found is None else found.seconds,
+            time_offset_sigma_s=None if found is None else found.sigma_s,
+            used_time_offset_s=self._sensor.time_offset_s,
+            given_time_offset_s=self._sensor.given_offset_s,
+        )
         placed = self._chain.newest
         if placed is None:
             reason = self._chain.reason
             text = None if reason is None else reason.value
-            return InertialUse(self._sensor.name, text, is_error=reason in WRONG)
-        return InertialUse(
-            self._sensor.name,
+            return replace(use, reason=text, is_error=reason in WRONG)
+        return replace(
+            use,
             first_frame=self._chain.initialised_frame,
             metric_worlds=tuple(self._worlds),
             states=self._states(placed),
@@ -96,7 +107,13 @@ class InertialAlignment:
             return
         self._newest = keyframes[-1].id
         self._set(keyframes)
-        self._place(self._chain.update())
+        placed = self._chain.update()
+        frames = len(self._trajectory.store.frames)
+        is_due = self._offset.is_due(frames, has_states=placed is not None)
+        if is_due and self._measure_offset():
+            self._chain.restart()
+            placed = self._chain.update()
+        self._place(placed)
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""
@@ -107,7 +124,11 @@ class InertialAlignment:
         """Estimate all states together, after the last frame."""
         self._set(local_map.keyframes)
         self._chain.update()
-        self._place(self._chain.finish())
+        if self._measure_offset():
+            self._chain.read_again()
+            if not self._chain.is_initialised:
+                self._chain.update()
+        self._place(self._chain.finish(), keeps_earlier=False)
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None
@@ -124,8 +145,24 @@ class InertialAlignment:
             )
             before = keyframe
 
-    def _place(self, placed: Placed | None) -> None:
-        """Place the keyframes of a single camera in the metric, upright world."""
+    def _measure_offset(self) -> bool:
+        """Measure the time offset with all frames; whether another one is used now."""
+        store = self._trajectory.store
+        tracked = store.frames["fraction"] == 0  # the others are interpolated
+        path = store.odometry({})
+        return self._offset.measure(
+            path.stamps_ns[tracked],
+            store.frames["segment"][tracked],
+            path.world_from_cam[tracked, :3, :3],
+        )
+
+    def _place(self, placed: Placed | None, *, keeps_earlier: bool = True) -> None:
+        """Place the keyframes of a single camera in the metric, upright world.
+
+        Args:
+            placed: some of them.
+            keeps_earlier: whether those before them stay, else they follow the first one.
+        """
         if placed is None or self._is_metric:
             return
         rows = certain(placed)
@@ -141,7 +178,7 @@ class InertialAlignment:
             world_from_imu @ self._imu_from_cam0,
             np.exp(states.log_scale[rows]),
             self._covariance(placed, rows),
-            keeps_earlier=True,
+            keeps_earlier=keeps_earlier,
         )
         if placed.world not in self._worlds:
             self._worlds.append(placed.world)

@@ -5,6 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+_OFFSETS = (
+    "time_offset_s",
+    "time_offset_sigma_s",
+    "used_time_offset_s",
+    "given_time_offset_s",
+)
+
 
 @dataclass(frozen=True)
 class InertialStates:
@@ -47,6 +54,11 @@ class InertialUse:
         metric_worlds: numbers of the worlds of a single camera whose lengths are metres and whose
             z axis points up by it.
         states: the newest ones, None without.
+        time_offset_s: what to add to stamps of images to get the sensor's clock, by the rotations
+            of the run; None if these do not show it.
+        time_offset_sigma_s: its standard deviation.
+        used_time_offset_s: that with which the states were estimated.
+        given_time_offset_s: that of the recording or its calibration.
     """
 
     sensor: str
@@ -55,6 +67,10 @@ class InertialUse:
     first_frame: int | None = None
     metric_worlds: tuple[int, ...] = ()
     states: InertialStates | None = None
+    time_offset_s: float | None = None
+    time_offset_sigma_s: float | None = None
+    used_time_offset_s: float = 0.0
+    given_time_offset_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -62,6 +78,8 @@ class InertialUse:
         if self.states is not None:
             fields["states"] = {name: _rounded(v) for name, v in asdict(self.states).items()}
         fields["metric_worlds"] = list(self.metric_worlds)
+        for name in _OFFSETS:
+            fields[name] = None if fields[name] is None else round(fields[name], 6)
         return fields
 
 

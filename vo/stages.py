@@ -21,7 +21,7 @@ from vo.frontend.static_masks import StaticMasks, recorded_masks
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse
-from vo.inertial.samples import InertialSensor
+from vo.inertial.samples import InertialSensor, RetimedSensor, SampleReader
 from vo.map_creator import Initializers, MapCreator
 from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
@@ -119,13 +119,14 @@ def make_stages(
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     descriptors = frontend.extractor.descriptor_format
     stores = [] if components.keyframe_store is None else [components.keyframe_store]
-    inertial = _inertial(components, rectified, trajectory, stopwatch)
+    sensor = _sensor(components)
+    inertial = _inertial(sensor, components, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch)
     if memory is not None:
         stores.append(memory)
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
-    motion = components.motion or _motion(components, rectified)
+    motion = components.motion or _motion(sensor, rectified)
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
     policy = _policy(config, is_metric=rig.is_metric)
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
@@ -152,10 +153,18 @@ def make_stages(
     )
 
 
-def _inertial(
-    components: Components, rig: RectifiedRig, trajectory: TrajectoryBuilder, stopwatch: Stopwatch
-) -> InertialAlignment | None:
+def _sensor(components: Components) -> RetimedSensor | None:
     sensor = components.inertial_sensor
+    return None if sensor is None else RetimedSensor(sensor)
+
+
+def _inertial(
+    sensor: RetimedSensor | None,
+    components: Components,
+    rig: RectifiedRig,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+) -> InertialAlignment | None:
     if sensor is None:
         return None
     from vo.inertial_alignment import InertialAlignment
@@ -178,12 +187,10 @@ def _memory(
     return make_memory(rig, descriptors, config, trajectory, stopwatch, threads)
 
 
-def _motion(components: Components, rig: RectifiedRig) -> MotionModel:
+def _motion(sensor: RetimedSensor | None, rig: RectifiedRig) -> MotionModel:
     """The built-in motion model; that of two cameras needs no gyroscope."""
-    sensor = components.inertial_sensor
     if sensor is None or sensor.cam0_from_imu is None or rig.is_stereo:
         return ConstantVelocity()
-    from vo.inertial.samples import SampleReader
     from vo.tracking.gyro_motion import GyroMotion
 
     imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified

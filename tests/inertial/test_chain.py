@@ -21,7 +21,7 @@ from inertial_flight import (
 from vo.geometry.transforms import inverse
 from vo.inertial.chain import InertialChain, Node, Placed, certain
 from vo.inertial.initialisation import NotYet
-from vo.inertial.samples import SampleReader
+from vo.inertial.samples import RetimedSensor, SampleReader
 from vo.types import Floats
 
 _SCALE = 0.5
@@ -177,6 +177,54 @@ def test_missing_samples_are_bridged_by_images() -> None:
         chain.update()
     placed = chain.finish()
     assert placed is not None and len(placed.nodes) == 45 and _error_m(placed, 45) < 5e-3
+
+
+def test_states_follow_a_replaced_time_offset() -> None:
+    """Samples of a clock that is 40 ms ahead of that of the images."""
+    source = sensor(noise=1.0, seconds=25.0)
+    late = replace(source.samples, stamps_ns=source.samples.stamps_ns + 40_000_000)
+    clock = RetimedSensor(replace(source, samples=late))
+    poses = visual_poses(world_from_cam(keyframe_stamps(45)), _SCALE, noise=1.0)
+    chain = InertialChain(SampleReader(clock), NOISE, IMU_FROM_CAM, is_metric=False)
+    for node in _nodes(45, poses):
+        chain.set(node)
+        chain.update()
+    clock.time_offset_s = 0.04
+    chain.read_again()
+    if not chain.is_initialised:
+        chain.update()
+    placed, expected = chain.finish(), _finished(_chain(source), _nodes(45, poses))
+    assert placed is not None and len(placed.nodes) == 45
+    np.testing.assert_allclose(
+        placed.estimate.states.position, expected.estimate.states.position, atol=5e-3
+    )
+    assert abs(placed.estimate.misfit - expected.estimate.misfit) < 0.02
+
+
+def test_first_states_are_searched_anew_by_another_offset() -> None:
+    source = sensor(seconds=15.0)
+    late = replace(source.samples, stamps_ns=source.samples.stamps_ns + 40_000_000)
+    clock = RetimedSensor(replace(source, samples=late))
+    poses = visual_poses(world_from_cam(keyframe_stamps(20)), _SCALE)
+    chain = InertialChain(SampleReader(clock), NOISE, IMU_FROM_CAM, is_metric=False)
+    for node in _nodes(20, poses):
+        chain.set(node)
+        chain.update()
+    clock.time_offset_s = 0.04
+    chain.restart()
+    assert not chain.is_initialised and chain.initialised_frame is None
+    placed = chain.update()
+    assert placed is not None and chain.initialised_frame == 190
+    np.testing.assert_allclose(np.exp(placed.estimate.states.log_scale), _SCALE, rtol=2e-3)
+
+
+def _finished(chain: InertialChain, nodes: list[Node]) -> Placed:
+    for node in nodes:
+        chain.set(node)
+        chain.update()
+    placed = chain.finish()
+    assert placed is not None
+    return placed
 
 
 def test_reason_is_known_before_first_states() -> None:

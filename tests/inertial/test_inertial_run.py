@@ -137,6 +137,30 @@ def test_without_the_sensor_the_scale_is_unknown(visual: tuple[Path, dict[str, A
     assert any("the scale is unknown" in warning for warning in summary["warnings"])
 
 
+def test_right_time_offset_is_confirmed(inertial: tuple[Path, dict[str, Any]]) -> None:
+    use = inertial[1]["inertial"]
+    assert abs(use["time_offset_s"]) < min(0.001, 4.0 * use["time_offset_sigma_s"])
+    assert use["used_time_offset_s"] == use["given_time_offset_s"] == 0.0
+
+
+def test_wrong_time_offset_is_found_used_and_told(walk: Path, tmp_path: Path) -> None:
+    recording = tmp_path / "walk"
+    shutil.copytree(walk, recording)
+    table = recording / "mav0/imu0/data.csv"
+    lines = table.read_text().splitlines()
+    changed = [
+        f"{int(line.split(',')[0]) - 40_000_000},{line.split(',', 1)[1]}" for line in lines[1:]
+    ]
+    table.write_text("\n".join([lines[0], *changed]) + "\n")
+    summary = _run(recording, tmp_path / "out")
+    use = summary["inertial"]
+    assert abs(use["time_offset_s"] + 0.04) < 0.001
+    assert use["used_time_offset_s"] == use["time_offset_s"] and use["given_time_offset_s"] == 0.0
+    told = [w for w in summary["warnings"] if "were added to stamps of images" in w]
+    assert len(told) == 1 and "not +0.0 ms as given" in told[0]
+    assert summary["length_unit"] == "m" and _scale_error(tmp_path / "out", walk) < 0.01
+
+
 def _in_g(row: list[str]) -> list[str]:
     return row[:4] + [repr(float(v) / 9.80665) for v in row[4:7]]
 

@@ -124,6 +124,19 @@ class InertialChain:
         self._estimate = self._prior = None
         self._origin = self._begin = 0
 
+    def restart(self) -> None:
+        """Search first states anew, with the samples by the newest time offset."""
+        self.read_again()
+        self._estimate = self._prior = self.initialised_frame = None
+        self._origin = self._begin = 0
+
+    def read_again(self) -> None:
+        """Take all samples by the newest time offset; what follows has to be `finish`."""
+        stamps_ns = [node.stamp_ns for node in self._nodes]
+        for row in range(1, len(stamps_ns)):
+            self._intervals[row] = self._reader.between(stamps_ns[row - 1], stamps_ns[row])
+        self._measured = [None] * len(stamps_ns)
+
     def update(self) -> Placed | None:
         """Estimate the states of the newest keyframes; None while that is impossible."""
         if self._estimate is not None:

@@ -66,6 +66,52 @@ class InertialSensor(Protocol):
         ...
 
 
+class RetimedSensor:
+    """An inertial sensor whose time offset is replaced when it was measured.
+
+    All readers of its samples follow.
+
+    Attributes:
+        time_offset_s: the newest one, at first that of the sensor.
+
+    Args:
+        sensor: gives everything else.
+    """
+
+    def __init__(self, sensor: InertialSensor) -> None:
+        self._sensor = sensor
+        self.time_offset_s = sensor.time_offset_s
+
+    @property
+    def given_offset_s(self) -> float:
+        """That of the sensor."""
+        return self._sensor.time_offset_s
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return self._sensor.name
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """(N,) times of all samples, increasing."""
+        return self._sensor.stamps_ns
+
+    @property
+    def cam0_from_imu(self) -> Floats | None:
+        """(4, 4), None if it is unknown."""
+        return self._sensor.cam0_from_imu
+
+    @property
+    def noise(self) -> ImuNoise | None:
+        """None if it is unknown."""
+        return self._sensor.noise
+
+    def read(self, first_ns: int | None = None, last_ns: int | None = None) -> Samples:
+        """Samples of a range of times, both ends included."""
+        return self._sensor.read(first_ns, last_ns)
+
+
 class SampleReader:
     """Hands out the samples between two times, interpolated at both; times mostly increase.
 
@@ -75,7 +121,6 @@ class SampleReader:
 
     def __init__(self, sensor: InertialSensor) -> None:
         self._sensor = sensor
-        self._offset_ns = round(1e9 * sensor.time_offset_s)
         self._begin = self._end = 0
         self._samples: Samples | None = None
 
@@ -83,7 +128,8 @@ class SampleReader:
         """Samples from the time of an image to a later one; None where samples are missing."""
         if last_ns <= first_ns:
             return None
-        first_ns, last_ns = first_ns + self._offset_ns, last_ns + self._offset_ns
+        offset_ns = round(1e9 * self._sensor.time_offset_s)
+        first_ns, last_ns = first_ns + offset_ns, last_ns + offset_ns
         samples = self._block(first_ns, last_ns)
         stamps = samples.stamps_ns
         begin = int(np.searchsorted(stamps, first_ns, side="right")) - 1

@@ -23,6 +23,7 @@ _MIN_DISPARITY_ERROR_PX = 0.05  # smaller ones are not reported
 _USUAL_OFFSET_PX = 0.1  # disparity offset of a well calibrated pair
 _FAR_SCENE_PX = 2.0  # median disparity at which the usual offset changes lengths by 5 %
 _LONG_START = 0.1  # fraction of the frames before the first map that is reported
+_MAX_TIME_OFFSET_S = 0.004  # error of that of an inertial sensor that is not reported
 _MAX_RANGES = 3  # listed in a warning
 
 
@@ -152,14 +153,23 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
 
 
 def inertial_warnings(use: InertialUse | None) -> list[str]:
-    """A warning if an inertial sensor is wrong, or did not give what it is used for.
+    """A warning if an inertial sensor is wrong, or its time offset.
 
     Args:
         use: the sensor, None without one.
     """
-    if use is None or use.reason is None or not use.is_error:
+    if use is None:
         return []
-    return [f"{use.sensor} is not used, only the images are: {use.reason} (see vo info)"]
+    if use.reason is not None and use.is_error:
+        return [f"{use.sensor} is not used, only the images are: {use.reason} (see vo info)"]
+    if abs(use.used_time_offset_s - use.given_time_offset_s) <= _MAX_TIME_OFFSET_S:
+        return []
+    used, given = 1e3 * use.used_time_offset_s, 1e3 * use.given_time_offset_s
+    return [
+        f"{use.sensor}: {used:+.1f} ms were added to stamps of images to get its clock, not "
+        f"{given:+.1f} ms as given: put imu: {{time_offset_s: {1e-3 * used:.4f}}} into the "
+        "calibration"
+    ]
 
 
 def far_scene_warnings(median_disparity_px: float | None) -> list[str]:
