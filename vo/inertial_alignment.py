@@ -11,21 +11,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.inertial.chain import InertialChain, Node, Placed, certain
 from vo.inertial.initialisation import WRONG, tilt_sigma
+from vo.inertial.prediction import InertialPredictor, KnownMotion, known_motion
 from vo.inertial.samples import RetimedSensor, SampleReader
-from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE, POSITION
+from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
 from vo.inertial.time_offset import OffsetSearch
+from vo.inertial_gaps import InertialGaps, tangent_of_cam0
 from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.local_map import LocalMap
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
-from vo.types import Floats, ImuNoise
+from vo.types import Floats
 
 
 class InertialAlignment:
@@ -40,7 +41,7 @@ class InertialAlignment:
 
     Args:
         sensor: with known extrinsics; its time offset is replaced where it is wrong.
-        noise: of the sensor; None for what it gives itself, or that of a consumer sensor.
+        predictor: is told the newest states.
         rig: the rectified cameras.
         trajectory: follows.
         stopwatch: measures the stages.
@@ -49,7 +50,7 @@ class InertialAlignment:
     def __init__(
         self,
         sensor: RetimedSensor,
-        noise: ImuNoise | None,
+        predictor: InertialPredictor,
         rig: RectifiedRig,
         trajectory: TrajectoryBuilder,
         stopwatch: Stopwatch,
@@ -59,16 +60,19 @@ class InertialAlignment:
         self._trajectory = trajectory
         self._is_metric = rig.is_stereo
         assert sensor.cam0_from_imu is not None
-        cam_from_imu = inverse(rig.cam0_from_rectified) @ sensor.cam0_from_imu
+        self._predictor = predictor
         self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
         self._adjoint = adjoint(sensor.cam0_from_imu)
         self._chain = InertialChain(
             SampleReader(sensor),
-            noise or sensor.noise or NOISE_CLASSES["consumer"],
-            inverse(cam_from_imu),
+            predictor.noise,
+            predictor.imu_from_cam,
             is_metric=self._is_metric,
         )
         self._offset = OffsetSearch(sensor)
+        self._gaps = InertialGaps(
+            trajectory, SampleReader(sensor), predictor.noise, sensor.cam0_from_imu
+        )
         self._newest = -1  # id of the newest keyframe whose states were estimated
         self._worlds: list[int] = []
 
@@ -114,10 +118,14 @@ class InertialAlignment:
             self._chain.restart()
             placed = self._chain.update()
         self._place(placed)
+        self._gaps.remember(placed)
+        self._predictor.known = None if placed is None else self._known(placed, keyframes)
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""
         self._chain.remove_from(frame_index)
+        self._gaps.forget_from(frame_index)
+        self._predictor.known = None
 
     @timed("inertial")
     def finish(self, local_map: LocalMap) -> None:
@@ -128,7 +136,10 @@ class InertialAlignment:
             self._chain.read_again()
             if not self._chain.is_initialised:
                 self._chain.update()
-        self._place(self._chain.finish(), keeps_earlier=False)
+        placed = self._chain.finish()
+        self._place(placed, keeps_earlier=False)
+        self._gaps.remember(placed)
+        self._gaps.fill(None if self._is_metric else self._worlds)
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None
@@ -163,7 +174,10 @@ class InertialAlignment:
             placed: some of them.
             keeps_earlier: whether those before them stay, else they follow the first one.
         """
-        if placed is None or self._is_metric:
+        if placed is None:
+            return
+        if self._is_metric:
+            self._join(placed)
             return
         rows = certain(placed)
         if not rows:
@@ -183,14 +197,42 @@ class InertialAlignment:
         if placed.world not in self._worlds:
             self._worlds.append(placed.world)
 
+    def _join(self, placed: Placed) -> None:
+        """Place each later segment of a metric path by its motion since the one before.
+
+        The path of each segment stays that of the images.
+        """
+        states, store = placed.estimate.states, self._trajectory.store
+        for row in range(1, len(placed.nodes)):
+            before, after = placed.nodes[row - 1], placed.nodes[row]
+            if before.segment == after.segment:
+                continue
+            pose = np.tile(np.eye(4), (2, 1, 1))
+            pose[:, :3, :3] = states.rotation[row - 1 : row + 1]
+            pose[:, :3, 3] = states.position[row - 1 : row + 1]
+            cam0 = pose @ self._imu_from_cam0
+            (reference,) = store.keyframes_by_id([before.keyframe])
+            joined = reference.world_from_cam0 @ inverse(cam0[0]) @ cam0[1]
+            store.place(
+                np.array([after.keyframe], np.int64),
+                np.array([store.world(before.segment)], np.int64),
+                joined[None],
+                np.ones(1),
+                self._covariance(placed, [row]),
+            )
+
+    def _known(self, placed: Placed, keyframes: list[Keyframe]) -> KnownMotion | None:
+        """The motion at the newest keyframe of the local map; None while it is uncertain."""
+        node, row = placed.nodes[-1], len(placed.nodes) - 1
+        if node.keyframe != keyframes[-1].id or row not in certain(placed):
+            return None
+        states = placed.estimate.states.rows(slice(-1, None))
+        return known_motion(node.stamp_ns, states, placed.estimate.covariance[-1])
+
     def _covariance(self, placed: Placed, rows: list[int]) -> Floats:
         """(n, 6, 6) of cam0's poses, tangent on the right."""
-        states = placed.estimate.states
         covariance = placed.estimate.covariance[rows][:, :6, :6]
-        turn = np.tile(np.eye(6), (len(rows), 1, 1))
-        turn[:, POSITION, POSITION] = np.swapaxes(states.rotation[rows], 1, 2)
-        to_cam = self._adjoint @ turn
-        return np.asarray(to_cam @ covariance @ np.swapaxes(to_cam, 1, 2))
+        return tangent_of_cam0(placed.estimate.states.rotation[rows], covariance, self._adjoint)
 
     def _states(self, placed: Placed) -> InertialStates:
         states, covariance = placed.estimate.states, placed.estimate.covariance[-1]

@@ -62,6 +62,7 @@ class MapUpdater:
 
     def follow(self, frame: PreprocessedFrame) -> None:
         """Adapt the map to what is corrected, and uncertain, in the images of a frame."""
+        self._trajectory.reach(frame)
         self.vertical_disparity = frame.vertical_disparity
         if frame.corrected != self.corrected:
             self._correct_vertical_disparity(self.corrected, frame.corrected)

@@ -74,6 +74,7 @@ class Odometry:
         self._creator = stages.creator
         self._policy = stages.policy
         self._forecast = stages.forecast
+        self._loss_policy = stages.loss_policy
         self._map = stages.local_map
         self._mapper = stages.mapper
         self._updater = stages.updater
@@ -172,7 +173,7 @@ class Odometry:
         self.update_map()
         self._updater.follow(frame)
         self._result = self._track(frame)
-        if len(self._lost) > self._config.tracking.recover_frames:
+        if self._loss_policy.gives_up(self._lost):
             for each in self._start_segment():  # a new map may hold the frames that were lost
                 self.update_map()
                 self._result = self._track(each)

@@ -307,7 +307,7 @@ class RunSession:
         stamps_ns = path.trajectory.stamps_ns.tolist()
         self._folder.trajectory.replace_from(row, map(tum_line_of_fields, stamps_ns, fields))
         self._folder.poses.replace_from(row, pose_lines(path, fields))
-        keyframes = trajectory.keyframes(keyframe_row)
+        keyframes = trajectory.covariances(keyframe_row)
         self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
 
     def _refresh_if_due(self) -> None:

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from subprocess import Popen
 from typing import TYPE_CHECKING, NamedTuple
 
+from vo.backend.gap_factors import GapFactors
 from vo.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.backend.sliding_window import SlidingWindow
 from vo.backend.window_problem import FactorSource
 from vo.config import Config
 from vo.errors import ConfigError
+from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.frontend.contracts import DescriptorFormat, FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.orb import OrbExtractor
@@ -21,6 +23,7 @@ from vo.frontend.static_masks import StaticMasks, recorded_masks
 from vo.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.geometry.rectification import RectifiedRig, rectified_rig
 from vo.geometry.transforms import inverse
+from vo.inertial.prediction import InertialPredictor
 from vo.inertial.samples import InertialSensor, RetimedSensor, SampleReader
 from vo.map_creator import Initializers, MapCreator
 from vo.map_updater import MapUpdater
@@ -32,8 +35,10 @@ from vo.refinement.calibration_refiner import CalibrationRefiner
 from vo.scheduling import available_cores
 from vo.stopwatch import Stopwatch
 from vo.tracking.frozen_camera import FrozenCamera
+from vo.tracking.inertial_motion import InertialMotion
 from vo.tracking.keyframe_forecast import KeyframeForecast
 from vo.tracking.keyframe_policy import KeyframePolicy
+from vo.tracking.loss_policy import LossPolicy
 from vo.tracking.monocular_initializer import MonocularInitializer
 from vo.tracking.motion_model import ConstantVelocity, MotionModel
 from vo.tracking.rescue import Kinds, Rescue
@@ -84,6 +89,7 @@ class Stages(NamedTuple):
     creator: MapCreator
     policy: KeyframePolicy
     forecast: KeyframeForecast
+    loss_policy: LossPolicy
     local_map: LocalMap
     mapper: LocalMapper
     updater: MapUpdater
@@ -118,19 +124,19 @@ def make_stages(
     frontend = _frontend(config, components, second)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
     descriptors = frontend.extractor.descriptor_format
-    stores = [] if components.keyframe_store is None else [components.keyframe_store]
     sensor = _sensor(components)
-    inertial = _inertial(sensor, components, rectified, trajectory, stopwatch)
+    predictor = _predictor(sensor, components.inertial_noise, rectified)
+    inertial = _inertial(sensor, predictor, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch)
-    if memory is not None:
-        stores.append(memory)
+    stores = [each for each in (components.keyframe_store, memory) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
-    motion = components.motion or _motion(sensor, rectified)
+    motion = components.motion or _motion(sensor, predictor, rectified)
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
     policy = _policy(config, is_metric=rig.is_metric)
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
-    window = _window(local_map, optimizer, config, components, stopwatch)
+    factors = _factors(components, motion, predictor)
+    window = _window(local_map, optimizer, config, factors, stopwatch)
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
     updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
     kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
@@ -144,6 +150,7 @@ def make_stages(
         MapCreator(local_map, initializers, rescue, tracker, updater, trajectory),
         policy,
         KeyframeForecast(policy),
+        LossPolicy(config.tracking.recover_frames, predictor),
         local_map,
         mapper,
         updater,
@@ -160,16 +167,16 @@ def _sensor(components: Components) -> RetimedSensor | None:
 
 def _inertial(
     sensor: RetimedSensor | None,
-    components: Components,
+    predictor: InertialPredictor | None,
     rig: RectifiedRig,
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
 ) -> InertialAlignment | None:
-    if sensor is None:
+    if sensor is None or predictor is None:
         return None
     from vo.inertial_alignment import InertialAlignment
 
-    return InertialAlignment(sensor, components.inertial_noise, rig, trajectory, stopwatch)
+    return InertialAlignment(sensor, predictor, rig, trajectory, stopwatch)
 
 
 def _memory(
@@ -187,14 +194,29 @@ def _memory(
     return make_memory(rig, descriptors, config, trajectory, stopwatch, threads)
 
 
-def _motion(sensor: RetimedSensor | None, rig: RectifiedRig) -> MotionModel:
+def _predictor(
+    sensor: RetimedSensor | None, noise: ImuNoise | None, rig: RectifiedRig
+) -> InertialPredictor | None:
+    """What predicts through lost frames, None without an inertial sensor."""
+    if sensor is None or sensor.cam0_from_imu is None:
+        return None
+    noise = noise or sensor.noise or NOISE_CLASSES["consumer"]
+    imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified
+    return InertialPredictor(SampleReader(sensor), noise, imu_from_cam)
+
+
+def _motion(
+    sensor: RetimedSensor | None, predictor: InertialPredictor | None, rig: RectifiedRig
+) -> MotionModel:
     """The built-in motion model; that of two cameras needs no gyroscope."""
-    if sensor is None or sensor.cam0_from_imu is None or rig.is_stereo:
+    if sensor is None or predictor is None:
         return ConstantVelocity()
+    if rig.is_stereo:
+        return InertialMotion(ConstantVelocity(), predictor)
     from vo.tracking.gyro_motion import GyroMotion
 
-    imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified
-    return GyroMotion(SampleReader(sensor), imu_from_cam)
+    turning = GyroMotion(SampleReader(sensor), predictor.imu_from_cam)
+    return InertialMotion(turning, predictor)
 
 
 def _local_map(
@@ -216,7 +238,7 @@ def _window(
     local_map: LocalMap,
     optimizer: WindowOptimizer,
     config: Config,
-    components: Components,
+    factor_sources: Sequence[FactorSource],
     stopwatch: Stopwatch,
 ) -> SlidingWindow:
     return SlidingWindow(
@@ -225,8 +247,17 @@ def _window(
         config.stereo.sigma_disparity_px,
         config.smoothing,
         stopwatch,
-        components.factor_sources,
+        factor_sources,
     )
+
+
+def _factors(
+    components: Components, motion: MotionModel, predictor: InertialPredictor | None
+) -> Sequence[FactorSource]:
+    """Factors of the window beside the observations."""
+    if predictor is None or not isinstance(motion, InertialMotion):
+        return components.factor_sources
+    return [*components.factor_sources, GapFactors(motion, predictor)]
 
 
 def _initializers(

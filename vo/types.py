@@ -104,8 +104,7 @@ class Frame:
         stamp_ns: time of the image of camera 0 in nanoseconds.
         images: (H, W) uint8 grey by camera, as recorded (distorted, unrectified), None where one is
             missing; in colour or with 16 bits only if `FrameStream.frames` was asked for that.
-        depth: (H, W) float32 metres along the axis of camera 0 at its pixels, 0 where unknown; None
-            without a depth camera or image.
+        depth: (H, W) float32 metres along the axis of camera 0, 0 where unknown; None without.
         path: the file with the image of camera 0 as recorded, perhaps in colour; None without one.
         mask: (H, W) uint8, 0 where the image of camera 0 is not used, 255 elsewhere; or None.
     """
@@ -188,6 +187,7 @@ class PlacedFrames:
         is_keyframe: (N,).
         interpolated: (N,) frames that were not tracked but lie between two that were.
         trajectory: their N poses, smoothed.
+        inertial: (N,) frames that were not tracked, with poses by the inertial sensor; or None.
     """
 
     frame_index: Ints
@@ -196,6 +196,7 @@ class PlacedFrames:
     is_keyframe: Bools
     interpolated: Bools
     trajectory: Trajectory
+    inertial: Bools | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,8 +371,7 @@ class Estimate:
         disparity_offset_px: bias of disparities that is corrected now.
         median_disparity_px: median over the inliers, None without disparities.
         faults: faults of the recording that were found in the frame.
-        tracked_anew_from: number of the first frame that has been tracked once more, with what was
-            found in this one; None for no such frame.
+        tracked_anew_from: number of the first frame that was tracked anew by this one, or None.
         dropped: images of a live source that were left out so far.
     """
 

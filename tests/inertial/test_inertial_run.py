@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -25,6 +26,7 @@ from vo.run_recording import run
 from vo.types import Floats
 
 GYRO_BIAS, ACCEL_BIAS = np.array([0.02, -0.03, 0.01]), np.array([0.1, -0.1, 0.2])
+BLACK = slice(66, 78)
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 
 
@@ -216,3 +218,47 @@ def test_rendered_hall_is_metric(shared_data: Path, tmp_path: Path) -> None:
     assert summary["length_unit"] == "m"
     assert _scale_error(tmp_path, recording) < 0.01
     assert json.loads((tmp_path / "summary.json").read_text())["inertial"]["states"] is not None
+
+
+@pytest.fixture(scope="module")
+def dark_walk(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with a second of noisy black images."""
+    folder = tmp_path_factory.mktemp("dark") / "walk"
+    shutil.copytree(walk, folder)
+    images = sorted((folder / "mav0" / "cam0" / "data").iterdir())
+    rng = np.random.default_rng(1)
+    for image in images[BLACK]:
+        shape = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).shape
+        black = rng.normal(2.0, 1.5, shape).clip(0, 255).astype(np.uint8)
+        assert cv2.imwrite(str(image), black)
+    return folder
+
+
+def test_a_second_without_light_is_bridged(
+    dark_walk: Path, inertial: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    summary = _run(dark_walk, tmp_path / "out")
+    assert len(summary["segments"]) == 1 and summary["lost"] == summary["starting"] == 0
+    assert summary["inertial_poses"] == 12 and summary["verdict"] == "with gaps"
+    rows = np.loadtxt(tmp_path / "out" / "poses.csv", delimiter=",", skiprows=1)
+    assert rows[:, 0].tolist() == list(range(96)) and (rows[BLACK, 4] == 2).all()
+    found, truth = _poses(tmp_path / "out", dark_walk)
+    fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    moved = found[:, :3, 3] @ fit.rotation.T + fit.translation
+    error = np.linalg.norm(moved - truth[:, :3, 3], axis=1)
+    usual, truth = _poses(inertial[0], dark_walk)
+    fit = umeyama(usual[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    moved = usual[:, :3, 3] @ fit.rotation.T + fit.translation
+    usual_m = np.linalg.norm(moved - truth[:, :3, 3], axis=1)
+    assert np.sqrt((error**2).mean()) < 1.3 * np.sqrt((usual_m**2).mean()) + 0.002
+    assert error[BLACK].max() < 0.04
+    covariance = (tmp_path / "out" / "covariance.csv").read_text().splitlines()[1:]
+    dark = [line for line in covariance if BLACK.start <= int(line.split(",")[1]) < BLACK.stop]
+    assert len(dark) == 12 and all(line.split(",")[3] for line in dark)
+
+
+def test_without_the_sensor_a_second_without_light_divides_the_path(
+    dark_walk: Path, tmp_path: Path
+) -> None:
+    summary = _run(dark_walk, tmp_path / "out", "inertial.enabled=false")
+    assert len(summary["segments"]) == 2 and summary["inertial_poses"] == 0

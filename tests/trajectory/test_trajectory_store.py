@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pytest
 
 from vo.geometry.transforms import interpolate, se3_exp
+from vo.trajectory.inertial_frames import InertialFrame
 from vo.trajectory.interpolation import InterpolatedFrames
 from vo.trajectory.store import TrajectoryStore
 from vo.types import Floats, KeyframePose
@@ -175,3 +177,54 @@ def test_moved_keyframes_are_returned_once_old_ones_too() -> None:
     _put(store, 0, 0, _pose(0.5))
     (moved,) = store.take_moved()
     np.testing.assert_array_equal(moved.world_from_cam0, _pose(0.5))
+
+
+def _with_a_gap() -> TrajectoryStore:
+    """Frames 0 to 9 without 5 and 6, of which 0, 4 and 8 are keyframes, with known covariances."""
+    store = TrajectoryStore()
+    for frame in (0, 1, 2, 3, 4, 7, 8, 9):
+        keyframe = frame // 4
+        if frame % 4 == 0:
+            pose = KeyframePose(frame, 100 * frame, 0, _pose(frame), 1e-4 * np.eye(6))
+            store.store(keyframe, pose)
+        store.add(frame, 100 * frame, 0, keyframe, _pose(frame))
+    return store
+
+
+def _inertial(frame: int) -> InertialFrame:
+    return InertialFrame(4, frame, 100 * frame, 0, _pose(frame), 1e-3 * np.eye(6))
+
+
+def test_frames_by_an_inertial_sensor_are_in_the_path_and_marked() -> None:
+    store = _with_a_gap()
+    store.take_changes()
+    store.add_inertial([_inertial(5), _inertial(6)])
+    assert store.take_changes() == (0, 0)  # everything after them has other rows
+    path = store.path()
+    assert path.frame_index.tolist() == list(range(10)) and path.inertial is not None
+    assert np.flatnonzero(path.inertial).tolist() == [5, 6]
+    assert np.flatnonzero(path.is_keyframe).tolist() == [0, 4, 8] and not path.interpolated.any()
+    expected = np.stack([_pose(f) for f in range(10)])
+    np.testing.assert_allclose(path.trajectory.world_from_cam, expected, atol=1e-12)
+
+
+def test_frames_by_an_inertial_sensor_move_with_the_keyframe_before_them() -> None:
+    store = _with_a_gap()
+    store.place(np.array([1]), np.array([0]), _pose(4)[None], np.array([2.0]), np.zeros((1, 6, 6)))
+    store.add_inertial([_inertial(5)])
+    np.testing.assert_allclose(store.trajectory().world_from_cam[5], _pose(5), atol=1e-12)
+    move = se3_exp(np.array([0.1, 0.2, -0.1, 3.0, -1.0, 2.0]))
+    moved = (move @ _pose(4))[None]
+    store.place(np.array([1]), np.array([0]), moved, np.array([2.0]), np.zeros((1, 6, 6)))
+    np.testing.assert_allclose(store.trajectory().world_from_cam[5], move @ _pose(5), atol=1e-12)
+
+
+def test_frames_by_an_inertial_sensor_have_covariances_among_those_of_keyframes() -> None:
+    store = _with_a_gap()
+    assert [pose.frame_index for pose in store.covariances(1)] == [4, 8]
+    store.add_inertial([_inertial(5), _inertial(6)])
+    poses = store.covariances()
+    assert [pose.frame_index for pose in poses] == [0, 4, 5, 6, 8]
+    assert [float(np.trace(p.covariance)) for p in poses if p.covariance is not None] == [
+        pytest.approx(6 * v) for v in (1e-4, 1e-4, 1e-3, 1e-3, 1e-4)
+    ]

@@ -67,6 +67,7 @@ def print_summary(summary: Summary, files: WrittenFiles, console: Console | None
 def _facts(summary: Summary) -> list[tuple[str, str]]:
     unit = summary.length_unit
     kind = f"{summary.facts.mode}, {summary.facts.format}"
+    inertial = summary.inertial_poses
     speed = f"{summary.frames_per_s:.1f} frames/s, {summary.wall_s:.1f} s"
     facts = [
         ("source", f"{summary.facts.source} ({kind})"),
@@ -74,6 +75,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
         ("frames", _frames(summary)),
         ("tracked", f"{summary.tracked} ({_percent(summary.tracked, summary.frames)})"),
         *([("between", f"{summary.interpolated} interpolated")] if summary.interpolated else []),
+        *([("bridged", f"{inertial} by the inertial sensor")] if inertial else []),
         ("lost", str(summary.lost)),
         ("segments", str(len(summary.segments))),
         *([("loops", _loops(summary.loops))] if summary.loops else []),

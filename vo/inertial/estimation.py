@@ -99,7 +99,9 @@ def first_prior(state: States, *, is_metric: bool) -> Prior:
     return Prior(about_zero, information, np.zeros(WIDTH))
 
 
-def estimate_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) -> Estimate:
+def estimate_states(
+    states: States, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
+) -> Estimate:
     """Iterate to the most probable states.
 
     Args:
@@ -107,11 +109,12 @@ def estimate_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise)
         steps: the n - 1 measurements between them.
         prior: of the first.
         noise: of the sensor.
+        last: the same of the last.
 
     Raises:
         numpy.linalg.LinAlgError: the measurements do not determine the states.
     """
-    problem = _Problem(steps, prior, noise)
+    problem = _Problem(steps, prior, noise, last)
     has_converged = False
     for _ in range(_MAX_ITERATIONS):
         solution = solve_chain(problem.normal_equations(states))
@@ -135,8 +138,12 @@ def estimate_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise)
 class _Problem:
     """Normal equations of a chain."""
 
-    def __init__(self, steps: Steps, prior: Prior, noise: ImuNoise) -> None:
-        self._steps, self._prior = steps, prior
+    def __init__(
+        self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
+    ) -> None:
+        self._steps, self._priors = steps, [(0, prior)]
+        if last is not None:
+            self._priors.append((len(steps.inertial), last))
         known = [k for k, m in enumerate(steps.inertial) if m is not None]
         self._known = np.array(known, np.int64)
         self._measured = tuple(m for m in steps.inertial if m is not None)
@@ -152,9 +159,10 @@ class _Problem:
     def normal_equations(self, states: States) -> Equations:
         """Normal equations of a step from these states."""
         equations = empty_equations(states.number, WIDTH)
-        off = states.rows(slice(0, 1)).since(self._prior.at)[0]
-        equations.before[0] += self._prior.information
-        equations.gradient_before[0] += self._prior.gradient + self._prior.information @ off
+        for row, prior in self._priors:
+            off = states.rows(slice(row, row + 1)).since(prior.at)[0]
+            equations.before[row] += prior.information
+            equations.gradient_before[row] += prior.gradient + prior.information @ off
         if len(self._known):
             inertial = self._inertial(states)
             _add(equations, self._known, inertial, self._inertial_information)

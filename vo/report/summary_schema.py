@@ -36,6 +36,7 @@ _SCHEMA: dict[str, Any] = {
     ],
     "versions": {},
     "interpolated?": _WHOLE,
+    "inertial_poses?": _WHOLE,
     "loops?": [
         {
             **dict.fromkeys(("frame", "earlier_frame", "inliers"), _WHOLE),

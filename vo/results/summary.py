@@ -123,6 +123,7 @@ class Summary:
     frames: int
     tracked: int
     interpolated: int
+    inertial_poses: int
     untracked: int
     starting: int
     lost: int
@@ -242,6 +243,7 @@ def summarise(state: RunState) -> Summary:
         statistics, path.frame_index, state.skipped, _untracked(facts, state.status, statistics)
     )
     interpolated = int(path.interpolated.sum())
+    inertial = 0 if path.inertial is None else int(path.inertial.sum())
     segments = _segments(path)
     # The disparities of a depth camera are relative to a virtual right camera.
     disparity_px = statistics.median_disparity_px if facts.mode == "stereo" else None
@@ -250,8 +252,9 @@ def summarise(state: RunState) -> Summary:
         error=state.error,
         facts=facts,
         frames=len(path.frame_index) + sum(count.values()),
-        tracked=len(path.frame_index) - interpolated,
+        tracked=len(path.frame_index) - interpolated - inertial,
         interpolated=interpolated,
+        inertial_poses=inertial,
         untracked=count["untracked"],
         starting=count[State.STARTING.value],
         lost=count[State.LOST.value],

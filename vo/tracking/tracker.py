@@ -25,6 +25,7 @@ from vo.mapping.octaves import predicted_octave
 from vo.mapping.tracked_frame import TrackedFrame
 from vo.stopwatch import Stopwatch, timed
 from vo.tracking.essential_matrix import EssentialMatrixFallback
+from vo.tracking.inertial_motion import InertialMotion, PosePrior
 from vo.tracking.klt_alignment import KltAligner
 from vo.tracking.landmark_alignment import LandmarkAligner
 from vo.tracking.last_frame import LastFrame, last_frame
@@ -120,6 +121,8 @@ class Tracker:
     def forget_last_frame(self) -> None:
         """Forget the last frame, before a new segment."""
         self.last = None
+        if isinstance(self._motion, InertialMotion):
+            self._motion.give_up()
 
     def move(self, motion: Floats) -> None:
         """Follow the map's newest keyframe, which optimisation has moved by (4, 4)."""
@@ -218,6 +221,8 @@ class Tracker:
             enough = _MIN_SPARSE_RATIO * int(self.last.inlier.sum())
             yield _InitialPose(self._motion.last @ last_from_cam, enough)
         predicted = self._motion.predict(frame.stamp_ns)
+        if self._prior(frame) is not None:
+            yield _InitialPose(predicted)
         pose = self.track_by_projection(frame, predicted, _RADII)
         if pose is not None:
             yield _InitialPose(pose)
@@ -294,8 +299,18 @@ class Tracker:
         self._map.found[observed.rows[fit.inlier]] += 1
         if int(fit.inlier.sum()) < self._min_inliers(in_view):
             return None
+        cam_from_world, prior = fit.cam_from_world, self._prior(frame)
+        if prior is not None:
+            if prior.is_contradicted(cam_from_world, fit.information):
+                return None
+            cam_from_world = prior.fused(cam_from_world, fit.information)
         ids = self._map.id[observed.rows]
-        return TrackedFrame(inverse(fit.cam_from_world), ids, observed, fit.inlier, in_view)
+        return TrackedFrame(inverse(cam_from_world), ids, observed, fit.inlier, in_view)
+
+    def _prior(self, frame: PreprocessedFrame) -> PosePrior | None:
+        """The pose by an inertial sensor of a frame after lost ones."""
+        motion = self._motion
+        return motion.prior(frame.stamp_ns) if isinstance(motion, InertialMotion) else None
 
     def _min_inliers(self, visible: int) -> float:
         """Minimum number of inliers; half as many where they are most of the landmarks in view."""

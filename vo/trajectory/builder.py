@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import adjoint, inverse
@@ -12,7 +14,10 @@ from vo.mapping.keyframe import FrameId, Keyframe
 from vo.places.records import PlacedKeyframes
 from vo.trajectory.map_frame import Anchor
 from vo.trajectory.store import TrajectoryStore
+from vo.trajectory.table import Table
 from vo.types import Floats, KeyframePose
+
+_REACHED = np.dtype([("frame_index", np.int64), ("stamp_ns", np.int64)])
 
 
 class TrajectoryBuilder:
@@ -30,9 +35,20 @@ class TrajectoryBuilder:
 
     def __init__(self, cam0_from_rectified: Floats) -> None:
         self.store = TrajectoryStore()
+        self._reached = Table(_REACHED)
         self._cam0_from_rectified = cam0_from_rectified
         self._rectified_from_cam0 = inverse(cam0_from_rectified)
         self._adjoint = adjoint(cam0_from_rectified)
+
+    @property
+    def reached(self) -> NDArray[Any]:
+        """(n,) rows with `frame_index` and `stamp_ns` of all frames, those without a pose too."""
+        return self._reached.rows
+
+    def reach(self, frame: PreprocessedFrame) -> None:
+        """Remember the time of a frame, whatever becomes of it."""
+        if len(self._reached) == 0 or frame.index > self.reached["frame_index"][-1]:
+            self._reached.append(frame.index, frame.stamp_ns)
 
     def add_frame(
         self, frame: PreprocessedFrame | FrameId, keyframe: Keyframe, world_from_cam: Floats

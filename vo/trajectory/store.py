@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vo.geometry.transforms import inverse, whole_transforms
 from vo.metric_scale import MetricScale
+from vo.trajectory.inertial_frames import INERTIAL, InertialFrame, inserted, with_inertial
 from vo.trajectory.interpolation import InterpolatedFrames, fill
 from vo.trajectory.map_frame import Anchor, make_anchor, scaled_covariance
 from vo.trajectory.rows import (
@@ -41,6 +42,7 @@ class TrajectoryStore:
     def __init__(self) -> None:
         self.interpolated: InterpolatedFrames | None = None
         self._frames = Table(FRAME)
+        self._inertial: list[InertialFrame] = []
         self._keyframes = Table(KEYFRAME)
         self._changed = self._changed_keyframe = 0
         self._moved: set[int] = set()  # ids of keyframes
@@ -66,6 +68,19 @@ class TrajectoryStore:
         reference = whole_transforms(self._keyframes.rows["odom_from_cam0"][row : row + 1])[0]
         relative = inverse(reference) @ odom_from_cam0
         self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
+
+    def add_inertial(self, added: Sequence[InertialFrame]) -> None:
+        """Insert frames with poses by the inertial sensor, by increasing number, at the end."""
+        if not added:
+            return
+        self._inertial = list(added)
+        after = self.frames[[frame.after for frame in added]]
+        rows = self._keyframes.rows[self._keyframe_rows(after["keyframe"])]
+        poses = np.stack([frame.world_from_cam0 for frame in added])
+        relative = inverse(whole_transforms(rows["world_from_cam0"])) @ poses
+        relative[:, :3, 3] /= rows["scale"][:, None]
+        self._frames.replace(inserted(self.frames, added, relative))
+        self._changed = self._changed_keyframe = 0
 
     def store(self, keyframe: int, pose: KeyframePose) -> None:
         """Add a keyframe by its id, or replace its pose and covariance in the odometry frame."""
@@ -235,18 +250,25 @@ class TrajectoryStore:
         """Keyframes from a row on."""
         return keyframe_poses(self._keyframes.rows[row:])
 
+    def covariances(self, row: int = 0) -> list[KeyframePose]:
+        """Keyframes from a row on, among the frames with a pose by the inertial sensor."""
+        keyframes = self.keyframes(row)
+        return with_inertial(keyframes, self._inertial) if self._inertial else keyframes
+
     def path(self, row: int = 0) -> PlacedFrames:
         """All frames with their current poses, from a row on."""
         frames = self.frames[row:]
         rows = self._keyframe_rows(frames["keyframe"])
-        interpolated = frames["fraction"] > 0
+        interpolated, inertial = frames["fraction"] > 0, frames["fraction"] == INERTIAL
         frame_index = frames["frame_index"].copy()
         is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
         segment = frames["segment"].astype(np.int64)
         numbers, inverted = np.unique(segment, return_inverse=True)
         world = np.array([self.world(n) for n in numbers.tolist()], np.int64)[inverted]
         trajectory = self.trajectory(row)
-        return PlacedFrames(frame_index, segment, world, is_keyframe, interpolated, trajectory)
+        return PlacedFrames(
+            frame_index, segment, world, is_keyframe, interpolated, trajectory, inertial
+        )
 
     def trajectory(self, row: int = 0) -> Trajectory:
         """The poses of `path` alone."""

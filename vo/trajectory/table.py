@@ -29,6 +29,10 @@ class Table:
         """Remove all rows but the first `count`."""
         self._count = min(self._count, count)
 
+    def replace(self, rows: NDArray[Any]) -> None:
+        """Take other rows (n,) of the same type instead."""
+        self._storage, self._count = rows, len(rows)
+
     def append(self, *fields: Any) -> None:
         """Add a row of these fields."""
         if self._count == len(self._storage):
