@@ -20,6 +20,7 @@ from vo.inertial.samples import RetimedSensor, SampleReader
 from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
 from vo.inertial.time_offset import OffsetSearch
 from vo.inertial_gaps import InertialGaps, tangent_of_cam0
+from vo.inertial_turns import InertialTurns
 from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
@@ -72,6 +73,14 @@ class InertialAlignment:
         self._offset = OffsetSearch(sensor)
         self._gaps = InertialGaps(
             trajectory, SampleReader(sensor), predictor.noise, sensor.cam0_from_imu
+        )
+        self._turns = InertialTurns(
+            trajectory,
+            predictor.turns,
+            SampleReader(sensor),
+            predictor.noise,
+            predictor.imu_from_cam,
+            self._imu_from_cam0,
         )
         self._newest = -1  # id of the newest keyframe whose states were estimated
         self._worlds: list[int] = []
@@ -139,7 +148,8 @@ class InertialAlignment:
         placed = self._chain.finish()
         self._place(placed, keeps_earlier=False)
         self._gaps.remember(placed)
-        self._gaps.fill(None if self._is_metric else self._worlds)
+        lost = self._gaps.bridged(None if self._is_metric else self._worlds)
+        self._trajectory.store.add_inertial(lost + self._turns.turned(lost))
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None

@@ -82,8 +82,8 @@ class InertialGaps:
         """Forget the keyframes from a frame on."""
         self._states = {k: s for k, s in self._states.items() if s.frame_index < frame_index}
 
-    def fill(self, worlds: Collection[int] | None) -> None:
-        """Add poses of the lost frames in gaps of up to `MAX_GAP_S` to the path.
+    def bridged(self, worlds: Collection[int] | None) -> list[InertialFrame]:
+        """The lost frames in gaps of up to `MAX_GAP_S`.
 
         Args:
             worlds: numbers of the worlds whose lengths are metres, None for all.
@@ -91,7 +91,7 @@ class InertialGaps:
         store, reached = self._trajectory.store, self._trajectory.reached
         frames = store.frames
         if len(frames) < 2 or not self._states:
-            return
+            return []
         gaps = np.flatnonzero(
             np.diff(np.searchsorted(reached["frame_index"], frames["frame_index"])) > 1
         )
@@ -112,13 +112,13 @@ class InertialGaps:
             found = self._bridged(ends[0], ends[1], between["stamp_ns"])
             if found is None:
                 continue
-            reference = store.keyframes_by_id([int(frames["keyframe"][row])])[0]
+            keyframe = int(frames["keyframe"][row])
+            (reference,) = store.keyframes_by_id([keyframe])
             covariance = _with_reference(found[1], found[0], reference)
             for k, (index, stamp_ns) in enumerate(between.tolist()):
-                added.append(
-                    InertialFrame(row, index, stamp_ns, segments[0], found[0][k], covariance[k])
-                )
-        store.add_inertial(added)
+                frame = (keyframe, index, stamp_ns, segments[0], found[0][k], covariance[k])
+                added.append(InertialFrame(*frame))
+        return added
 
     def _bridged(self, before: _End, after: _End, stamps_ns: Ints) -> tuple[Floats, Floats] | None:
         """Poses (n, 4, 4) of cam0 in the path and their covariance relative to both ends."""

@@ -141,7 +141,7 @@ def make_stages(
     updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
     kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
     rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
-    initializers = _initializers(local_map, mapper, frontend, config)
+    initializers = _initializers(local_map, mapper, frontend, config, predictor)
     return Stages(
         _preprocessor(rectified, frontend, masks, config, threads, second),
         tracker,
@@ -261,20 +261,20 @@ def _factors(
 
 
 def _initializers(
-    local_map: LocalMap, mapper: LocalMapper, frontend: Frontend, config: Config
+    local_map: LocalMap,
+    mapper: LocalMapper,
+    frontend: Frontend,
+    config: Config,
+    predictor: InertialPredictor | None,
 ) -> Initializers:
+    turns = None if predictor is None else predictor.turns
+    by_flow = config.tracking.method == "klt"
+    parts = local_map, mapper, frontend, config.start, config.tracking.search_ratio
     return Initializers(
         StereoInitializer(local_map, mapper, config.start.min_points),
-        _monocular_initializer(local_map, mapper, frontend, config),
-        _monocular_initializer(local_map, mapper, frontend, config),
+        MonocularInitializer(*parts, by_flow=by_flow, turns=turns),
+        MonocularInitializer(*parts, by_flow=by_flow),
     )
-
-
-def _monocular_initializer(
-    local_map: LocalMap, mapper: LocalMapper, frontend: Frontend, config: Config
-) -> MonocularInitializer:
-    ratio, by_flow = config.tracking.search_ratio, config.tracking.method == "klt"
-    return MonocularInitializer(local_map, mapper, frontend, config.start, ratio, by_flow=by_flow)
 
 
 def _second_extractor(config: Config, components: Components) -> XFeatExtractor | None:

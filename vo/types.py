@@ -187,7 +187,7 @@ class PlacedFrames:
         is_keyframe: (N,).
         interpolated: (N,) frames that were not tracked but lie between two that were.
         trajectory: their N poses, smoothed.
-        inertial: (N,) frames that were not tracked, with poses by the inertial sensor; or None.
+        inertial: (N,) 0, or -1 for a pose by the inertial sensor, -2 for its orientation; or None.
     """
 
     frame_index: Ints
@@ -196,7 +196,7 @@ class PlacedFrames:
     is_keyframe: Bools
     interpolated: Bools
     trajectory: Trajectory
-    inertial: Bools | None = None
+    inertial: Ints | None = None
 
 
 @dataclass(frozen=True, eq=False)

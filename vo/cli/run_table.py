@@ -13,7 +13,6 @@ from rich.markup import escape
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
 from vo.closed_loops import ClosedLoop, Relocalisation
-from vo.inertial_use import InertialUse
 from vo.metric_scale import MetricScale
 from vo.printable import counted
 from vo.results.folder import RESULTS
@@ -80,7 +79,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
         ("segments", str(len(summary.segments))),
         *([("loops", _loops(summary.loops))] if summary.loops else []),
         *_relocalisations(summary.relocalisations),
-        *([] if summary.inertial is None else _inertial(summary.inertial, summary.facts.mode)),
+        *_inertial(summary),
         ("keyframes", f"{summary.keyframes}, with {counted(summary.landmarks, 'landmark')}"),
         ("path", f"{summary.path_m:.3f} {unit}"),
         *([("scale", _scales(summary.scale.scales))] if summary.scale else []),
@@ -121,12 +120,15 @@ def _relocalisations(found: Sequence[Relocalisation]) -> list[tuple[str, str]]:
     return [("relocalised", f"in {'frame' if len(found) == 1 else 'frames'} {frames}")]
 
 
-def _inertial(use: InertialUse, mode: str) -> list[tuple[str, str]]:
+def _inertial(summary: Summary) -> list[tuple[str, str]]:
     """What the inertial sensor gave, or why it gave nothing; nothing if the warnings say it."""
+    use = summary.inertial
+    if use is None or (use.states is None and summary.inertial_orientations):
+        return []
     if use.states is None:
         return [] if use.is_error else [("inertial", f"not used: {use.reason}")]
     down = f"gravity within {use.states.tilt_sigma_deg:.2f}°"
-    if mode != "mono":
+    if summary.facts.mode != "mono":
         return [("inertial", f"{down}, from frame {use.first_frame}")]
     scale = f"scale within {100 * use.states.scale_sigma:.1f} %"
     return [("inertial", f"{scale}, {down} (standard deviations), from frame {use.first_frame}")]

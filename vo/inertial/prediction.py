@@ -18,6 +18,7 @@ from vo.inertial.states import (
     VELOCITY,
     States,
 )
+from vo.inertial.turning import TurnLog
 from vo.types import Floats, ImuNoise
 
 _MAX_S = 3.0  # since the keyframe whose motion is known, and again of what is predicted
@@ -87,6 +88,7 @@ class InertialPredictor:
         known: at the newest keyframe of the local map, None while it is unknown.
         noise: of the sensor.
         imu_from_cam: (4, 4) of the rectified camera.
+        turns: rotations between images that make no map yet.
 
     Args:
         reader: gives the samples.
@@ -97,6 +99,7 @@ class InertialPredictor:
     def __init__(self, reader: SampleReader, noise: ImuNoise, imu_from_cam: Floats) -> None:
         self.known: KnownMotion | None = None
         self.noise, self.imu_from_cam = noise, imu_from_cam
+        self.turns = TurnLog()
         self._reader = reader
 
     def has_samples(self, first_ns: int, last_ns: int) -> bool:

@@ -37,6 +37,7 @@ _SCHEMA: dict[str, Any] = {
     "versions": {},
     "interpolated?": _WHOLE,
     "inertial_poses?": _WHOLE,
+    "inertial_orientations?": _WHOLE,
     "loops?": [
         {
             **dict.fromkeys(("frame", "earlier_frame", "inliers"), _WHOLE),

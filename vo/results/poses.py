@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from vo.types import PlacedFrames
 
 POSES_HEADING = "frame,stamp_ns,segment,keyframe,interpolated,tx,ty,tz,qx,qy,qz,qw"
 
 
 def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Rows under `POSES_HEADING`; flags are 0 or 1, 2 for a pose by the inertial sensor alone.
+    """Rows under `POSES_HEADING`; `interpolated` is 2, 3 for poses by an inertial sensor.
 
     Args:
         placed: the frames.
@@ -18,7 +20,7 @@ def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterato
     """
     interpolated = placed.interpolated.astype(int)
     if placed.inertial is not None:
-        interpolated[placed.inertial] = 2
+        interpolated = np.where(placed.inertial < 0, 1 - placed.inertial, interpolated)
     columns = (
         placed.frame_index.tolist(),
         placed.trajectory.stamps_ns.tolist(),

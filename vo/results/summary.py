@@ -124,6 +124,7 @@ class Summary:
     tracked: int
     interpolated: int
     inertial_poses: int
+    inertial_orientations: int
     untracked: int
     starting: int
     lost: int
@@ -243,7 +244,8 @@ def summarise(state: RunState) -> Summary:
         statistics, path.frame_index, state.skipped, _untracked(facts, state.status, statistics)
     )
     interpolated = int(path.interpolated.sum())
-    inertial = 0 if path.inertial is None else int(path.inertial.sum())
+    inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
+    turned = 0 if path.inertial is None else int(np.count_nonzero(path.inertial == -2))
     segments = _segments(path)
     # The disparities of a depth camera are relative to a virtual right camera.
     disparity_px = statistics.median_disparity_px if facts.mode == "stereo" else None
@@ -254,7 +256,8 @@ def summarise(state: RunState) -> Summary:
         frames=len(path.frame_index) + sum(count.values()),
         tracked=len(path.frame_index) - interpolated - inertial,
         interpolated=interpolated,
-        inertial_poses=inertial,
+        inertial_poses=inertial - turned,
+        inertial_orientations=turned,
         untracked=count["untracked"],
         starting=count[State.STARTING.value],
         lost=count[State.LOST.value],

@@ -43,7 +43,7 @@ def run_warnings(summary: Summary) -> list[str]:
         *far_scene_warnings(summary.median_disparity_px),
         *map_warnings(summary.map_use, [s.segment for s in summary.segments]),
         *_world_warnings(summary),
-        *inertial_warnings(summary.inertial, summary.inertial_poses),
+        *inertial_warnings(summary.inertial, summary.inertial_poses, summary.inertial_orientations),
     ]
 
 
@@ -152,19 +152,25 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
     return [f"not in the world of the map {use.file}, in worlds of their own: segments {numbers}"]
 
 
-def inertial_warnings(use: InertialUse | None, poses: int = 0) -> list[str]:
+def inertial_warnings(use: InertialUse | None, poses: int = 0, orientations: int = 0) -> list[str]:
     """A warning if an inertial sensor is wrong, or its time offset, or if it gave poses alone.
 
     Args:
         use: the sensor, None without one.
         poses: frames with a pose by the sensor alone.
+        orientations: frames with an orientation by it, and without a position.
     """
     if use is None:
         return []
     if use.reason is not None and use.is_error:
         return [f"{use.sensor} is not used, only the images are: {use.reason} (see vo info)"]
-    alone = [f"{counted(poses, 'lost frame')} with a pose by the inertial sensor alone"]
-    return [*(alone if poses else []), *_time_offset_warnings(use)]
+    warnings = []
+    if poses:
+        warnings.append(f"{counted(poses, 'lost frame')} with a pose by the inertial sensor alone")
+    if orientations:
+        frames = counted(orientations, "frame")
+        warnings.append(f"{frames} with an orientation by the gyroscope, and without a position")
+    return [*warnings, *_time_offset_warnings(use)]
 
 
 def _time_offset_warnings(use: InertialUse) -> list[str]:

@@ -17,6 +17,7 @@ from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.neighbours import far_from
 from vo.geometry.quantiles import median
 from vo.geometry.transforms import inverse, transform_points
+from vo.inertial.turning import TurnLog
 from vo.mapping.keyframe import Keyframe, without_disparity
 from vo.mapping.local_map import LocalMap
 from vo.mapping.local_mapper import LocalMapper
@@ -63,6 +64,7 @@ class MonocularInitializer:
         config: settings.
         search_ratio: radius of the search windows in tracking, ratio of the image width.
         by_flow: whether features are followed by optical flow instead of being matched.
+        turns: receives the rotations between images, None without an inertial sensor.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class MonocularInitializer:
         search_ratio: float,
         *,
         by_flow: bool = False,
+        turns: TurnLog | None = None,
     ) -> None:
         self.waiting: list[PreprocessedFrame] = []
         self._map = local_map
@@ -82,6 +85,7 @@ class MonocularInitializer:
         self._config = config
         self._radius_ratio = _SEARCH_FACTOR * search_ratio
         self._by_flow = by_flow
+        self._turns = turns
         self._reference: PreprocessedFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
         # Features of the reference frame that each waiting frame shows, and their ideal pixels.
@@ -119,6 +123,9 @@ class MonocularInitializer:
             rig.matrix,
             self._intermediate_views(query),
         )
+        if self._turns is not None:
+            times_ns = self._reference.stamp_ns, frame.stamp_ns
+            self._turns.add(times_ns, views.first, views.second, views.matrix)
         result = reconstruct(views, self._config)
         if isinstance(result, Failure):
             self.waiting = [*self.waiting[1 - _MAX_WAITING :], frame]

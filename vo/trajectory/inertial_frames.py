@@ -10,28 +10,30 @@ from numpy.typing import NDArray
 
 from vo.types import Floats, KeyframePose
 
-INERTIAL = -1.0
-"""`fraction` of such a frame in the table of frames."""
+INERTIAL, TURNED = -1.0, -2.0
+"""`fraction` of such a frame in the table of frames; the latter has an orientation only."""
 
 
 class InertialFrame(NamedTuple):
     """A frame with a pose by the inertial sensor.
 
     Attributes:
-        after: row of the tracked frame before it, with whose keyframe it moves.
+        keyframe: id of the keyframe with which it moves, that of the tracked frame beside it.
         frame_index: number of the frame.
         stamp_ns: its time.
-        segment: that of the tracked frame.
+        segment: that of the keyframe.
         world_from_cam0: (4, 4) in the world of the path.
         covariance: (6, 6), None if it is unknown.
+        has_position: whether the position is known, too; else it is that of the keyframe.
     """
 
-    after: int
+    keyframe: int
     frame_index: int
     stamp_ns: int
     segment: int
     world_from_cam0: Floats
     covariance: Floats | None
+    has_position: bool = True
 
 
 def inserted(
@@ -44,15 +46,15 @@ def inserted(
         added: m frames, by increasing number.
         keyframe_from_cam: (m, 4, 4) of these, in the units of the odometry.
     """
-    after = np.array([frame.after for frame in added], np.int64)
     rows = np.zeros(len(added), frames.dtype)
     rows["frame_index"] = [frame.frame_index for frame in added]
     rows["stamp_ns"] = [frame.stamp_ns for frame in added]
     rows["segment"] = [frame.segment for frame in added]
-    rows["keyframe"] = frames["keyframe"][after]
-    rows["fraction"] = INERTIAL
+    rows["keyframe"] = [frame.keyframe for frame in added]
+    rows["fraction"] = [INERTIAL if frame.has_position else TURNED for frame in added]
     rows["keyframe_from_cam"] = keyframe_from_cam[:, :3]
-    return np.insert(frames, after + 1, rows)
+    at = np.searchsorted(frames["frame_index"], rows["frame_index"])
+    return np.insert(frames, at, rows)
 
 
 def with_inertial(
@@ -63,4 +65,6 @@ def with_inertial(
         KeyframePose(f.frame_index, f.stamp_ns, f.segment, f.world_from_cam0, f.covariance)
         for f in added
     ]
-    return sorted([*keyframes, *others], key=lambda pose: pose.stamp_ns)
+    numbers = {frame.frame_index for frame in added}
+    kept = [keyframe for keyframe in keyframes if keyframe.frame_index not in numbers]
+    return sorted([*kept, *others], key=lambda pose: pose.stamp_ns)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vo.geometry.transforms import inverse, whole_transforms
 from vo.metric_scale import MetricScale
-from vo.trajectory.inertial_frames import INERTIAL, InertialFrame, inserted, with_inertial
+from vo.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
 from vo.trajectory.interpolation import InterpolatedFrames, fill
 from vo.trajectory.map_frame import Anchor, make_anchor, scaled_covariance
 from vo.trajectory.rows import (
@@ -73,9 +73,9 @@ class TrajectoryStore:
         """Insert frames with poses by the inertial sensor, by increasing number, at the end."""
         if not added:
             return
-        self._inertial = list(added)
-        after = self.frames[[frame.after for frame in added]]
-        rows = self._keyframes.rows[self._keyframe_rows(after["keyframe"])]
+        added = sorted(added, key=lambda frame: frame.frame_index)
+        self._inertial = added
+        rows = self._keyframes.rows[[self._keyframe_row(frame.keyframe) for frame in added]]
         poses = np.stack([frame.world_from_cam0 for frame in added])
         relative = inverse(whole_transforms(rows["world_from_cam0"])) @ poses
         relative[:, :3, 3] /= rows["scale"][:, None]
@@ -259,7 +259,7 @@ class TrajectoryStore:
         """All frames with their current poses, from a row on."""
         frames = self.frames[row:]
         rows = self._keyframe_rows(frames["keyframe"])
-        interpolated, inertial = frames["fraction"] > 0, frames["fraction"] == INERTIAL
+        interpolated, inertial = frames["fraction"] > 0, np.minimum(frames["fraction"], 0.0)
         frame_index = frames["frame_index"].copy()
         is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
         segment = frames["segment"].astype(np.int64)
@@ -267,7 +267,8 @@ class TrajectoryStore:
         world = np.array([self.world(n) for n in numbers.tolist()], np.int64)[inverted]
         trajectory = self.trajectory(row)
         return PlacedFrames(
-            frame_index, segment, world, is_keyframe, interpolated, trajectory, inertial
+            *(frame_index, segment, world, is_keyframe & (inertial == 0)),
+            *(interpolated, trajectory, inertial.astype(np.int64)),
         )
 
     def trajectory(self, row: int = 0) -> Trajectory:
