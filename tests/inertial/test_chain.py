@@ -79,7 +79,7 @@ def test_window_says_what_all_keyframes_together_say() -> None:
     for node in _nodes(45, poses):
         chain.set(node)
         newest = chain.update()
-    assert newest is not None and len(newest.nodes) == 20
+    assert newest is not None and len(newest.nodes) == 12
     window, together = newest.estimate, chain.finish()
     assert together is not None
     sigma = np.sqrt(np.diagonal(together.estimate.covariance[-1]))

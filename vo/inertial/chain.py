@@ -15,7 +15,8 @@ from vo.inertial.samples import SampleReader
 from vo.inertial.states import GRAVITY_M_S2, LOG_SCALE, States, Steps, joined
 from vo.types import Floats, ImuNoise
 
-_WINDOW = 20  # newest keyframes whose states are estimated together
+_WINDOW_LAST_STEP = 3.0  # standard deviations
+_WINDOW = 12  # newest keyframes whose states are estimated together
 _MAX_FIRST = 40  # newest keyframes that first states are searched with
 _MAX_BRIDGE_S = 3.0  # between segments without images
 _MAX_BIAS_RAD_S = 0.003  # from which preintegration is repeated
@@ -222,7 +223,10 @@ class InertialChain:
         assert self._prior is not None
         steps = self._steps(begin, count)
         try:
-            self._estimate = estimate_states(states, steps, self._prior, self._noise)
+            # Every keyframe brings another iteration with all states of the window.
+            self._estimate = estimate_states(
+                states, steps, self._prior, self._noise, last_step=_WINDOW_LAST_STEP
+            )
         except np.linalg.LinAlgError:
             self._estimate = self._prior = None
             self.reason = NotYet.DISAGREEMENT

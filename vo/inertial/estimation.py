@@ -100,7 +100,13 @@ def first_prior(state: States, *, is_metric: bool) -> Prior:
 
 
 def estimate_states(
-    states: States, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
+    states: States,
+    steps: Steps,
+    prior: Prior,
+    noise: ImuNoise,
+    last: Prior | None = None,
+    *,
+    last_step: float = _CONVERGED,
 ) -> Estimate:
     """Iterate to the most probable states.
 
@@ -110,37 +116,44 @@ def estimate_states(
         prior: of the first.
         noise: of the sensor.
         last: the same of the last.
+        last_step: in standard deviations: no iteration follows one whose steps are all smaller.
 
     Raises:
         numpy.linalg.LinAlgError: the measurements do not determine the states.
     """
     problem = _Problem(steps, prior, noise, last)
-    has_converged = False
     for _ in range(_MAX_ITERATIONS):
         solution = solve_chain(problem.normal_equations(states))
         turn = float(np.abs(solution.step[:, ROTATION]).max())
-        states = states.moved(solution.step * min(1.0, _MAX_TURN_RAD / max(turn, 1e-12)))
+        step = solution.step * min(1.0, _MAX_TURN_RAD / max(turn, 1e-12))
+        states = states.moved(step)
         variance = np.diagonal(solution.covariance, axis1=1, axis2=2)
-        if float((solution.step**2 / np.maximum(variance, 1e-24)).max()) < _CONVERGED**2:
-            has_converged = True
+        largest = float((solution.step**2 / np.maximum(variance, 1e-24)).max())
+        if largest < last_step**2:
             break
-    solution = solve_chain(problem.normal_equations(states))
+    # Covariances are those before the last step, and gradients follow it linearly.
+    gradient = solution.reduced_gradient + (solution.reduced @ step[:, :, None])[..., 0]
     return Estimate(
         states,
         solution.covariance,
-        problem.misfit(states),
-        has_converged,
+        problem.misfit,
+        largest < last_step**2,
         solution.reduced,
-        solution.reduced_gradient,
+        gradient,
     )
 
 
 class _Problem:
-    """Normal equations of a chain."""
+    """Normal equations of a chain.
+
+    Attributes:
+        misfit: root mean square of all normalised residuals at the newest states, 0 without any.
+    """
 
     def __init__(
         self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
     ) -> None:
+        self.misfit = 0.0
         self._steps, self._priors = steps, [(0, prior)]
         if last is not None:
             self._priors.append((len(steps.inertial), last))
@@ -163,30 +176,24 @@ class _Problem:
             off = states.rows(slice(row, row + 1)).since(prior.at)[0]
             equations.before[row] += prior.information
             equations.gradient_before[row] += prior.gradient + prior.information @ off
+        total, count = 0.0, 0
         if len(self._known):
             inertial = self._inertial(states)
+            total += float(np.sum(_squared(inertial.residual, self._inertial_information)))
+            count += inertial.residual.size
             _add(equations, self._known, inertial, self._inertial_information)
         self._add_walks(equations, states)
         if len(self._seen):
             visual = self._visual(states)
             information = self._visual_information(states)
-            weight = _huber_weights(_normalised(visual.residual, information))
+            squared = np.maximum(_squared(visual.residual, information), 0.0)
+            total += float(np.sum(squared))
+            count += visual.residual.size
+            weight = _huber_weights(np.sqrt(squared / visual.residual.shape[1]))
             _add(equations, self._seen, visual, information * weight[:, None, None])
         self._add_scale(equations, states)
+        self.misfit = float(np.sqrt(total / count)) if count else 0.0
         return equations
-
-    def misfit(self, states: States) -> float:
-        """Root mean square of all normalised residuals, 0 without any."""
-        total, count = 0.0, 0
-        if len(self._known):
-            inertial = self._inertial(states).residual
-            total += float(np.sum(_squared(inertial, self._inertial_information)))
-            count += inertial.size
-        if len(self._seen):
-            visual = self._visual(states).residual
-            total += float(np.sum(_squared(visual, self._visual_information(states))))
-            count += visual.size
-        return float(np.sqrt(total / count)) if count else 0.0
 
     def _ends(self, states: States, rows: Ints) -> tuple[States, States]:
         return States(*(f[rows] for f in states)), States(*(f[rows + 1] for f in states))
@@ -262,11 +269,6 @@ def _visual_covariance(steps: Steps) -> Floats:
 
 def _squared(residual: Floats, information: Floats) -> Floats:
     return np.asarray(np.einsum("ni,nij,nj->n", residual, information, residual))
-
-
-def _normalised(residual: Floats, information: Floats) -> Floats:
-    squared = np.maximum(_squared(residual, information), 0.0)
-    return np.asarray(np.sqrt(squared / residual.shape[1]))
 
 
 def _huber_weights(size: Floats) -> Floats:

@@ -122,6 +122,8 @@ class SampleReader:
     def __init__(self, sensor: InertialSensor) -> None:
         self._sensor = sensor
         self._begin = self._end = 0
+        self._ends = (0, 0)
+        self._interval: Interval | None = None  # between these
         self._samples: Samples | None = None
 
     def between(self, first_ns: int, last_ns: int) -> Interval | None:
@@ -129,7 +131,12 @@ class SampleReader:
         if last_ns <= first_ns:
             return None
         offset_ns = round(1e9 * self._sensor.time_offset_s)
-        first_ns, last_ns = first_ns + offset_ns, last_ns + offset_ns
+        ends = first_ns + offset_ns, last_ns + offset_ns
+        if self._ends != ends:  # predictions and what is learned of them ask for the same
+            self._ends, self._interval = ends, self._read(*ends)
+        return self._interval
+
+    def _read(self, first_ns: int, last_ns: int) -> Interval | None:
         samples = self._block(first_ns, last_ns)
         stamps = samples.stamps_ns
         begin = int(np.searchsorted(stamps, first_ns, side="right")) - 1

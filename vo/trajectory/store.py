@@ -13,7 +13,7 @@ from vo.geometry.transforms import inverse, whole_transforms
 from vo.metric_scale import MetricScale
 from vo.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
 from vo.trajectory.interpolation import InterpolatedFrames, fill
-from vo.trajectory.map_frame import Anchor, make_anchor, scaled_covariance
+from vo.trajectory.map_frame import Anchor, make_anchors, scaled_covariance
 from vo.trajectory.rows import (
     FRAME,
     KEYFRAME,
@@ -141,17 +141,16 @@ class TrajectoryStore:
                 of_segment = of_segment[np.searchsorted(of_segment, placed[chosen[0]]) :]
             # Each follows the last placed one before it, and the first ones the first placed one.
             ends = np.append(np.searchsorted(of_segment, placed[chosen[1:]]), len(of_segment))
-            begin = 0
-            for row, end in zip(chosen.tolist(), ends.tolist(), strict=True):
-                anchor = make_anchor(
-                    odom_from_cam0[row],
-                    map_from_cam0[row],
-                    float(scale[row]),
-                    odom_covariance[row],
-                    covariance[row],
-                )
-                self._follow(of_segment[begin:end], anchor)
-                self._anchors[segment], begin = anchor, end
+            anchors = make_anchors(
+                odom_from_cam0[chosen],
+                map_from_cam0[chosen],
+                scale[chosen],
+                odom_covariance[chosen],
+                covariance[chosen],
+            )
+            followed = np.repeat(np.arange(len(chosen)), np.diff(ends, prepend=0))
+            self._follow(of_segment, anchors.rows(followed))
+            self._anchors[segment] = anchors.row(-1)
             self._moved |= set(rows["id"][of_segment].tolist())
             first = min(first, int(of_segment[0]))
         self._changed_keyframe = min(self._changed_keyframe, first)
@@ -198,16 +197,16 @@ class TrajectoryStore:
                 table["world_from_cam0"][row, :, 3] += turn[:3, 3]
         self._changed = self._changed_keyframe = 0
 
-    def _follow(self, rows: Ints, anchor: Anchor) -> None:
-        """Set the poses of rows of keyframes that follow a placed one."""
+    def _follow(self, rows: Ints, anchors: Anchor) -> None:
+        """Set the poses of n rows of keyframes that follow n placed ones."""
         table = self._keyframes.rows
         odom_from_cam0 = whole_transforms(table["odom_from_cam0"][rows])
-        table["world_from_cam0"][rows] = anchor.place(odom_from_cam0)[:, :3]
-        table["scale"][rows] = anchor.scale
+        table["world_from_cam0"][rows] = anchors.place(odom_from_cam0)[:, :3]
+        table["scale"][rows] = anchors.scale
         covariance = symmetric(table["odom_covariance"][rows])
-        known = np.isfinite(covariance).all(axis=(1, 2))
+        known = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
         i, j = TRIANGLE
-        moved = anchor.covariance(odom_from_cam0[known], covariance[known])
+        moved = anchors.rows(known).covariance(odom_from_cam0[known], covariance[known])
         table["covariance"][rows[known]] = moved[:, i, j]
 
     def remove_from(self, frame_index: int) -> Floats | None:
