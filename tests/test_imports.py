@@ -34,6 +34,7 @@ FLOORS = (
     {"vo.places", "vo.inertial"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
+    {"vo.inertial_placement"},
     {"vo.map_updater", "vo.snapshot", "vo.memory", "vo.inertial_gaps", "vo.inertial_turns"},
     {"vo.map_creator", "vo.inertial_alignment"},
     {"vo.placement"},

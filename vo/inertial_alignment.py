@@ -7,6 +7,7 @@ local map, and what the inertial sensor adds is applied to the trajectory, in th
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +21,13 @@ from vo.inertial.samples import RetimedSensor, SampleReader
 from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
 from vo.inertial.time_offset import OffsetSearch
 from vo.inertial_gaps import InertialGaps, tangent_of_cam0
+from vo.inertial_placement import EstimatedPose, InertialPlacement
 from vo.inertial_turns import InertialTurns
 from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.local_map import LocalMap
+from vo.places.records import InertialPose
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Floats
@@ -39,6 +42,7 @@ class InertialAlignment:
 
     Attributes:
         stopwatch: measures the stage `inertial`.
+        placement: where the keyframes of a single camera are by the sensor.
 
     Args:
         sensor: with known extrinsics; its time offset is replaced where it is wrong.
@@ -83,7 +87,10 @@ class InertialAlignment:
             self._imu_from_cam0,
         )
         self._newest = -1  # id of the newest keyframe whose states were estimated
-        self._worlds: list[int] = []
+        self.placement = InertialPlacement(trajectory, rig.cam0_from_rectified)
+        # Of later segments of a metric path: the first segment of their world, and the transform
+        # from their odometry frame to its own.
+        self._joints: dict[int, tuple[int, Floats]] = {}
 
     @property
     def use(self) -> InertialUse:
@@ -104,13 +111,13 @@ class InertialAlignment:
         return replace(
             use,
             first_frame=self._chain.initialised_frame,
-            metric_worlds=tuple(self._worlds),
+            metric_worlds=tuple(sorted(self.placement.metric_worlds)),
             states=self._states(placed),
         )
 
     def is_metric(self, segment: int) -> bool:
         """Whether lengths of a segment of one camera are metres now."""
-        return self._trajectory.store.world(segment) in self._worlds
+        return self._trajectory.store.world(segment) in self.placement.metric_worlds
 
     @timed("inertial")
     def begin_frame(self, local_map: LocalMap) -> None:
@@ -135,6 +142,7 @@ class InertialAlignment:
         self._chain.remove_from(frame_index)
         self._gaps.forget_from(frame_index)
         self._predictor.known = None
+        self.placement.forget_from(frame_index)
 
     @timed("inertial")
     def finish(self, local_map: LocalMap) -> None:
@@ -146,10 +154,36 @@ class InertialAlignment:
             if not self._chain.is_initialised:
                 self._chain.update()
         placed = self._chain.finish()
+        if placed is not None:  # in another frame, which the pose graph does not know
+            self.placement.begin_frame_of(placed.world)
         self._place(placed, keeps_earlier=False)
         self._gaps.remember(placed)
-        lost = self._gaps.bridged(None if self._is_metric else self._worlds)
+
+    @timed("inertial")
+    def fill_gaps(self) -> None:
+        """Give lost frames poses, after `finish`, and after the pose graph has placed keyframes."""
+        placed = self._chain.newest
+        if placed is not None and self._is_metric:
+            self._join(placed)
+        lost = self._gaps.bridged(None if self._is_metric else self.placement.metric_worlds)
         self._trajectory.store.add_inertial(lost + self._turns.turned(lost))
+
+    @timed("inertial")
+    def graph_poses(self) -> Mapping[int, InertialPose]:
+        """Poses of keyframes, estimated together, for the pose graph that is optimised next.
+
+        By id of the keyframe; those of one segment are in one frame.
+        """
+        if self._is_metric:
+            return self._joined_poses()
+        placed = self._chain.smoothed()
+        if placed is None:
+            return self.placement.give(None, {}, (0.0, 0.0))
+        covariance = placed.estimate.covariance
+        sigma_scale = math.sqrt(float(covariance[:, LOG_SCALE, LOG_SCALE].min()))
+        tilt = tilt_sigma(placed.estimate.states.rotation[-1], covariance[-1])
+        estimated = self._estimated(placed)
+        return self.placement.give(placed.world, estimated, (sigma_scale, tilt))
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None
@@ -189,23 +223,30 @@ class InertialAlignment:
         if self._is_metric:
             self._join(placed)
             return
+        self.placement.update(placed.world, self._estimated(placed), keeps_earlier=keeps_earlier)
+
+    def _estimated(self, placed: Placed) -> dict[int, EstimatedPose]:
+        """The keyframes whose scale is certain enough, by id."""
         rows = certain(placed)
-        if not rows:
-            return
         states = placed.estimate.states
         world_from_imu = np.tile(np.eye(4), (len(rows), 1, 1))
         world_from_imu[:, :3, :3] = states.rotation[rows]
         world_from_imu[:, :3, 3] = states.position[rows]
-        self._trajectory.store.place(
-            np.array([placed.nodes[row].keyframe for row in rows], np.int64),
-            np.full(len(rows), placed.world, np.int64),
-            world_from_imu @ self._imu_from_cam0,
-            np.exp(states.log_scale[rows]),
-            self._covariance(placed, rows),
-            keeps_earlier=keeps_earlier,
-        )
-        if placed.world not in self._worlds:
-            self._worlds.append(placed.world)
+        pose, scale = world_from_imu @ self._imu_from_cam0, np.exp(states.log_scale[rows])
+        covariance = self._covariance(placed, rows)
+        result: dict[int, EstimatedPose] = {}
+        for n, row in enumerate(rows):
+            node = placed.nodes[row]
+            result[node.keyframe] = EstimatedPose(
+                node.frame_index,
+                node.segment,
+                placed.world,
+                placed.origin,
+                pose[n],
+                float(scale[n]),
+                covariance[n],
+            )
+        return result
 
     def _join(self, placed: Placed) -> None:
         """Place each later segment of a metric path by its motion since the one before.
@@ -221,8 +262,15 @@ class InertialAlignment:
             pose[:, :3, :3] = states.rotation[row - 1 : row + 1]
             pose[:, :3, 3] = states.position[row - 1 : row + 1]
             cam0 = pose @ self._imu_from_cam0
+            motion = inverse(cam0[0]) @ cam0[1]
+            world, first_from_before = self._joints.get(before.segment, (before.segment, np.eye(4)))
+            rectified = self._trajectory.world_from_rectified(motion)
+            first_from_after = first_from_before @ before.world_from_cam @ rectified
+            self._joints[after.segment] = world, first_from_after @ inverse(after.world_from_cam)
+            if self.placement.is_in_graph(after.segment):
+                continue
             (reference,) = store.keyframes_by_id([before.keyframe])
-            joined = reference.world_from_cam0 @ inverse(cam0[0]) @ cam0[1]
+            joined = reference.world_from_cam0 @ motion
             store.place(
                 np.array([after.keyframe], np.int64),
                 np.array([store.world(before.segment)], np.int64),
@@ -230,6 +278,18 @@ class InertialAlignment:
                 np.ones(1),
                 self._covariance(placed, [row]),
             )
+
+    def _joined_poses(self) -> Mapping[int, InertialPose]:
+        """Poses of the keyframes of segments that were joined, in the frame of their first one."""
+        worlds = {world for world, _ in self._joints.values()}
+        frames = {world: (world, np.eye(4)) for world in worlds} | self._joints
+        return {
+            node.keyframe: InertialPose(
+                frames[node.segment][0], frames[node.segment][1] @ node.world_from_cam, 1.0
+            )
+            for node in self._chain.nodes
+            if node.segment in frames
+        }
 
     def _known(self, placed: Placed, keyframes: list[Keyframe]) -> KnownMotion | None:
         """The motion at the newest keyframe of the local map; None while it is uncertain."""
@@ -262,9 +322,12 @@ class InertialAlignment:
         )
 
     def _path_from_upright(self, placed: Placed) -> Floats:
-        """(3, 3) from the upright world to that of the path, which are one for a single camera."""
+        """(3, 3) from the upright world to that of the path.
+
+        They are one for a single camera, but for what the pose graph has changed.
+        """
         if not self._is_metric:
-            return np.eye(3)
+            return self.placement.map_from_upright(placed.world)
         (pose,) = self._trajectory.store.keyframes_by_id([placed.nodes[-1].keyframe])
         path_from_imu = pose.world_from_cam0[:3, :3] @ self._imu_from_cam0[:3, :3].T
         return np.asarray(path_from_imu @ placed.estimate.states.rotation[-1].T)

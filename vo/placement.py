@@ -11,6 +11,8 @@ from vo.errors import OutputError
 from vo.inertial_use import InertialUse
 from vo.mapping.local_map import LocalMap
 from vo.metric_scale import MetricScale
+from vo.trajectory.store import TrajectoryStore
+from vo.types import Trajectory
 
 if TYPE_CHECKING:  # many runs need neither
     from vo.inertial_alignment import InertialAlignment
@@ -73,6 +75,23 @@ class Placement:
             self._inertial.finish(local_map)
         if self._memory is not None:
             self._memory.finish(local_map)
+        if self._inertial is not None:
+            self._inertial.fill_gaps()
+
+    def path_before_loops(
+        self, store: TrajectoryStore, scales: Mapping[int, MetricScale]
+    ) -> Trajectory:
+        """The path before all loops, after `finish`: each segment in a world of its own.
+
+        Segments that the inertial sensor has joined without images stay together.
+
+        Args:
+            store: the path.
+            scales: by number of the world, those of which are converted to metres.
+        """
+        if self._inertial is not None and self._inertial.placement.has_poses:
+            return self._inertial.placement.path_before_loops()
+        return store.odometry(scales)
 
     def check_savable(self, path: Path) -> None:
         """Check before the first frame that there will be one map to save.

@@ -259,9 +259,8 @@ def _with_imu(
     if options.get("follow", False) or not isinstance(stream, Recording) or not stream.imus:
         return request, components
     sensor = stream.imus[0]
-    if config.memory.loops or (request.scale.all and not stream.rig.is_metric):
-        other = "--loops" if config.memory.loops else "another source of the scale"
-        unused = InertialUse(sensor.name, f"it cannot be combined with {other}")
+    if request.scale.all and not stream.rig.is_metric:
+        unused = InertialUse(sensor.name, "it cannot be combined with another source of the scale")
         return replace(request, unused_imu=unused), components
     try:
         unusable = why_unusable(sensor, stream.stamps_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +14,7 @@ from vo.errors import OutputError, SourceError
 from vo.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.inertial_use import InertialUse
 from vo.interrupts import DeferredInterrupts, deferred_interrupts
+from vo.metric_scale import MetricScale
 from vo.odometry import Odometry
 from vo.printable import one_line
 from vo.progress import Progress
@@ -32,7 +33,7 @@ from vo.sources.source import FrameStream, LiveStream, Recording
 from vo.stopwatch import Stopwatch
 from vo.streaming.streams import PoseStreams
 from vo.trajectory.pose_log import PoseLog
-from vo.types import Estimate, Frame
+from vo.types import Estimate, Frame, Trajectory
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
@@ -260,8 +261,7 @@ class RunSession:
             if not self._folder.is_finished:
                 self._write_changed()
                 if self._odometry.placement.closed_loops:
-                    odometry = self._odometry.trajectory.odometry(self._scale.by_world)
-                    self._folder.write_odometry(odometry)
+                    self._folder.write_odometry(self._before_loops(self._scale.by_world))
         finally:
             self._folder.finish()
 
@@ -275,11 +275,15 @@ class RunSession:
         self._scale.apply(self._odometry.trajectory, self._folder.path)
 
     def _finish_recording(self) -> None:
-        store, placement = self._odometry.trajectory, self._odometry.placement
+        placement = self._odometry.placement
         if placement.closed_loops and isinstance(self._recorder, LoopRecorder):
             found = placement.closed_loops, placement.relocalisations
-            self._recorder.set_loops(LoopClosures(*found, store.odometry({})))
-        self._scale.finish(self._recorder, self._causal.trajectory(), store)
+            self._recorder.set_loops(LoopClosures(*found, self._before_loops({})))
+        self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
+
+    def _before_loops(self, scales: Mapping[int, MetricScale]) -> Trajectory:
+        store = self._odometry.trajectory
+        return self._odometry.placement.path_before_loops(store, scales)
 
     def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._statistics.add(estimate)

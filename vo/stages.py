@@ -127,7 +127,7 @@ def make_stages(
     sensor = _sensor(components)
     predictor = _predictor(sensor, components.inertial_noise, rectified)
     inertial = _inertial(sensor, predictor, rectified, trajectory, stopwatch)
-    memory = _memory(rectified, descriptors, config, trajectory, stopwatch)
+    memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
     stores = [each for each in (components.keyframe_store, memory) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
@@ -185,13 +185,14 @@ def _memory(
     config: Config,
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
+    inertial: InertialAlignment | None,
 ) -> Memory | None:
     if not config.memory.loops:
         return None
     from vo.memory.creation import make_memory
 
     threads = config.threads or available_cores()
-    return make_memory(rig, descriptors, config, trajectory, stopwatch, threads)
+    return make_memory(rig, descriptors, config, trajectory, stopwatch, threads, inertial)
 
 
 def _predictor(

@@ -90,6 +90,7 @@ def laps(
         chain=np.zeros(keyframes, np.int64),
         is_rigid=np.zeros(keyframes, dtype=bool),
         is_metric=np.full(keyframes, metric),
+        is_inertial=np.zeros(keyframes, dtype=bool),
         odom_from_cam=_unscaled_path(steps, scale),
         scale=np.ones(keyframes),
         covariance=np.tile(np.diag(np.maximum(sigma[:6], 1e-9) ** 2), (keyframes, 1, 1)),

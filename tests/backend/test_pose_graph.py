@@ -13,7 +13,7 @@ from vo.backend.graph_solution import optimise_graph
 from vo.backend.pose_graph import PoseGraph
 from vo.geometry import sim3
 from vo.mapping.keyframe import FrameId
-from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
+from vo.places.records import InertialPose, Loop, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
 from vo.types import Floats
 
 
@@ -177,7 +177,7 @@ def test_a_loaded_map_stays_as_it_is() -> None:
         **{
             name: getattr(case.problem, name)[:150]
             for name in (
-                *("keys", "chain", "is_rigid", "is_metric"),
+                *("keys", "chain", "is_rigid", "is_metric", "is_inertial"),
                 *("odom_from_cam", "scale", "covariance"),
             )
         },
@@ -214,6 +214,32 @@ def test_culled_keyframes_leave_the_others_where_they_are() -> None:
     assert [key.keyframe for key in placed.keys] == left
     apart = placed.world_from_cam[:, :3, 3] - expected.world_from_cam[left, :3, 3]
     assert np.abs(apart).max() < 0.02
+
+
+def test_inertial_poses_give_their_segment_metres_and_take_part_in_the_graph() -> None:
+    """Keyframes without one follow; in a world of another segment they are in its chain."""
+    case = laps(0, noise=1e-6, scale_sigma=1e-9)
+    scaled = replace(case.problem, odom_from_cam=case.problem.odom_from_cam.copy())
+    scaled.odom_from_cam[:, :3, 3] *= 0.5
+    loops = [
+        replace(loop, earlier_from_later=sim3.rigid_part(loop.earlier_from_later))
+        for loop in scaled.loops
+    ]
+    graph = PoseGraph()
+    for n in range(300):
+        graph.add_keyframe(_place(scaled, n, session=0, segment=int(n >= 150)))
+    for loop in loops:
+        relation = loop.earlier_from_later.copy()
+        relation[:3, 3] *= 0.5
+        graph.add_loop(replace(loop, earlier_from_later=relation))
+    known = [n for n in range(10, 300) if n % 3]
+    graph.submit({PlaceKey(0, n): InertialPose(0, case.truth[n], 2.0) for n in known})
+    placed = graph.result()
+    assert set(placed.world.tolist()) == {0}
+    assert not placed.rejected
+    np.testing.assert_allclose(placed.world_from_cam, case.truth, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(placed.scale, 2.0, rtol=1e-4)
+    assert np.isfinite(placed.covariance).all()
 
 
 def test_a_loop_with_an_unknown_keyframe_is_an_error() -> None:

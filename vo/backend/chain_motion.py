@@ -11,10 +11,12 @@ from vo.types import Floats, Ints
 # Standard deviations of the drift of odometry that the windows' covariances do not contain.
 # Random, for each step: ratio of its length, radians, and in mono of the logarithm of the scale.
 _STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.002, 1e-4, 0.01
+_INERTIAL_STEP_LOG_SCALE = 0.0015  # where an inertial sensor gives the scale
 # Systematic, the same in all steps: ratios of their lengths and of their rotations.
 _DRIFT_RATIO, _DRIFT_ROTATION_RATIO = 0.01, 0.005
 # Steps whose covariance is unknown.
 _UNKNOWN_RATIO, _UNKNOWN_RAD = 0.1, 0.02
+_UNKNOWN_LOG_SCALE = 0.03  # of two segments that an inertial sensor has joined
 FIXED_LOG_SCALE = 1e-6  # standard deviation of a scale that cannot change
 
 
@@ -92,5 +94,7 @@ def _step_errors(problem: GraphProblem, poses: Floats) -> tuple[Floats, Floats]:
         noise[rows, axis + 3, axis + 3] += (ratio * length) ** 2 + shortest**2
         drift[rows, axis, axis] = _DRIFT_ROTATION_RATIO * angle
         drift[rows, axis + 3, axis + 3] = _DRIFT_RATIO * length
-    noise[rows, 6, 6] = np.where(problem.is_metric[rows], FIXED_LOG_SCALE, _STEP_LOG_SCALE) ** 2
+    by_sensor = np.where(unknown, _UNKNOWN_LOG_SCALE, _INERTIAL_STEP_LOG_SCALE)
+    of_mono = np.where(problem.is_inertial[rows], by_sensor, _STEP_LOG_SCALE)
+    noise[rows, 6, 6] = np.where(problem.is_metric[rows], FIXED_LOG_SCALE, of_mono) ** 2
     return noise, drift

@@ -20,9 +20,11 @@ class GraphProblem:
         chain: (n,) number of the chain of each: a segment, or a world of a loaded map.
         is_rigid: (n,) keyframes of a loaded map, which do not move relative to each other.
         is_metric: (n,) whether lengths of the chain are metres.
+        is_inertial: (n,) whether `odom_from_cam` and `scale` are those by an inertial sensor, in
+            metres; the scale drifts less then.
         odom_from_cam: (n, 4, 4) in the frame of the chain.
         scale: (n,) length in that frame of one unit of the keyframe's own segment; 1 except in
-            loaded maps.
+            loaded maps and by an inertial sensor.
         covariance: (n, 6, 6) of the motion since the row before, in this camera's frame, NaN if
             unknown; ignored in the first row of a chain, and where keyframes are rigid.
         loops: between them.
@@ -32,6 +34,7 @@ class GraphProblem:
     chain: Ints
     is_rigid: Bools
     is_metric: Bools
+    is_inertial: Bools
     odom_from_cam: Floats
     scale: Floats
     covariance: Floats

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from vo.backend.graph_problem import GraphProblem
 from vo.backend.graph_solution import optimise_graph, unplaced
 from vo.backend.process import SolverProcess
 from vo.geometry.transforms import adjoint, inverse
-from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.records import InertialPose, Loop, Place, PlacedKeyframes, PlaceKey
 from vo.types import Floats
 
 _log = logging.getLogger(__name__)
@@ -27,6 +28,7 @@ class _Node:
     odom_from_cam: Floats
     scale: float
     covariance: Floats
+    is_inertial: bool = False
 
 
 class PoseGraph:
@@ -107,9 +109,15 @@ class PoseGraph:
             if key in gone:
                 del self._nodes[key]
 
-    def submit(self) -> None:
-        """Begin to optimise the graph as it is now."""
-        self._submitted = self._problem()
+    def submit(self, inertial: Mapping[PlaceKey, InertialPose] | None = None) -> None:
+        """Begin to optimise the graph as it is now.
+
+        Args:
+            inertial: poses of keyframes by an inertial sensor, where it has given them. They take
+                the place of those by odometry, and other keyframes of their segments follow the
+                nearest one before them. Segments in one world by the sensor are one chain.
+        """
+        self._submitted = self._problem(inertial or {})
         self._is_in_process = self._threads > 1 and len(self._loops) > 0
         if not self._is_in_process:
             return
@@ -143,20 +151,60 @@ class PoseGraph:
             self._process.close()
 
     def _ordered(self) -> list[_Node]:
-        return sorted(self._nodes.values(), key=lambda node: (node.chain, node.key))
+        return sorted(self._nodes.values(), key=_order)
 
-    def _problem(self) -> GraphProblem:
+    def _problem(self, inertial: Mapping[PlaceKey, InertialPose]) -> GraphProblem:
         nodes = self._ordered()
+        if inertial:
+            nodes = self._by_inertial_poses(nodes, inertial)
         return GraphProblem(
             keys=np.array([node.key for node in nodes], dtype=np.int64).reshape(-1, 2),
             chain=np.array([node.chain for node in nodes], dtype=np.int64),
             is_rigid=np.array([node.is_rigid for node in nodes], dtype=bool),
             is_metric=np.array([node.is_metric for node in nodes], dtype=bool),
+            is_inertial=np.array([node.is_inertial for node in nodes], dtype=bool),
             odom_from_cam=np.array([node.odom_from_cam for node in nodes]).reshape(-1, 4, 4),
             scale=np.array([node.scale for node in nodes]),
             covariance=np.array([node.covariance for node in nodes]).reshape(-1, 6, 6),
             loops=tuple(self._loops),
         )
+
+    def _by_inertial_poses(
+        self, nodes: Sequence[_Node], inertial: Mapping[PlaceKey, InertialPose]
+    ) -> list[_Node]:
+        """All nodes in their order, those of segments with inertial poses at these."""
+        result: list[_Node] = []
+        for segment, group in groupby(nodes, key=lambda node: node.chain):
+            members = list(group)
+            last = next((node for node in members if node.key in inertial), None)
+            if last is None:
+                result += members
+                continue
+            chain = self._first_segment + inertial[last.key].world
+            for number, node in enumerate(members):
+                last = node if node.key in inertial else last
+                placed = _follow(node, last, inertial[last.key], chain)
+                if number == 0 and segment != chain:  # no images lead here
+                    placed.covariance = np.full((6, 6), np.nan)
+                result.append(placed)
+        return sorted(result, key=_order)
+
+
+def _order(node: _Node) -> tuple[int, PlaceKey]:
+    return node.chain, node.key
+
+
+def _follow(node: _Node, last: _Node, known: InertialPose, chain: int) -> _Node:
+    """A keyframe at the place that follows from the inertial pose of another one."""
+    motion = inverse(last.odom_from_cam) @ node.odom_from_cam
+    motion[:3, 3] *= known.scale
+    return replace(
+        node,
+        chain=chain,
+        odom_from_cam=known.world_from_cam @ motion,
+        scale=known.scale,
+        is_inertial=True,
+    )
 
 
 def _joined(before: _Node, after: _Node) -> Floats:

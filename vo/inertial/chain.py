@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,11 +55,13 @@ class Placed:
         nodes: n keyframes.
         estimate: of their states.
         world: number of the first segment of the world.
+        origin: id of the first keyframe of the world; another one is another frame.
     """
 
     nodes: tuple[Node, ...]
     estimate: Estimate
     world: int
+    origin: int
 
 
 class InertialChain:
@@ -94,6 +97,11 @@ class InertialChain:
     def is_initialised(self) -> bool:
         """Whether there is an estimate."""
         return self._estimate is not None
+
+    @property
+    def nodes(self) -> Sequence[Node]:
+        """All keyframes."""
+        return self._nodes
 
     @property
     def newest(self) -> Placed | None:
@@ -147,7 +155,17 @@ class InertialChain:
         return self.newest
 
     def finish(self) -> Placed | None:
-        """Estimate all states of the newest world together."""
+        """Estimate all states of the newest world together, and keep the result."""
+        placed = self.smoothed()
+        if placed is not None:
+            self._begin, self._estimate = self._origin, placed.estimate
+        return placed
+
+    def smoothed(self) -> Placed | None:
+        """All states of the newest world, estimated together; None without an estimate.
+
+        Its first camera is the origin, so the frame may differ from that of `newest`.
+        """
         if self._estimate is None:
             return None
         biases = self._estimate.states
@@ -157,8 +175,7 @@ class InertialChain:
         states = placed_at_origin(self._whole_history(count), self._imu_from_cam)
         prior = first_prior(states.rows(slice(0, 1)), is_metric=self._is_metric)
         estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
-        self._begin, self._estimate = self._origin, estimate
-        return self.newest
+        return self._placed(self._origin, estimate)
 
     def _initialise(self) -> Placed | None:
         """Search first states with the newest keyframes of one segment."""
@@ -305,7 +322,8 @@ class InertialChain:
 
     def _placed(self, begin: int, estimate: Estimate) -> Placed:
         nodes = tuple(self._nodes[begin : begin + estimate.states.number])
-        return Placed(nodes, estimate, self._nodes[self._origin].segment)
+        origin = self._nodes[self._origin]
+        return Placed(nodes, estimate, origin.segment, origin.keyframe)
 
 
 def _covariances(nodes: list[Node]) -> Floats:

@@ -10,6 +10,7 @@ from vo.errors import ConfigError
 from vo.frontend.contracts import DescriptorFormat
 from vo.geometry.rectification import RectifiedRig
 from vo.memory.early_search import EarlySearch
+from vo.memory.inertial_poses import InertialPoses
 from vo.memory.loaded_map import load_map
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.memory import Memory
@@ -31,6 +32,7 @@ def make_memory(
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
     threads: int,
+    inertial: InertialPoses | None = None,
 ) -> Memory:
     """The memory of a run.
 
@@ -41,6 +43,7 @@ def make_memory(
         trajectory: follows the keyframes that are placed.
         stopwatch: measures the stages.
         threads: cores to use.
+        inertial: gives metric poses of a single camera, None without a sensor.
 
     Raises:
         ConfigError: places cannot be recognised by these descriptors.
@@ -79,4 +82,5 @@ def make_memory(
         trajectory,
         stopwatch,
         WorldsInMap(file, loaded),
+        inertial,
     )

@@ -14,13 +14,14 @@ from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
 from vo.memory.early_search import EarlySearch
+from vo.memory.inertial_poses import InertialPoses
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.place_maker import PlaceMaker
 from vo.memory.placed_worlds import of_worlds, scaled_worlds
 from vo.memory.recognition import Recognised, Recogniser
 from vo.memory.reports import LoopEnds, closed_loop, correction_of, relocalisation
 from vo.metric_scale import MetricScale
-from vo.places.records import Loop, PlaceKey
+from vo.places.records import InertialPose, Loop, PlaceKey
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Bytes, Floats
@@ -53,6 +54,7 @@ class Memory:
         trajectory: follows.
         stopwatch: measures the stages.
         worlds: those of a loaded map.
+        inertial: gives the graph metric poses of a single camera, None without a sensor.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Memory:
         trajectory: TrajectoryBuilder,
         stopwatch: Stopwatch,
         worlds: WorldsInMap,
+        inertial: InertialPoses | None = None,
     ) -> None:
         self.stopwatch = stopwatch
         self._maker = maker
@@ -72,6 +75,7 @@ class Memory:
         self._graph = graph
         self._trajectory = trajectory
         self._worlds = worlds
+        self._inertial = inertial
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
         self._frames: dict[PlaceKey, FrameId] = {}  # of keyframes in the graph
         self._stored = 0  # number of keyframes that were stored
@@ -79,6 +83,7 @@ class Memory:
         self._segment = 0  # of the newest frame
         self._loops: list[Loop] = []
         self._closed: dict[int, ClosedLoop] = {}  # by index of the loop
+        self._applied: set[int] = set()  # indices of loops that were accepted once
         self._relocalisations: list[Relocalisation] = []
         self._submitted: int | None = None  # number of loops of the graph that is optimised
         self._placed_loops = 0  # number of loops in the newest result
@@ -112,7 +117,8 @@ class Memory:
         self._apply_recognised()
         if self._submitted is not None and self._stored >= self._due:
             self._apply_placed()
-        if self._submitted is None and self._stored >= self._next and self._has_new_loops():
+        is_due = self._has_new_loops() or self._awaits_graph()
+        if self._submitted is None and self._stored >= self._next and is_due:
             self._submit()
         place = self._maker.make(keyframe, landmarks, image)
         is_known = any(loop.later == place.key for loop in self._loops)
@@ -157,6 +163,7 @@ class Memory:
         kept = [n for n, loop in enumerate(self._loops) if loop.later in self._frames]
         self._placed_loops = sum(n < self._placed_loops for n in kept)
         self._closed = {i: self._closed[n] for i, n in enumerate(kept) if n in self._closed}
+        self._applied = {i for i, n in enumerate(kept) if n in self._applied}
         self._unmarked = [i for i, n in enumerate(kept) if n in self._unmarked]
         self._loops = [self._loops[n] for n in kept]
         self._relocalisations = [r for r in self._relocalisations if r.frame < frame_index]
@@ -173,7 +180,7 @@ class Memory:
         self._apply_recognised()
         if self._submitted is not None:
             self._apply_placed()
-        if self._placed_loops < len(self._loops):
+        if self._placed_loops < len(self._loops) or self._awaits_graph():
             self._submit()
             self._apply_placed()
         self._unmarked.clear()
@@ -197,8 +204,10 @@ class Memory:
         Raises:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
-        self._graph.submit()
+        self._graph.submit(self._inertial_poses())
         placed = self._graph.result()
+        if self._inertial is not None:
+            placed = self._inertial.placement.to_metres(placed, self._maker.session)
         placed = scaled_worlds(placed, self._factors(placed.keys, scales))
         accepted = [self._loops[n] for n in sorted(self._closed)]
         self._recogniser.save_map(path, source, placed, accepted)
@@ -261,7 +270,7 @@ class Memory:
 
     def _submit(self) -> None:
         stored = self._stored
-        self._graph.submit()
+        self._graph.submit(self._inertial_poses())
         self._submitted, self._due = len(self._loops), stored + _LATENCY
         self._due_frame = None
         if self._is_apart(self._segment):
@@ -277,6 +286,9 @@ class Memory:
         rejected = {(loop.earlier, loop.later) for loop in placed.rejected}
         accepted = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
         touched = sorted({*accepted, *self._closed})
+        if self._inertial is not None:  # all worlds that were placed once
+            self._applied.update(accepted)
+            touched = sorted(self._applied)
         self._closed = {n: loop for n, loop in self._closed.items() if n in accepted}
         new = [n for n in accepted if n not in self._closed]
         if not touched:
@@ -286,7 +298,8 @@ class Memory:
         was_apart = self._is_apart(self._segment)
         connected = of_worlds(placed, [loops[n] for n in touched])
         connected = self._worlds.numbered(connected, self._frames)
-        self._trajectory.place(connected, self._maker.session)
+        placer = self._trajectory if self._inertial is None else self._inertial.placement
+        placer.place(connected, self._maker.session)
         for n in new:
             self._closed[n] = self._report(loops[n], before[n], is_merge=apart[n])
         self._unmarked = [n for n in self._unmarked if n in self._closed] + new
@@ -314,6 +327,15 @@ class Memory:
         known = self._worlds.frame(loop.earlier)
         session = None if known is None else loop.earlier.session
         return LoopEnds(self._frames[loop.later], known or self._frames[loop.earlier], session)
+
+    def _awaits_graph(self) -> bool:
+        return self._inertial is not None and self._inertial.placement.awaits_graph
+
+    def _inertial_poses(self) -> dict[PlaceKey, InertialPose]:
+        if self._inertial is None:
+            return {}
+        session = self._maker.session
+        return {PlaceKey(session, k): pose for k, pose in self._inertial.graph_poses().items()}
 
     def _is_apart(self, segment: int) -> bool:
         """Whether nothing connects a segment with an older world."""

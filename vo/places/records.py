@@ -85,6 +85,20 @@ class Place:
     thumbnail: Bytes
 
 
+class InertialPose(NamedTuple):
+    """Pose of a keyframe of one camera by images and an inertial sensor.
+
+    Attributes:
+        world: number of the first segment of the world: segments may be joined without images.
+        world_from_cam: (4, 4) in metres, in a world whose vertical is known.
+        scale: metres of one unit of the keyframe's own segment.
+    """
+
+    world: int
+    world_from_cam: Floats
+    scale: float
+
+
 class Candidate(NamedTuple):
     """A stored keyframe that may show the place of a query.
 

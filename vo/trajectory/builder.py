@@ -83,7 +83,7 @@ class TrajectoryBuilder:
         pose = self.store.remove_from(frame_index)
         if pose is None:
             return None
-        return np.asarray(self._rectified_from_cam0 @ pose @ self._cam0_from_rectified)
+        return self.world_from_rectified(pose)
 
     def take_moved(self) -> tuple[KeyframePose, ...]:
         """Keyframes that were added or moved since the last call."""
@@ -109,6 +109,10 @@ class TrajectoryBuilder:
             placed.scale[rows],
             covariance,
         )
+
+    def world_from_rectified(self, world_from_cam0: Floats) -> Floats:
+        """The inverse of `world_from_cam0`."""
+        return np.asarray(self._rectified_from_cam0 @ world_from_cam0 @ self._cam0_from_rectified)
 
     def world_from_cam0(self, world_from_rectified: Floats) -> Floats:
         """Poses (..., 4, 4) of the recorded cam0."""

@@ -285,6 +285,27 @@ class TrajectoryStore:
             poses[segments == number, :3, 3] *= scale.value
         return Trajectory(self.frames["stamp_ns"].copy(), poses)
 
+    def trajectory_with(
+        self, keyframes: Ints, worlds: Ints, map_from_cam0: Floats, scale: Floats
+    ) -> Trajectory:
+        """The path with keyframes at other places, which are not kept.
+
+        Args:
+            keyframes: (n,) increasing ids; segments without any are in their odometry frames.
+            worlds: as for `place`.
+            map_from_cam0: as for `place`.
+            scale: as for `place`.
+        """
+        table = self._keyframes.rows
+        kept = table.copy(), dict(self._anchors), dict(self._worlds), set(self._moved)
+        changed = self._changed, self._changed_keyframe
+        table["world_from_cam0"], table["scale"] = table["odom_from_cam0"], 1.0
+        self.place(keyframes, worlds, map_from_cam0, scale, np.full((len(keyframes), 6, 6), np.nan))
+        found = self.trajectory()
+        table[:], self._anchors, self._worlds, self._moved = kept
+        self._changed, self._changed_keyframe = changed
+        return found
+
     def _poses(self, row: int, frame: str) -> Floats:
         """Poses (n, 4, 4) of all frames from a row on, by the name of the keyframes' poses."""
         first = row
