@@ -17,7 +17,7 @@ BASE = {
         *("errors", "types", "failures", "faults", "calibration_errors"),
         *("bounded_documents", "bounded_files", "extras", "printable"),
         *("given_images", "grey_stretch"),
-        *("closed_loops", "feature_settings", "metric_scale", "inertial_use"),
+        *("closed_loops", "seen_markers", "feature_settings", "metric_scale", "inertial_use"),
         *("config", "settings", "image_areas", "scheduling", "stopwatch"),
     )
 }

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from vo.metric_scale import MetricScale, ScaleFindings, choose_scales
-from vo.recording.recorder import Recorder, ScaledRecorder
+from vo.recording.recorder import MarkerRecorder, Recorder, ScaledRecorder
 from vo.scaling.creation import ScaleSources
 from vo.scaling.georeference import write_georeference
 from vo.trajectory.store import TrajectoryStore
@@ -65,7 +65,10 @@ class RunScale:
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))
 
     def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
-        """Finish a recorder, which gets both paths in units of the map, and the scales."""
+        """Finish a recorder, which gets paths and markers in units of the map, and the scales."""
         if self.by_world and isinstance(recorder, ScaledRecorder):
             recorder.set_scales(store.scales_of_segments(self.by_world))
+        markers = self._sources.markers
+        if markers is not None and isinstance(recorder, MarkerRecorder):
+            recorder.set_markers(markers.seen())
         recorder.finish(causal, store.trajectory() if self._unscaled is None else self._unscaled)

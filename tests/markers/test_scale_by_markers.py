@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rrd import read_rrd
 from typer.testing import CliRunner
 
 from vo.cli.app import app
@@ -17,6 +18,7 @@ from vo.geometry.similarity import umeyama
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, se3_exp, so3_exp
 from vo.markers.plane_pose import plane_pose, square_points
 from vo.markers.scale_fit import MarkerView, ScaleFit, fit_scale
+from vo.sources.registry import open_source
 from vo.types import Camera, Floats, Trajectory
 
 LENGTH_M = 0.16
@@ -125,10 +127,12 @@ def _scale_to(truth: Trajectory, path: Path) -> float:
     return float(found.scale)
 
 
-def test_a_marker_in_view_gives_a_mono_run_in_metres(with_marker: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out"
+def test_a_marker_in_view_gives_a_mono_run_in_metres(
+    with_marker: Path, hanging: Floats, tmp_path: Path
+) -> None:
+    output, rrd = tmp_path / "out", tmp_path / "run.rrd"
     words = ["run", str(with_marker), "-o", str(output), "--mode", "mono", "--config", "fast"]
-    result = CliRunner().invoke(app, [*words, "--markers", "0.16"])
+    result = CliRunner().invoke(app, [*words, "--markers", "0.16", "--rrd", str(rrd)])
     assert result.exit_code == 0, result.output
     summary = _summary(output)
     assert summary["length_unit"] == "m"
@@ -140,6 +144,37 @@ def test_a_marker_in_view_gives_a_mono_run_in_metres(with_marker: Path, tmp_path
     (row,) = csv.DictReader((output / "markers.csv").read_text().splitlines())
     assert row["id"] == "7" and int(row["views"]) >= 10
     assert 1.0 < float(row["tz"]) < 4.0
+    _check_recording(rrd, row, scale["value"], with_marker, hanging)
+
+
+def _check_recording(
+    rrd: Path, row: dict[str, str], metres: float, source: Path, hanging: Floats
+) -> None:
+    """The outlines are where the marker was rendered, and the square is in units of the map."""
+    outlines = dict(read_rrd(rrd, "strips")["world/cam0/left/markers"])
+    labels = dict(read_rrd(rrd, "labels")["world/cam0/left/markers"])
+    shown = [frame for frame, strips in outlines.items() if strips]
+    assert len(shown) >= 10 and all(labels[frame] == ["7"] for frame in shown)
+    last = max(shown)
+    assert outlines[last + 1] == []  # it ends with its frame
+    truth = read_tum(source / "groundtruth.tum").world_from_cam
+    camera = open_source(source, mode="mono").rig.cam0
+    seen = inverse(truth[last]) @ truth[len(truth) // 2] @ hanging
+    points = square_points(LENGTH_M) @ seen[:3, :3].T + seen[:3, 3]
+    pixels = points[:, :2] / points[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    drawn = 2.0 * np.array(outlines[last][0])[:4] - 0.5  # images are recorded at half their size
+    np.testing.assert_allclose(drawn, pixels, atol=0.5)
+    (
+        (
+            first,
+            ((square,)),
+        ),
+    ) = read_rrd(rrd, "strips")["world/markers/0/7"]
+    assert first == int(row["first_frame"])
+    middle = metres * np.array(square)[:4].mean(axis=0)
+    np.testing.assert_allclose(middle, [float(row[name]) for name in ("tx", "ty", "tz")], rtol=1e-4)
+    sides = np.linalg.norm(np.diff(square, axis=0), axis=1)
+    np.testing.assert_allclose(metres * sides, LENGTH_M, rtol=1e-4)
 
 
 def test_a_run_without_a_marker_says_so(synthetic_stereo: Path, tmp_path: Path) -> None:

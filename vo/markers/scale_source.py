@@ -27,6 +27,7 @@ from vo.markers.world_frames import (
 )
 from vo.metric_scale import MetricScale, ScaleFindings
 from vo.printable import counted
+from vo.seen_markers import MarkerOutline, MarkerSquare, SeenMarkers
 from vo.types import Camera, Estimate, PlacedFrames, Snapshot, View
 
 MAX_RELATIVE_SIGMA = 0.1
@@ -73,6 +74,7 @@ class MarkerSource:
         self._search = DictionarySearch() if name == AUTO else None
         self._detector = None if name == AUTO else MarkerDetector(name)
         self._views: list[MarkerView] = []
+        self._outlines: list[MarkerOutline] = []
         self._searched_ns: int | None = None
         self._repeated: set[int] = set()
         self._unknown: set[int] = set()  # seen, and not in the map
@@ -95,6 +97,8 @@ class MarkerSource:
             self._detector = MarkerDetector(name)
         camera = _camera(view)
         detected = self._detector.detect(view.image0, camera)
+        frame = estimate.frame_index
+        self._outlines += [MarkerOutline(frame, each.id, each.corners) for each in detected]
         ids = [marker.id for marker in detected]
         self._repeated |= {number for number in ids if ids.count(number) > 1}
         for marker in detected:
@@ -159,6 +163,16 @@ class MarkerSource:
             name = smallest_containing(name, [each.marker.id for each in self._found])
         worlds = self.new_worlds(scales).poses
         write_markers(folder, self._found, worlds, scales, name)
+
+    def seen(self) -> SeenMarkers:
+        """All markers in images, and those whose place was measured, for recordings."""
+        squares = []
+        for each in self._found:
+            marker, units = each.in_metres({}), 1.0 / each.metres_per_unit
+            corners = square_points(units * marker.length_m) @ marker.world_from_marker[:3, :3].T
+            corners += marker.world_from_marker[:3, 3]
+            squares.append(MarkerSquare(marker.id, each.world, marker.first_frame, corners))
+        return SeenMarkers(tuple(self._outlines), tuple(squares))
 
     def _add(self, estimate: Estimate, view: View, camera: Camera, marker: DetectedMarker) -> None:
         length_m = self._length_m if self._map is None else self._lengths_m.get(marker.id)

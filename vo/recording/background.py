@@ -15,10 +15,12 @@ from vo.metric_scale import MetricScale
 from vo.recording.recorder import (
     LoopClosures,
     LoopRecorder,
+    MarkerRecorder,
     Recorder,
     ScaledRecorder,
     TakeSnapshot,
 )
+from vo.seen_markers import SeenMarkers
 from vo.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
 
 _QUEUE_SIZE = 32  # frames; their images take most of the memory
@@ -66,6 +68,7 @@ class BackgroundRecorder:
         self._left_out = 0
         self._scales: dict[int, MetricScale] = {}
         self._closures: LoopClosures | None = None
+        self._markers: SeenMarkers | None = None
         self._keyframes: dict[int, KeyframePose] = {}  # of frames that were left out
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
@@ -101,6 +104,10 @@ class BackgroundRecorder:
     def set_loops(self, closures: LoopClosures) -> None:
         """Keep the loops for the recorder, until it finishes."""
         self._closures = closures
+
+    def set_markers(self, seen: SeenMarkers) -> None:
+        """Keep the markers for the recorder, until it finishes."""
+        self._markers = seen
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Wait until all frames are recorded, as long as there is progress."""
@@ -156,6 +163,8 @@ class BackgroundRecorder:
                         self._recorder.set_loops(self._closures)
                     if self._scales and isinstance(self._recorder, ScaledRecorder):
                         self._recorder.set_scales(self._scales)
+                    if self._markers is not None and isinstance(self._recorder, MarkerRecorder):
+                        self._recorder.set_markers(self._markers)
                     self._recorder.finish(*item)
                     return
         except Exception as error:  # of any kind: the run goes on

@@ -37,7 +37,10 @@ def _map_view() -> rrb.Spatial3DView:
         entities.COVARIANCE,
         entities.LOOPS,
     )
-    flat = (entities.FEATURES, entities.MATCHES, entities.EPIPOLAR, entities.RIGHT)
+    flat = (
+        *(entities.FEATURES, entities.MATCHES, entities.EPIPOLAR, entities.MARKERS),
+        entities.RIGHT,
+    )
     return rrb.Spatial3DView(
         name="Map",
         origin=entities.WORLD,

@@ -13,10 +13,12 @@ from vo.recording.background import BackgroundRecorder
 from vo.recording.recorder import (
     LoopClosures,
     LoopRecorder,
+    MarkerRecorder,
     Recorder,
     ScaledRecorder,
     TakeSnapshot,
 )
+from vo.seen_markers import SeenMarkers
 from vo.types import Estimate, Rig, Trajectory
 
 _log = logging.getLogger(__name__)
@@ -117,6 +119,12 @@ class SeveralRecorders:
         for recorder in self._recorders:
             if isinstance(recorder, LoopRecorder):
                 recorder.set_loops(closures)
+
+    def set_markers(self, seen: SeenMarkers) -> None:
+        """Pass the markers to the recorders that show them."""
+        for recorder in self._recorders:
+            if isinstance(recorder, MarkerRecorder):
+                recorder.set_markers(seen)
 
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Finish all recorders."""

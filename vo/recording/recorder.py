@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from vo.closed_loops import ClosedLoop, Relocalisation
 from vo.metric_scale import MetricScale
+from vo.seen_markers import SeenMarkers
 from vo.types import Estimate, Rig, Snapshot, Trajectory
 
 ImageChoice = Literal["full", "half", "none"]
@@ -61,6 +62,14 @@ class LoopRecorder(Protocol):
 
     def set_loops(self, closures: LoopClosures) -> None:
         """Before `finish`, if loops were closed."""
+
+
+@runtime_checkable
+class MarkerRecorder(Protocol):
+    """A recorder that shows markers."""
+
+    def set_markers(self, seen: SeenMarkers) -> None:
+        """Before `finish`, if there are any."""
 
 
 class NullRecorder:

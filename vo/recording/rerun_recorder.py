@@ -17,12 +17,14 @@ from vo.recording.counters import Counters
 from vo.recording.ground_truth import aligned_at_pose, aligned_to_path, position_errors
 from vo.recording.loop_layer import LoopLayer
 from vo.recording.map_layer import MapLayer
+from vo.recording.marker_layer import MarkerLayer
 from vo.recording.plot_layer import PlotLayer
 from vo.recording.recorder import ImageChoice, LoopClosures, TakeSnapshot
 from vo.recording.sink import Sink, open_file, open_viewer
 from vo.recording.timelines import Timelines
 from vo.recording.trajectories import RunIndex, add_trajectory
 from vo.recording.view_layer import ViewLayer
+from vo.seen_markers import SeenMarkers
 from vo.types import Estimate, Floats, Rig, Trajectory
 
 _FRAMES_PER_BATCH = 25
@@ -52,6 +54,7 @@ class RerunRecorder:
         self._sinks: list[Sink] = []
         self._truth: Trajectory | None = None
         self._closures: LoopClosures | None = None
+        self._markers: SeenMarkers | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Open the file and the viewer.
@@ -102,6 +105,10 @@ class RerunRecorder:
         """Keep the loops, to be drawn on the complete path."""
         self._closures = closures
 
+    def set_markers(self, seen: SeenMarkers) -> None:
+        """Keep the markers, to be drawn at the frames that show them."""
+        self._markers = seen
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Log both complete paths and the summary; close."""
         if not self._sinks:
@@ -144,6 +151,8 @@ class RerunRecorder:
         if self._closures is not None:
             odometry = self._index.by_segment(self._closures.odometry)
             LoopLayer(self._batch, self._index.by_frame).log(self._closures, smoothed, odometry)
+        if self._markers is not None:
+            MarkerLayer(self._batch, self._index.by_frame, self._view.scale).log(self._markers)
         pieces = self._index.by_segment(smoothed)
         if pieces:
             self._map.finish(self._index.last, pieces)

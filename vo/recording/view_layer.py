@@ -27,13 +27,21 @@ class ViewLayer:
 
     In rerun, (0, 0) is the corner of the top-left pixel, in this project its centre; hence the
     offsets of half a pixel.
+
+    Attributes:
+        scale: size of the recorded images relative to those of the run.
+
+    Args:
+        batch: receives the rows.
+        images: size of the recorded images.
+        has_right: whether there are images of a right camera.
     """
 
     def __init__(self, batch: Batch, images: ImageChoice, *, has_right: bool) -> None:
         self._batch = batch
         self._images = images
         self._has_right = has_right
-        self._scale = 0.5 if images == "half" else 1.0
+        self.scale = 0.5 if images == "half" else 1.0
         self._cameras_known = False
         self._previous_pose: Floats | None = None
 
@@ -79,11 +87,11 @@ class ViewLayer:
             translation=cam0_from_camera[:3, 3],
             quaternion=rr.Quaternion(xyzw=quat_xyzw_from_rotation(cam0_from_camera[:3, :3])),
         )
-        height, width = (int(side * self._scale) for side in view.image0.shape)
+        height, width = (int(side * self.scale) for side in view.image0.shape)
         matrix = view.camera_matrix
         pinhole = rr.Pinhole(
-            focal_length=self._scale * np.array([matrix[0, 0], matrix[1, 1]]),
-            principal_point=self._scale * (matrix[:2, 2] + 0.5),
+            focal_length=self.scale * np.array([matrix[0, 0], matrix[1, 1]]),
+            principal_point=self.scale * (matrix[:2, 2] + 0.5),
             resolution=[width, height],
             camera_xyz=rr.ViewCoordinates.RDF,
         )
@@ -132,7 +140,7 @@ class ViewLayer:
 
     def _to_pixels(self, xy: Floats | Floats32) -> Floats32:
         """Pixels of the recorded image, rounded to 1/16 px to save space."""
-        return np.asarray(np.round((xy + 0.5) * (16 * self._scale)) / 16, dtype=np.float32)
+        return np.asarray(np.round((xy + 0.5) * (16 * self.scale)) / 16, dtype=np.float32)
 
 
 def _by_state(view: View) -> dict[str, Bools]:
