@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import vo
 from vo.cli.app import app
 from vo.config import load_config
 from vo.evaluation.inputs import load_inputs
@@ -22,7 +23,7 @@ from vo.metric_scale import MetricScale, ScaleFindings
 from vo.recording.exports import Exports
 from vo.run_recording import run
 from vo.scaling.creation import ScaleOptions
-from vo.types import Estimate, PlacedFrames, Snapshot
+from vo.types import Estimate, Floats, PlacedFrames, Snapshot
 
 FAST = load_config("fast", ["inertial.enabled=false"])
 VALUE, SIGMA = 2.5, 0.05
@@ -182,6 +183,34 @@ def test_positions_give_the_scale_and_the_place(synthetic_stereo: Path, tmp_path
     assert not (tmp_path / "mono" / "path.kml").exists()  # of the earlier run
 
 
+@pytest.mark.parametrize("name", ["kitti07_mono_000-099", "kitti_raw_stereo_000-099"])
+def test_a_drive_has_its_length_by_positions_with_2_m_of_noise(
+    shared_data: Path, tmp_path: Path, name: str
+) -> None:
+    truth = vo.open(shared_data / name, mode="mono").ground_truth
+    assert truth is not None
+    noisy = truth.positions + np.random.default_rng(1).normal(0.0, 2.0, truth.positions.shape)
+    rows = zip(truth.stamps_ns.tolist(), noisy.tolist(), strict=True)
+    lines = [f"{stamp},{x:.4f},{y:.4f},{z:.4f}" for stamp, (x, y, z) in rows]
+    table = tmp_path / "gps.csv"
+    table.write_text("\n".join(["stamp_ns,x,y,z", *lines]) + "\n")
+    output = tmp_path / "out"
+    run(shared_data / name, output, config=FAST, mode="mono", scale=ScaleOptions(str(table)))
+    (scale,) = summary(output)["scales"]
+    assert scale["sigma"] < 0.04 * scale["value"]
+    path = read_tum(output / "trajectory.tum")
+    during = (path.stamps_ns >= truth.stamps_ns[0]) & (path.stamps_ns <= truth.stamps_ns[-1])
+    stamps_ns = path.stamps_ns[during]
+    axes = [np.interp(stamps_ns, truth.stamps_ns, axis) for axis in truth.positions.T]
+    assert len(stamps_ns) > 90
+    known = _length(np.column_stack(axes))
+    assert _length(path.positions[during]) == pytest.approx(known, rel=0.03)
+
+
+def _length(positions: Floats) -> float:
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -190,6 +219,11 @@ def test_positions_give_the_scale_and_the_place(synthetic_stereo: Path, tmp_path
         (["--georeference"], "--georeference needs positions"),
         (["--scale-offset", "3"], "--scale-offset is for the positions of --scale-from"),
         (["--scale-from", "metres.csv", "--georeference"], "needs latitudes and longitudes"),
+        (["--lever-arm", "0.5", "-1", "-1.5"], "--lever-arm is for the positions of --scale-from"),
+        (
+            ["--scale-from", "metres.csv", "--lever-arm", "500", "-1000", "-1500"],
+            "--lever-arm is 500 -1000 -1500; give metres",
+        ),
     ],
 )
 def test_what_cannot_be_measured_is_told_before_the_run(

@@ -22,7 +22,7 @@ CHOICES = (
     "method",
     "refinement",
 )  # Typer lists the choices
-METAVAR = r"(-\|)?[A-Z][A-Z.=:,…|xN-]*"
+METAVAR = r"(-\|)?[A-Z][A-Z.=:,…|xN -]*"
 
 
 @pytest.mark.parametrize(

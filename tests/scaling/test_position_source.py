@@ -142,3 +142,31 @@ def test_the_path_on_the_globe(tmp_path: Path) -> None:
     (coordinates,) = root.iter("{http://www.opengis.net/kml/2.2}coordinates")
     assert coordinates.text is not None
     assert [float(v) for v in coordinates.text.split()[0].split(",")] == points[0].tolist()
+
+
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_an_antenna_beside_the_camera_does_not_bend_the_path(is_metric: bool) -> None:
+    """A car that turns in a small circle, with the antenna 1.5 m behind and 1 m above it."""
+    angle = np.linspace(0.0, 3.0, 60)
+    stamps_ns = (1e8 * np.arange(60)).astype(np.int64)
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    poses[:, 0, 3], poses[:, 2, 3] = 4.0 * (1.0 - np.cos(angle)), 4.0 * np.sin(angle)
+    for pose, turn in zip(poses, angle, strict=True):
+        pose[:3, :3] = so3_exp(np.array([0.0, turn, 0.0]))
+    arm = np.array([-0.5, -1.0, -1.5])
+    xyz = poses[:, :3, 3] + poses[:, :3, :3] @ arm
+    positions = Positions("gps", "gps", stamps_ns, xyz, np.full(60, np.nan))
+    path = poses.copy()
+    path[:, :3, 3] /= 1.0 if is_metric else UNIT_M
+    zero, no = np.zeros(60, np.int64), np.zeros(60, bool)
+    frames = PlacedFrames(np.arange(60), zero, zero, no, no, Trajectory(stamps_ns, path))
+    source = PositionSource(positions, is_metric=is_metric, lever_arm_m=arm.tolist())
+    findings = source.measure(frames)
+    (placement,) = source.placements
+    np.testing.assert_allclose(placement.place(poses[:, :3, 3]), poses[:, :3, 3], atol=1e-3)
+    if is_metric:
+        assert findings.notes == ()
+        return
+    assert findings.scales[0].value == pytest.approx(UNIT_M, rel=1e-4)
+    without = PositionSource(positions).measure(frames)
+    assert without.scales[0].value > 1.02 * UNIT_M  # the antenna drives a larger circle

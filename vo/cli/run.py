@@ -178,6 +178,7 @@ def run_command(
     save_map: memory_options.SaveMap = None,
     scale_from: scale_options.ScaleFrom = None,
     scale_offset: scale_options.ScaleOffset = 0.0,
+    lever_arm: scale_options.LeverArm = None,
     georeference: scale_options.Georeference = False,
     height: scale_options.Height = None,
     markers: scale_options.Markers = None,
@@ -294,6 +295,7 @@ def run_command(
                 marker_dictionary,
                 world,
                 marker_map,
+                lever_arm,
             ),
             Visualisation(rrd, rrd_images.value, spawn, connect, serve),
             Outputs(

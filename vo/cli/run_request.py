@@ -73,6 +73,7 @@ class Scale(NamedTuple):
     marker_dictionary: str = "auto"
     world: str | None = None
     marker_map: Path | None = None
+    lever_arm_m: tuple[float, float, float] | None = None
 
 
 class Visualisation(NamedTuple):

@@ -28,6 +28,17 @@ ScaleOffset = Annotated[
         rich_help_panel=_SCALE,
     ),
 ]
+LeverArm = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(
+        "--lever-arm",
+        metavar="X Y Z",
+        help="Where the sensor of --scale-from is, from the left camera: metres to the right, "
+        "down and forward.",
+        show_default="at the camera",
+        rich_help_panel=_SCALE,
+    ),
+]
 Georeference = Annotated[
     bool,
     typer.Option(

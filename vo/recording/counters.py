@@ -58,6 +58,9 @@ class Counters:
             "path": f"{path_length:.2f} {unit}",
             "inliers, median": f"{median(self.inliers):.0f}" if self.inliers else "-",
         }
+        values = {scale.value for scale in self.scales.values()}
+        if len(values) == 1 and len(self.scales) == len(self.segments):
+            rows["path"] += f" = {path_length * min(values):.2f} m"
         for segment, scale in self.scales.items():
             text = f"{scale.value:.4g} m ± {scale.relative_sigma:.2%} ({scale.source})"
             rows[f"map unit of segment {segment}"] = text

@@ -17,6 +17,7 @@ from vo.scaling.positions import read_positions
 from vo.sources.source import FrameStream, Recording
 
 _MAX_HEIGHT_M = 100.0
+_MAX_ARM_M = 50.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class ScaleOptions:
         marker_dictionary: theirs, as for `vo markers`.
         world: `marker:ID` for the frame of that marker, None for that of the first camera.
         marker_map: file with markers of known poses, in place of their side.
+        lever_arm_m: x, y and z of the sensor of the positions in the frame of the left camera,
+            None for a sensor at the camera.
     """
 
     positions: str | None = None
@@ -42,6 +45,7 @@ class ScaleOptions:
     marker_dictionary: str = "auto"
     world: str | None = None
     marker_map: Path | None = None
+    lever_arm_m: tuple[float, float, float] | None = None
 
 
 class ScaleSources(NamedTuple):
@@ -89,18 +93,29 @@ def make_scale_sources(
             raise ConfigError("--georeference needs positions: give them by --scale-from")
         if options.offset_ns:
             raise ConfigError("--scale-offset is for the positions of --scale-from; give both")
+        if options.lever_arm_m is not None:
+            raise ConfigError("--lever-arm is for the positions of --scale-from; give both")
         return ScaleSources(tuple(others), None, markers)
     positions = read_positions(options.positions, recording).shifted(options.offset_ns)
     if options.georeference and positions.origin is None:
         raise ConfigError(
             f"--georeference needs latitudes and longitudes; {positions.name} has metres"
         )
-    source = PositionSource(positions, is_metric=is_metric)
+    arm = _lever_arm(options)
+    source = PositionSource(positions, is_metric=is_metric, lever_arm_m=arm)
     if isinstance(stream, Recording):
         source.check_times(stream.stamps_ns)
     if len(positions.stamps_ns) < 2:
         raise SourceError(f"{positions.name} has only one position; give at least two")
     return ScaleSources((source, *others), source if options.georeference else None, markers)
+
+
+def _lever_arm(options: ScaleOptions) -> tuple[float, float, float]:
+    arm = options.lever_arm_m or (0.0, 0.0, 0.0)
+    if not max(abs(value) for value in arm) <= _MAX_ARM_M:
+        text = " ".join(f"{value:g}" for value in arm)
+        raise ConfigError(f"--lever-arm is {text}; give metres, such as 0.5 -0.8 -1.2")
+    return arm
 
 
 def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.geometry.similarity import umeyama
+from vo.scaling.correlation import correlated_variance
 from vo.types import Bools, Floats, Ints
 
 MIN_POSITIONS = 6
@@ -43,7 +44,6 @@ class PositionFit(NamedTuple):
         translation: (3,) of the piece with the most positions.
         used: (N,) positions that are not outliers.
         jumps: number of jumps of the positions.
-        inflation: of variances, as the errors are correlated in time.
         noise_m: standard deviation of their errors along one axis.
         residuals: (N, 3) in metres.
     """
@@ -54,7 +54,6 @@ class PositionFit(NamedTuple):
     translation: Floats
     used: Bools
     jumps: int
-    inflation: float
     noise_m: float
     residuals: Floats
 
@@ -66,15 +65,21 @@ class _Solution(NamedTuple):
 
 
 def fit_positions(
-    source: Floats, target: Floats, sigma: Floats | None = None, *, with_scale: bool = True
+    times_s: Floats,
+    source: Floats,
+    target: Floats,
+    sigma: Floats | None = None,
+    *,
+    with_scale: bool = True,
 ) -> PositionFit | None:
     """Fit a similarity, or a rigid motion.
 
     Least squares with Huber's weights (IRLS), begun from the best of seeded samples of three
-    positions. The standard deviation of the scale includes the autocorrelation of the residuals.
+    positions. The standard deviation of the scale allows for errors that are correlated in time.
 
     Args:
-        source: (N, 3) positions of the path, in time order.
+        times_s: (N,) increasing.
+        source: (N, 3) positions of the path.
         target: (N, 3) positions in metres.
         sigma: (N,) standard deviations of the positions, as far as they are known relative to each
             other; None if all are alike.
@@ -99,8 +104,11 @@ def fit_positions(
     if used.sum() < MIN_POSITIONS or solution.scale <= 0.0:
         return None
     residuals = target - _moved(solution, source, piece)
-    centred = _centred(source, weight * used, piece)
-    own_sigma, inflation = _scale_sigma(centred @ solution.rotation.T, residuals, weight, used)
+    centred = solution.scale * _centred(source, weight * used, piece) @ solution.rotation.T
+    relative_sigma = _scale_sigma(
+        times_s[used], centred[used], residuals[used], weight[used], piece[used]
+    )
+    own_sigma = solution.scale * relative_sigma
     scale_sigma = np.hypot(own_sigma, _PATH_SIGMA * solution.scale)
     largest = int(np.bincount(piece[used]).argmax())
     return PositionFit(
@@ -110,7 +118,6 @@ def fit_positions(
         solution.shifts[largest],
         used,
         len(np.unique(piece[used])) - 1,
-        inflation,
         float(np.sqrt((residuals[used] ** 2).mean())),
         residuals,
     )
@@ -251,54 +258,36 @@ def _centred(points: Floats, weight: Floats, piece: Ints) -> Floats:
 
 
 def _scale_sigma(
-    directions: Floats, residuals: Floats, weight: Floats, used: Bools
-) -> tuple[float, float]:
-    """Standard deviation of the scale, and how much correlation increases its variance.
+    times_s: Floats, centred: Floats, residuals: Floats, weight: Floats, piece: Ints
+) -> float:
+    """Relative standard deviation of the scale.
 
     The scale is decoupled from rotation and translation: an error n_i of position i changes it by
-    w_i u_i n_i / sum(w_j u_j u_j), where u are the centred positions. Errors are correlated in
-    time; their autocorrelation is that of the residuals, up to the first lags at which it is not
-    positive any more (Geyer 1992, initial positive sequence), corrected for the parameters that
-    the fit has removed.
+    w_i u_i n_i / sum(w_j u_j u_j), where u are the centred positions. Errors may be larger along
+    the path than across it.
+
+    Args:
+        times_s: (N,) of positions that are used.
+        centred: (N, 3) in metres of the positions, relative to the middle of their piece.
+        residuals: (N, 3).
+        weight: (N,).
+        piece: (N,) number of the part between jumps.
     """
-    u = directions[used] * weight[used, None]
-    r = residuals[used] * np.sqrt(weight[used, None])
-    u /= np.sqrt(weight[used, None])
-    count = len(r)
+    root = np.sqrt(weight)[:, None]
+    u, r = centred * root, residuals * root
     information = float((u**2).sum())
-    covariance = r.T @ r / count
-    # Along the path itself, where errors matter, a stable estimate: at least the mean of all axes.
+    covariance = r.T @ r / len(r)
     mean_variance = float(np.trace(covariance)) / 3.0
     if mean_variance <= 0.0 or information <= 0.0:
-        return 0.0, 1.0
-    variance = float(np.einsum("ni,ij,nj->", u, covariance, u))
-    variance = max(variance, mean_variance * float((u**2).sum()))
-    correlation = _autocorrelation(r)
-    products = np.array([float((u[k:] * u[: count - k]).sum()) for k in range(len(correlation))])
-    inflation = 1.0 + 2.0 * float(correlation[1:] @ products[1:]) / products[0]
-    inflation = max(inflation, 1.0)
-    effective = max(count / inflation, 3.0)
-    degrees = max(3.0 * effective - _PARAMETERS, 1.0)
-    small = 3.0 * effective / degrees  # of the variance: residuals are smaller than errors
+        return 0.0
+    along = float(np.einsum("ni,ij,nj->", u, covariance, u)) / (mean_variance * information)
+    turns = [np.cross(unit, u) for unit in np.eye(3)]
+    shifts = [
+        root * np.where(piece[:, None] == number, unit, 0.0)
+        for number in np.unique(piece)
+        for unit in np.eye(3)
+    ]
+    variance, inflation = correlated_variance(times_s, u / information, [u, *turns, *shifts], r)
+    degrees = max(3.0 * max(len(r) / inflation, 3.0) - _PARAMETERS, 1.0)
     student = 1.0 + 1.2 / degrees  # 95 % of Student's distribution, relative to the normal one
-    return float(student * np.sqrt(small * inflation * variance) / information), inflation
-
-
-def _autocorrelation(r: Floats) -> Floats:
-    """Autocorrelation (K,) of residuals (N, 3), from lag 0 to the end of the positive sequence."""
-    count = len(r)
-    power = float((r**2).sum())
-    longest = count // 2
-    raw = np.array([float((r[k:] * r[: count - k]).sum()) / power for k in range(longest + 1)])
-    inflation = 1.0
-    values = raw
-    for _ in range(3):
-        # The residuals of a fit sum to zero: each lag is too small by about the removed fraction.
-        values = np.append(1.0, raw[1:] + _PARAMETERS / 3.0 * inflation / count)
-        end = 1
-        while end + 1 < len(values) and values[end] + values[end + 1] > 2.0 / np.sqrt(3.0 * count):
-            end += 2
-        values = values[:end]
-        inflation = max(1.0 + 2.0 * float(values[1:].sum()), 1.0)
-        inflation = min(inflation, count / 4.0)
-    return np.asarray(values)
+    return float(student * np.sqrt(max(along, 1.0) * variance))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -11,6 +11,7 @@ import numpy as np
 from vo.errors import SourceError
 from vo.formats.positions import NS_PER_DAY
 from vo.metric_scale import MetricScale, ScaleFindings
+from vo.scaling.correlation import correlated_variance
 from vo.scaling.fit import MIN_POSITIONS, PositionFit, fit_positions
 from vo.scaling.positions import Positions
 from vo.types import Estimate, Floats, Ints, PlacedFrames, Snapshot
@@ -25,6 +26,7 @@ _OFFSET_SIGMAS = 4.0
 _CLOCK_SIGMA_S = 0.05  # of an offset that is not corrected
 _MIN_DISTINCT = 1e-4  # fraction of the squared speed that nothing else explains
 _MAX_LENGTH_ERROR = 0.01  # of a path in metres, which is not reported
+_ARM_ROUNDS = 8
 _REPORTED_RATIO = 0.02  # of positions that are refused
 
 
@@ -57,10 +59,18 @@ class PositionSource:
     Args:
         positions: of the other sensor.
         is_metric: whether the path is in metres already, as in stereo.
+        lever_arm_m: (3,) where the other sensor is in the frame of the left camera.
     """
 
-    def __init__(self, positions: Positions, *, is_metric: bool = False) -> None:
+    def __init__(
+        self,
+        positions: Positions,
+        *,
+        is_metric: bool = False,
+        lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
         self.positions = positions
+        self._lever_arm_m = np.array(lever_arm_m, np.float64)
         self.placements: tuple[Placement, ...] = ()
         self._is_metric = is_metric
 
@@ -104,10 +114,11 @@ class PositionSource:
     ) -> tuple[MetricScale | None, list[str], Placement | None]:
         rows = path.world == segment
         stamps_ns, xyz = path.trajectory.stamps_ns[rows], path.trajectory.positions[rows]
+        arms = path.trajectory.world_from_cam[rows, :3, :3] @ self._lever_arm_m
         given = self.positions
         if given.is_time_of_day and len(stamps_ns):
             given = given.shifted(_days_ns(given.stamps_ns, stamps_ns))
-        fitted = _fit(given, stamps_ns, xyz, is_metric=self._is_metric)
+        fitted = _fit(given, stamps_ns, xyz, arms, is_metric=self._is_metric)
         where = f"{self.positions.source}, segment {segment}"
         if isinstance(fitted, str):
             return None, [f"{where}: no scale: {fitted}"], None
@@ -115,7 +126,7 @@ class PositionSource:
         notes = _fit_notes(where, fit, offset_s)
         placement = Placement(segment, fit.rotation, fit.translation)
         if self._is_metric:
-            return None, notes + self._length_notes(given, stamps_ns, xyz), placement
+            return None, notes + self._length_notes(given, stamps_ns, xyz, arms), placement
         if fit.sigma > MAX_RELATIVE_SIGMA * fit.scale:
             notes.append(
                 f"{where}: the scale cannot be observed: {fit.scale:.4g} ± {fit.sigma:.2g} m per "
@@ -125,9 +136,11 @@ class PositionSource:
         scale = MetricScale(segment, fit.scale, fit.sigma, self.positions.source)
         return scale, notes, placement
 
-    def _length_notes(self, given: Positions, stamps_ns: Ints, xyz: Floats) -> list[str]:
+    def _length_notes(
+        self, given: Positions, stamps_ns: Ints, xyz: Floats, arms: Floats
+    ) -> list[str]:
         """How far the lengths of a path in metres differ from those of the positions."""
-        fitted = _fit(given, stamps_ns, xyz, is_metric=False)
+        fitted = _fit(given, stamps_ns, xyz, arms, is_metric=False)
         if isinstance(fitted, str):
             return []
         fit, _ = fitted
@@ -140,9 +153,17 @@ class PositionSource:
 
 
 def _fit(
-    given: Positions, stamps_ns: Ints, xyz: Floats, *, is_metric: bool
+    given: Positions, stamps_ns: Ints, xyz: Floats, arms: Floats, *, is_metric: bool
 ) -> tuple[PositionFit, float] | str:
-    """The fit and the offset of the clocks that was corrected, or why there is none."""
+    """The fit and the offset of the clocks that was corrected, or why there is none.
+
+    Args:
+        given: positions of the other sensor.
+        stamps_ns: (N,) of the path.
+        xyz: (N, 3) positions of the camera.
+        arms: (N, 3) metres from it to the other sensor, in the world of the path.
+        is_metric: whether the path is in metres.
+    """
     offset_ns = 0
     result: PositionFit | None = None
     for _ in range(5):
@@ -152,15 +173,27 @@ def _fit(
             if result is not None:
                 break
             return f"only {len(rows)} positions at times of the path"
-        source = xyz[between] + fraction[:, None] * (xyz[between + 1] - xyz[between])
+        source, arm = (
+            each[between] + fraction[:, None] * (each[between + 1] - each[between])
+            for each in (xyz, arms)
+        )
         sigma = given.sigma_m[rows]
         known = sigma if np.isfinite(sigma).all() and (sigma > 0.0).all() else None
-        fit = fit_positions(source, given.xyz[rows], known, with_scale=not is_metric)
+        times_s = 1e-9 * (moved.stamps_ns[rows] - moved.stamps_ns[0])
+        xyz_m = given.xyz[rows]
+        if is_metric:
+            source = source + arm
+        fit = fit_positions(times_s, source, xyz_m, known, with_scale=not is_metric)
+        if fit is not None and arm.any() and not is_metric:
+            camera = source
+            for _ in range(_ARM_ROUNDS):  # the scale gives the arm its length in map units
+                source = camera + arm / fit.scale
+                fit = fit_positions(times_s, source, xyz_m, known) or fit
         if fit is None:
             return "the path or the positions do not move"
         elapsed = (stamps_ns[between + 1] - stamps_ns[between])[:, None] * 1e-9
         speed = (xyz[between + 1] - xyz[between]) / elapsed
-        late_s = _time_offset(fit, speed, source)
+        late_s = _time_offset(fit, times_s, speed, source, 0.0 if offset_ns else _OFFSET_SIGMAS)
         result = _with_clock_sigma(fit, speed, source)
         if abs(late_s) < (_ACCURATE_OFFSET_S if offset_ns else _MIN_OFFSET_S):
             break
@@ -196,8 +229,10 @@ def _with_clock_sigma(fit: PositionFit, speed: Floats, source: Floats) -> Positi
     return fit._replace(sigma=float(np.hypot(fit.sigma, fit.scale * _CLOCK_SIGMA_S * per_second)))
 
 
-def _time_offset(fit: PositionFit, speed: Floats, source: Floats) -> float:
-    """Seconds by which positions are late, 0 unless that is certain.
+def _time_offset(
+    fit: PositionFit, times_s: Floats, speed: Floats, source: Floats, min_sigmas: float
+) -> float:
+    """Seconds by which positions are late, 0 unless that is certain by so many deviations.
 
     The residuals of late positions are against the velocity. What rotation, scale and translation
     explain, too, is left out; so a straight path at constant speed shows nothing.
@@ -217,9 +252,14 @@ def _time_offset(fit: PositionFit, speed: Floats, source: Floats) -> float:
     if information < _MIN_DISTINCT * float(against @ against):
         return 0.0
     late_s = float(against_left @ left) / information
-    variance = float(((left - late_s * against_left) ** 2).sum()) / max(len(left) - 8, 1)
-    sigma_s = float(np.sqrt(fit.inflation * variance / information))
-    return late_s if abs(late_s) > _OFFSET_SIGMAS * sigma_s else 0.0
+    shape = (-1, 3)
+    variance, _ = correlated_variance(
+        times_s[fit.used],
+        (against_left / information).reshape(shape),
+        [column.reshape(shape) for column in (*others.T, against)],
+        (left - late_s * against_left).reshape(shape),
+    )
+    return late_s if abs(late_s) > min_sigmas * np.sqrt(variance) else 0.0
 
 
 def _fit_notes(where: str, fit: PositionFit, offset_s: float) -> list[str]:
