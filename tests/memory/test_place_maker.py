@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vo.config import load_config
+from vo.config import FeaturesConfig, load_config
+from vo.frontend.orb import OrbExtractor
 from vo.geometry.transforms import adjoint, inverse, so3_exp
 from vo.geometry.transforms import make_transform as transform_of
 from vo.mapping.keyframe import FrameId, Keyframe
@@ -131,3 +133,41 @@ def _keyframe(
         np.empty(0),
         np.empty(0),
     )
+
+
+class OtherKind(PlaceStore):
+    """Keyframes whose features are of another kind, as after a rescue, become places as well."""
+
+    def __init__(self) -> None:
+        super().__init__(is_metric=False)
+        self._describer = OrbExtractor(FeaturesConfig(count=300))
+        self._other = PlaceMaker(3, 1.44, is_metric=False, describer=self._describer)
+        self.described: list[Place] = []
+
+    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+        super().add(keyframe, landmarks, image)
+        floats = replace(
+            keyframe.keypoints, descriptor=np.zeros((len(keyframe.keypoints.xy), 64), np.float32)
+        )
+        other = landmarks._replace(descriptor=np.zeros((len(landmarks.id), 64), np.float32))
+        self.described.append(self._other.make(replace(keyframe, keypoints=floats), other, image))
+
+
+def test_places_have_one_kind_of_descriptors(synthetic_stereo: Path) -> None:
+    source = open_source(synthetic_stereo, mode="mono")
+    store = OtherKind()
+    odometry = Odometry(source.rig, load_config("fast"), Components(keyframe_store=store))
+    for _ in odometry.track_all(source.frames(0, 18)):
+        pass
+    odometry.close()
+    assert len(store.described) > 1
+    for place, usual in zip(store.described, store.places, strict=True):
+        count = len(usual.landmarks.id)
+        assert place.descriptor.shape[1] == 32 and place.descriptor.dtype == np.uint8
+        assert len(place.descriptor) > 100
+        assert place.landmarks.descriptor.shape == (count, 32)
+        np.testing.assert_array_equal(place.landmarks.xyz, usual.landmarks.xyz)
+        # The same points of the same image: those of the largest level have the same descriptors.
+        same = usual.landmarks.octave == 0
+        bits = np.unpackbits(place.landmarks.descriptor ^ usual.landmarks.descriptor, axis=1)
+        assert np.median(bits[same].sum(axis=1)) < 64

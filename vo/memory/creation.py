@@ -8,6 +8,7 @@ from vo.backend.pose_graph import PoseGraph
 from vo.config import Config
 from vo.errors import ConfigError
 from vo.frontend.contracts import DescriptorFormat
+from vo.frontend.orb import OrbExtractor
 from vo.geometry.rectification import RectifiedRig
 from vo.memory.early_search import EarlySearch
 from vo.memory.inertial_poses import InertialPoses
@@ -54,8 +55,6 @@ def make_memory(
             f"memory.loops recognises places by binary descriptors of {8 * DESCRIPTOR_BYTES} bits, "
             f"such as orb; those of {config.features.detector} are others: leave it out"
         )
-    if config.features.rescue != "none":
-        raise ConfigError("memory.loops needs descriptors of one kind: leave features.rescue out")
     file = config.memory.vocabulary
     vocabulary = read_vocabulary(Path(file)) if file else built_in_vocabulary()
     scale_factor = config.features.scale_factor
@@ -72,7 +71,8 @@ def make_memory(
         graph.add_map(loaded.placed, loaded.is_metric)
         session = len(loaded.sessions)
     localizes = config.memory.localize
-    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo)
+    describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
+    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo, describer=describer)
     recogniser = Recogniser(database, verifier, camera, threads, loaded, localizes=localizes)
     return Memory(
         maker,

@@ -13,8 +13,10 @@ from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
+from vo.mapping.map_features import PointDescriber
 from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
-from vo.types import Bytes, Floats
+from vo.places.vocabulary import DESCRIPTOR_BYTES
+from vo.types import Bytes, Floats, Ints, Keypoints
 
 _THUMBNAIL_HEIGHT = 120  # of images by which places are compared
 
@@ -29,10 +31,20 @@ class PlaceMaker:
         session: number of the session.
         scale_factor: size ratio of two pyramid levels.
         is_metric: whether lengths are metres.
+        describer: of keyframes with other features (`vo.tracking.rescue`): places have one kind.
+            None where there are no others.
     """
 
-    def __init__(self, session: int, scale_factor: float, *, is_metric: bool) -> None:
+    def __init__(
+        self,
+        session: int,
+        scale_factor: float,
+        *,
+        is_metric: bool,
+        describer: PointDescriber | None = None,
+    ) -> None:
         self.session = session
+        self._describer = describer
         self._scale_factor = scale_factor
         self._is_metric = is_metric
         self._last: Keyframe | None = None  # the one before
@@ -60,6 +72,7 @@ class PlaceMaker:
     ) -> Place:
         order = np.argsort(keyframe.landmark, kind="stable")
         order = order[np.isin(keyframe.landmark[order], landmarks.id, assume_unique=True)]
+        keypoints, landmarks = self._of_one_kind(keyframe, landmarks, image, order)
         xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
         distance = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
         height, width = image.shape
@@ -71,7 +84,7 @@ class PlaceMaker:
             is_metric=self._is_metric,
             odom_from_cam=keyframe.world_from_cam.copy(),
             covariance=motion_covariance(before, keyframe),
-            descriptor=keyframe.keypoints.descriptor,
+            descriptor=keypoints.descriptor,
             landmarks=PlaceLandmarks(
                 id=landmarks.id,
                 xyz=xyz.astype(np.float32),
@@ -88,6 +101,28 @@ class PlaceMaker:
                 image, (thumbnail_width, thumbnail_height), interpolation=cv2.INTER_AREA
             ),
         )
+
+    def _of_one_kind(
+        self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes, order: Ints
+    ) -> tuple[Keypoints, StoredLandmarks]:
+        """Features of a keyframe and its landmarks, described anew if they are of another kind.
+
+        Args:
+            keyframe: the keyframe.
+            landmarks: n that it observes.
+            image: its image.
+            order: (n,) rows of its observations of them.
+        """
+        descriptor = keyframe.keypoints.descriptor
+        is_own = descriptor.shape[1] == DESCRIPTOR_BYTES and descriptor.dtype == np.uint8
+        if is_own or self._describer is None:
+            return keyframe.keypoints, landmarks
+        at = keyframe.image_xy[order]
+        keypoints, given = self._describer.extract_and_describe(image, at, keyframe.mask)
+        described = landmarks._replace(
+            descriptor=given.descriptor, octave=given.octave, angle=given.angle
+        )
+        return keypoints, described
 
 
 def patches(image: Bytes, xy: Floats, octave: NDArray[np.int32], scale_factor: float) -> Bytes:
