@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vo.compiling.function import compiled
 from vo.frontend.hamming_kernels import hamming
+from vo.objects.agreement import largest_agreements, moves
 from vo.objects.records import Codes
 from vo.objects.scene_features import CODE_BITS
 from vo.types import Floats, Floats32, Ints
@@ -23,11 +24,10 @@ from vo.types import Floats, Floats32, Ints
 MAX_CANDIDATES = 12
 _TABLES = 16
 _MIN_KEY_BITS, _MAX_KEY_BITS = 8, 16
-_IN_BUCKET = 32  # wanted features of a table with the same key
+_IN_BUCKET = 8  # wanted features of a table with the same key
 _MAX_BITS = 84  # in which codes of the same place may differ
 _NEAREST = 5  # parts that a feature votes for
-_TURNS, _ZOOMS = 12, 8  # bins of the motion that a feature and a stored one imply
-_ZOOM_STEP = np.log(2.0)
+_TRIED = 60  # matches of a part that are tried as its motion
 _MIN_SCORE = 10.0  # bits
 _SEED = 340
 
@@ -39,11 +39,13 @@ class IndexedFeatures(NamedTuple):
 
     Attributes:
         code: (N, 4) words of 64 bits.
-        angle: (N,) radians, 0 without orientation.
+        xy: (N, 2) pixels.
+        angle: (N,) radians, NaN without orientation.
         size: (N,) relative to the smallest features.
     """
 
     code: Codes
+    xy: Floats32
     angle: Floats32
     size: Floats32
 
@@ -58,7 +60,10 @@ class CandidateIndex:
     def __init__(self, parts: Sequence[IndexedFeatures]) -> None:
         self._parts = len(parts)
         self._code = np.concatenate([*(each.code for each in parts), np.zeros((0, 4), np.uint64)])
-        self._motion = _motion(parts)
+        self._xy = np.concatenate([*(each.xy for each in parts), np.zeros((0, 2), np.float32)])
+        nothing = np.zeros(0, np.float32)
+        self._angle = np.concatenate([*(each.angle for each in parts), nothing])
+        self._size = np.concatenate([*(each.size for each in parts), nothing])
         counts = [len(each.code) for each in parts]
         self._part = np.repeat(np.arange(len(parts), dtype=np.int32), counts)
         wanted = np.log2(max(len(self._code), 1) / _IN_BUCKET)
@@ -77,24 +82,25 @@ class CandidateIndex:
         if not len(scene.code) or not len(self._code):
             return []
         keys = np.ascontiguousarray(_keys(scene.code, self._bits).T)
-        stored = self._order, self._begin, self._code, self._part, self._motion
-        score: Floats = _votes(scene.code, keys, _motion([scene]), stored, self._parts)
-        order: Ints = np.argsort(-score, kind="stable")[:MAX_CANDIDATES]
-        return [n for n in order.tolist() if score[n] >= _MIN_SCORE]
-
-
-def _motion(parts: Sequence[IndexedFeatures]) -> Floats32:
-    """(N, 2) angle in bins of turns, and logarithm of the size in bins of zooms."""
-    rows = [
-        np.column_stack(
-            [
-                np.nan_to_num(each.angle) * (_TURNS / (2.0 * np.pi)),
-                np.log(each.size) / _ZOOM_STEP,
-            ]
-        )
-        for each in parts
-    ]
-    return np.concatenate([*rows, np.zeros((0, 2))]).astype(np.float32)
+        stored = self._order, self._begin, self._code, self._part
+        part, row, weight = _nearest_parts(scene.code, keys, stored, self._parts)
+        feature, place = np.nonzero(part >= 0)
+        part = part[feature, place]
+        order = np.argsort(part, kind="stable")
+        feature, place = feature[order], place[order]
+        begin = np.searchsorted(part[order], np.arange(self._parts + 1))
+        rows, weights = row[feature, place], weight[feature, place]
+        score: Floats
+        if np.isnan(scene.angle).any():
+            score = np.bincount(part[order], weights, minlength=self._parts)
+        else:
+            motion = moves(
+                (self._xy[rows], self._angle[rows], self._size[rows]),
+                (scene.xy[feature], scene.angle[feature], scene.size[feature]),
+            )
+            score = largest_agreements(motion, weights, begin, _TRIED)
+        best: Ints = np.argsort(-score, kind="stable")[:MAX_CANDIDATES]
+        return [n for n in best.tolist() if score[n] >= _MIN_SCORE]
 
 
 def _keys(code: Codes, bits: Ints) -> _Keys:
@@ -108,14 +114,16 @@ def _keys(code: Codes, bits: Ints) -> _Keys:
 
 
 @compiled
-def _votes(code, keys, motion, stored, parts):  # type: ignore[no-untyped-def]
-    """Score of each part: by how much it is nearer than parts in general, of the commonest motion.
+def _nearest_parts(code, keys, stored, parts):  # type: ignore[no-untyped-def]
+    """(N, nearest) parts, rows and weights of each feature of a scene; part -1 for none.
 
     Source: McCann and Lowe, "Local naive Bayes nearest neighbor for image classification", CVPR
-    2012, algorithm 2; Jegou et al., "Hamming embedding and weak geometric consistency", ECCV 2008.
+    2012, algorithm 2.
     """
-    order, begin, codes, part, motions = stored
-    votes = np.zeros((parts, _TURNS, _ZOOMS), dtype=np.float32)
+    order, begin, codes, part = stored
+    result_part = np.full((len(code), _NEAREST), -1, dtype=np.int64)
+    result_row = np.zeros((len(code), _NEAREST), dtype=np.int64)
+    result_weight = np.zeros((len(code), _NEAREST), dtype=np.float32)
     seen = np.full(parts, -1, dtype=np.int64)
     best = np.empty(parts, dtype=np.int64)
     nearest = np.empty(parts, dtype=np.int64)
@@ -149,17 +157,7 @@ def _votes(code, keys, motion, stored, parts):  # type: ignore[no-untyped-def]
         level = best[hit[_NEAREST]] if hits > _NEAREST else np.int64(_MAX_BITS)
         for k in range(min(hits, _NEAREST)):
             p = hit[k]
-            weight = np.float32(level - best[p])
-            turn = (motion[n, 0] - motions[nearest[p], 0]) % _TURNS
-            zoom = motion[n, 1] - motions[nearest[p], 1] + _ZOOMS // 2
-            zoom = min(max(zoom, 0.0), _ZOOMS - 1.001)
-            t, z = int(turn), int(zoom)
-            for dt in range(2):
-                for dz in range(2):
-                    votes[p, (t + dt) % _TURNS, z + dz] += weight
-    score = np.zeros(parts, dtype=np.float64)
-    for p in range(parts):
-        for t in range(_TURNS):
-            for z in range(_ZOOMS):
-                score[p] = max(score[p], votes[p, t, z])
-    return score
+            result_part[n, k] = p
+            result_row[n, k] = nearest[p]
+            result_weight[n, k] = np.float32(level - best[p])
+    return result_part, result_row, result_weight

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from vo.errors import InputError
 from vo.objects.adding import Extractors, make_object
 from vo.objects.candidates import MAX_CANDIDATES, CandidateIndex, IndexedFeatures
@@ -20,12 +18,11 @@ from vo.objects.part_matching import PartVectors, match_part, part_vectors
 from vo.objects.pose import with_pose, without_distortion
 from vo.objects.records import FoundObject, Part, StoredObject
 from vo.objects.scene_features import (
-    SCENE_COUNT,
-    STORED_COUNT,
     SceneFeatures,
     codes,
     extract,
-    object_extractor,
+    scene_extractor,
+    stored_extractor,
 )
 from vo.types import Bytes, Camera, Floats32
 
@@ -49,8 +46,8 @@ class ObjectDatabase:
         self.detector = detector
         self.descriptor = descriptor
         self._extractors = Extractors(
-            object_extractor(detector, descriptor, STORED_COUNT),
-            object_extractor(detector, descriptor, SCENE_COUNT),
+            stored_extractor(detector, descriptor),
+            scene_extractor(detector, descriptor),
         )
         self._objects: dict[str, StoredObject] = {}
         self._centre: Floats32 | None = None
@@ -182,10 +179,10 @@ class ObjectDatabase:
         assert self._centre is not None
         if self._index is None:
             parts = [self._objects[name].parts[n] for name, n in keys]
-            indexed = [IndexedFeatures(p.code, np.nan_to_num(p.angle), p.size) for p in parts]
+            indexed = [IndexedFeatures(p.code, p.xy, p.angle, p.size) for p in parts]
             self._index = CandidateIndex(indexed)
-        angle = np.nan_to_num(scene.angle)
-        query = IndexedFeatures(codes(scene.vector, self._centre), angle, scene.size)
+        code = codes(scene.vector, self._centre)
+        query = IndexedFeatures(code, scene.xy, scene.angle, scene.size)
         return [keys[n] for n in self._index.candidates(query)]
 
     def _search(

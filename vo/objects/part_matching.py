@@ -6,17 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.objects.agreement import best_agreement, moves
 from vo.objects.records import Part
 from vo.objects.scene_features import SceneFeatures, unit_vectors
 from vo.types import Bools, Floats, Floats32, Ints
 
 _SAME_PLACE = 0.015  # of the size of a part: features so near to each other are of one place
 _MAX_RATIO = 0.72  # of squared distances of the nearest and the nearest of another place
-
-_SHEAR = 0.4  # difference of two motions per distance: views from the side
-_LOOSE_PX = 6.0
-_MAX_TURN = np.deg2rad(35.0)
-_MAX_ZOOM = np.log(2.0)
+_MIN_LIKENESS = 0.6  # scalar product of two vectors
+_PLACE_PX = 3.0  # several matches of a place so large count once as they move alike
 
 
 class PartMatches(NamedTuple):
@@ -75,41 +73,22 @@ def match_part(scene: SceneFeatures, part: PartVectors) -> PartMatches:
         return PartMatches(empty, empty, np.zeros(0))
     likeness = scene.vector @ part.vector.T
     nearest = likeness.argmax(axis=1)
-    rows = np.arange(len(scene))
-    best = likeness[rows, nearest]
+    best = likeness[np.arange(len(scene)), nearest]
+    near = np.flatnonzero(best >= _MIN_LIKENESS)
+    nearest, best, likeness = nearest[near], best[near], likeness[near]
     likeness[part.same[nearest]] = -1.0
-    second = likeness.max(axis=1)
+    second = likeness.max(axis=1, initial=-1.0)
     ratio = (1.0 - best) / np.maximum(1.0 - second, 1e-6)
     good = np.flatnonzero(ratio <= _MAX_RATIO)
-    return PartMatches(good, nearest[good].astype(np.int64), ratio[good].astype(np.float64))
+    return PartMatches(near[good], nearest[good].astype(np.int64), ratio[good].astype(np.float64))
 
 
 def common_motion(scene: SceneFeatures, part: PartVectors, matches: PartMatches) -> Ints | None:
-    """Rows of the matches of most places that move alike; None if features have no orientation.
-
-    Every match by itself tells a rotation, a scale and a place, as its features do; the one that
-    most others agree with decides, roughly, so that a view from the side still agrees.
-
-    Source: Lowe 2004, sec. 7.3, without bins.
-    """
-    turn = scene.angle[matches.scene] - part.angle[matches.part]
-    if not len(turn) or not np.isfinite(turn).all():
+    """Rows of the matches of most places that move alike; None if features have no orientation."""
+    rows, columns = matches.scene, matches.part
+    first = part.xy[columns], part.angle[columns], part.size[columns]
+    second = scene.xy[rows], scene.angle[rows], scene.size[rows]
+    if not len(rows) or not np.isfinite(first[1]).all() or not np.isfinite(second[1]).all():
         return None
-    zoom = np.log(scene.size[matches.scene] / part.size[matches.part])
-    first = part.xy[matches.part].astype(np.float64)
-    second = scene.xy[matches.scene].astype(np.float64)
-    a = (np.exp(zoom) * np.exp(1j * turn)).astype(np.complex128)
-    p, q = first[:, 0] + 1j * first[:, 1], second[:, 0] + 1j * second[:, 1]
-    step = p[None, :] - p[:, None]
-    error = np.abs(q[:, None] + a[:, None] * step - q[None, :])
-    reach = _SHEAR * np.abs(a)[:, None] * np.abs(step) + _LOOSE_PX
-    turned = np.abs(np.angle(np.exp(1j * (turn[None, :] - turn[:, None]))))
-    agree = (
-        (error <= reach) & (turned <= _MAX_TURN) & (np.abs(zoom[None] - zoom[:, None]) <= _MAX_ZOOM)
-    )
-    # Several matches of one place count once.
-    _, place = np.unique(np.rint(first / 3.0), axis=0, return_inverse=True)
-    places = np.zeros((len(p), int(place.max()) + 1), bool)
-    rows, columns = np.nonzero(agree)
-    places[rows, place.ravel()[columns]] = True
-    return np.flatnonzero(agree[int(places.sum(axis=1).argmax())])
+    _, place = np.unique(np.rint(first[0] / _PLACE_PX), axis=0, return_inverse=True)
+    return np.flatnonzero(best_agreement(moves(first, second), place.ravel()))

@@ -15,7 +15,7 @@ from vo.objects.records import Codes
 from vo.settings import validate
 from vo.types import Bytes, Descriptors, Floats32, Ints, Keypoints
 
-SCENE_COUNT = 4000  # of an image that is searched
+SCENE_COUNT = 8000  # of an image that is searched: an object may be a small part of it
 STORED_COUNT, _STORED_OF_SIZE = 3000, 300  # of a stored image: found, and kept of each size
 _LEVELS = 8  # of pyramids; an object may be seen at a third or three times of its stored size
 CODE_BITS = 256
@@ -58,20 +58,35 @@ class SceneFeatures:
         )
 
 
-def object_extractor(detector: str, descriptor: str, count: int) -> FeatureExtractor:
-    """The extractor for stored images, or for scenes.
+def stored_extractor(detector: str, descriptor: str) -> FeatureExtractor:
+    """The extractor for stored images.
 
     Raises:
         ConfigError: there is none of this name, this installation lacks it, or the names do not go
             together.
         ModelError: its model has not been fetched.
     """
+    return _extractor(detector, descriptor, STORED_COUNT, "strongest")
+
+
+def scene_extractor(detector: str, descriptor: str) -> FeatureExtractor:
+    """The extractor for images that are searched: features everywhere, also where they are weak.
+
+    Raises:
+        ConfigError: there is none of this name, this installation lacks it, or the names do not go
+            together.
+        ModelError: its model has not been fetched.
+    """
+    return _extractor(detector, descriptor, SCENE_COUNT, "grid")
+
+
+def _extractor(detector: str, descriptor: str, count: int, selection: str) -> FeatureExtractor:
     chosen = {
         "detector": detector,
         "descriptor": descriptor,
         "count": count,
         "levels": _LEVELS,
-        "selection": "strongest",
+        "selection": selection,
     }
     return make_extractor(validate(FeaturesConfig, chosen, "the features of objects"))
 
