@@ -9,9 +9,9 @@ of its size.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,19 @@ from objects_scenes import LIGHTS, Scene, SceneOptions, TrueObject, make_objects
 from vo.errors import VoError
 from vo.objects.confidence import THRESHOLD, evidence
 from vo.objects.database import DETECTOR, ObjectDatabase
+from vo.objects.flat_verification import FlatInstance
 from vo.objects.overlap import without_overlaps
+from vo.objects.records import FoundObject
 from vo.sources.listing import IMAGE_SUFFIXES
 from vo.sources.single_image import read_single_image
 from vo.types import Floats
 
 COVERS = ((0.0, 0.0), (0.0, 0.3), (0.3, 0.5))
+_RANGES: dict[str, tuple[float, ...]] = {
+    "scale": (0.3, 0.5, 1.0, 3.1),
+    "side": (0.0, 110.0, 130.0, 180.0, 1300.0),  # square root of the area, pixels
+    "tilt": (0.0, 15.0, 30.0, 46.0),
+}
 _WRONG = 0.15  # mean distance of corners, of the size of the instance
 
 
@@ -36,10 +43,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--detector", default=DETECTOR)
     parser.add_argument("--scenes", type=int, default=20, help="for each of three ranges of cover")
+    parser.add_argument("--cover", type=int, nargs="*", default=[0, 1, 2], help="which ranges")
     parser.add_argument("--seed", type=int, default=0, help="of the first scene")
     parser.add_argument("--unrelated", nargs="*", type=Path, default=[], help="images, or folders")
     parser.add_argument("--images", type=int, default=500, help="of them, spread evenly")
     parser.add_argument("--many", type=int, default=0, help="objects of a large database")
+    parser.add_argument("--database", type=Path, help="file in which the large one is kept")
     parser.add_argument("--rows", type=Path, help="file for what was measured")
     parser.add_argument("--fit", nargs="*", type=Path, help="fit the confidence to such files")
     arguments = parser.parse_args()
@@ -53,88 +62,79 @@ def main() -> None:
         database.add(each.name, [each.image], width_m=each.width_m)
     rows: list[dict[str, Any]] = []
     if arguments.scenes:
-        rows += on_scenes(database, objects, arguments.scenes, arguments.seed)
+        for cover in arguments.cover:
+            rows += on_scenes(database, objects, arguments, COVERS[cover])
     if arguments.unrelated:
         rows += on_unrelated(database, arguments.unrelated, arguments.images)
     if arguments.many:
-        with_many(arguments.detector, arguments.many)
+        with_many(arguments.detector, arguments.many, arguments.database)
     if arguments.rows is not None:
         arguments.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
 def on_scenes(
-    database: ObjectDatabase, objects: list[TrueObject], count: int, seed: int
+    database: ObjectDatabase,
+    objects: list[TrueObject],
+    arguments: argparse.Namespace,
+    cover: tuple[float, float],
 ) -> list[dict[str, Any]]:
-    """Recall by cover, light and scale, and precision."""
+    """Recall, also by light, scale, size and tilt, and precision."""
     rows: list[dict[str, Any]] = []
-    truth: list[tuple[Any, ...]] = []
-    for cover in COVERS:
-        cpu = 0.0
-        for n in range(count):
-            light = LIGHTS[n % len(LIGHTS)]
-            options = SceneOptions(count=3, cover=cover, light=light)
-            scene = make_scene(objects, seed + n, options)
-            begin = time.process_time()
-            found = database.evidence(scene.image)
-            cpu += time.process_time() - begin
-            kept = without_overlaps([each for each, _ in found])
-            hits: set[int] = set()
-            for k, (each, instance) in enumerate(found):
-                row = _right(scene, each.name, each.outline)
-                terms = evidence(instance.inliers, instance.coverage, instance.likeness)
-                rows.append(
-                    {
-                        "terms": terms,
-                        "confidence": each.confidence,
-                        "right": row is not None,
-                        "cover": cover[1],
-                        "kept": k in kept,
-                    }
-                )
-                if row is not None and k in kept and each.confidence >= THRESHOLD:
-                    hits.add(row)
-            for k, instance in enumerate(scene.instances):
-                truth.append((cover[1], light, instance.scale, instance.tilt_deg, k in hits))
-                if k not in hits:
-                    print(
-                        "missed",
-                        seed + n,
-                        light,
-                        instance.name,
-                        f"scale {instance.scale:.2f}",
-                        f"tilt {instance.tilt_deg:.0f} visible {instance.visible:.2f}",
-                        flush=True,
-                    )
-        here = [t[-1] for t in truth if t[0] == cover[1]]
-        reported = [r for r in rows if r["cover"] == cover[1] and r["kept"]]
-        reported = [r for r in reported if r["confidence"] >= THRESHOLD]
-        wrong = sum(not r["right"] for r in reported)
-        print(
-            f"cover {cover[0]:.0%} to {cover[1]:.0%}: recall {np.mean(here):.3f} of {len(here)}, "
-            f"{wrong} wrong of {len(reported)} reports, {cpu / count:.2f} s CPU an image",
-            flush=True,
-        )
-    for column, groups in ((1, LIGHTS), (2, (0.3, 0.5, 1.0, 3.0)), (3, (0, 15, 30, 45))):
-        for low, high, part in _groups(truth, column, groups):
-            print(f"  {low}{high}: recall {np.mean([t[-1] for t in part]):.3f} of {len(part)}")
+    truth: list[dict[str, Any]] = []
+    cpu = 0.0
+    for n in range(arguments.scenes):
+        light = LIGHTS[n % len(LIGHTS)]
+        scene = make_scene(objects, arguments.seed + n, SceneOptions(3, cover, light=light))
+        begin = time.process_time()
+        found = database.evidence(scene.image)
+        cpu += time.process_time() - begin
+        kept = without_overlaps([each for each, _ in found])
+        hits: set[int] = set()
+        for k, (each, instance) in enumerate(found):
+            right = _right(scene, each.name, each.outline)
+            row = _row(each, instance, right is not None, cover[1])
+            rows.append(row | {"kept": k in kept})
+            if right is not None and k in kept and each.confidence >= THRESHOLD:
+                hits.add(right)
+        for k, true in enumerate(scene.instances):
+            side = float(np.sqrt(cv2.contourArea(true.outline.astype(np.float32))))
+            truth.append(
+                {"light": light, "scale": true.scale, "side": side, "tilt": true.tilt_deg}
+                | {"hit": k in hits, "visible": true.visible}
+            )
+            if k not in hits:
+                print("missed", arguments.seed + n, true.name, _words(truth[-1]), flush=True)
+    reported = [r for r in rows if r["kept"] and r["confidence"] >= THRESHOLD]
+    wrong = sum(not r["right"] for r in reported)
+    print(
+        f"cover {cover[0]:.0%} to {cover[1]:.0%}: recall {_recall(truth)}, {wrong} wrong of "
+        f"{len(reported)} reports, {cpu / arguments.scenes:.2f} s CPU an image",
+        flush=True,
+    )
+    for light in LIGHTS:
+        print(f"  {light}: recall {_recall([t for t in truth if t['light'] == light])}")
+    for column, edges in _RANGES.items():
+        for low, high in itertools.pairwise(edges):
+            here = [t for t in truth if low <= t[column] < high]
+            print(f"  {column} {low} to {high}: recall {_recall(here)}", flush=True)
     return rows
 
 
-def _groups(
-    truth: list[tuple[Any, ...]], column: int, groups: tuple[Any, ...]
-) -> Iterator[tuple[str, str, list[tuple[Any, ...]]]]:
-    """Instances up to 30 % cover by light, or by ranges of a number."""
-    known = [t for t in truth if t[0] <= 0.3]
-    if isinstance(groups[0], str):
-        for name in groups:
-            yield name, "", [t for t in known if t[column] == name]
-        return
-    for low, high in zip(groups, groups[1:], strict=False):
-        yield (
-            f"{'scale' if column == 2 else 'tilt'} {low}",
-            f" to {high}",
-            [t for t in known if low <= t[column] <= high],
-        )
+def _row(each: FoundObject, instance: FlatInstance, right: bool, cover: float) -> dict[str, Any]:
+    """An instance as it is written for `fit`."""
+    terms = evidence(instance.inliers, instance.coverage, instance.likeness)
+    return {"terms": terms, "confidence": each.confidence, "right": right, "cover": cover}
+
+
+def _recall(truth: list[dict[str, Any]]) -> str:
+    return f"{sum(t['hit'] for t in truth)} of {len(truth)}"
+
+
+def _words(true: dict[str, Any]) -> str:
+    return (
+        f"{true['light']}, scale {true['scale']:.2f}, {true['side']:.0f} px, "
+        f"tilt {true['tilt']:.0f}, visible {true['visible']:.2f}"
+    )
 
 
 def _right(scene: Scene, name: str, outline: Floats) -> int | None:
@@ -162,9 +162,7 @@ def on_unrelated(database: ObjectDatabase, paths: list[Path], wanted: int) -> li
         image = read_single_image(files[n]).image
         found = database.evidence(image)
         for each, instance in found:
-            terms = evidence(instance.inliers, instance.coverage, instance.likeness)
-            row = {"terms": terms, "confidence": each.confidence, "right": False, "cover": -1.0}
-            rows.append(row | {"kept": True})
+            rows.append(_row(each, instance, False, -1.0) | {"kept": True})
             if each.confidence >= THRESHOLD:
                 false += 1
                 print("false", files[n], each.name, each.confidence)
@@ -176,31 +174,39 @@ def on_unrelated(database: ObjectDatabase, paths: list[Path], wanted: int) -> li
     return rows
 
 
-def with_many(detector: str, count: int) -> None:
-    """CPU time of one image with a large database."""
+def with_many(detector: str, count: int, file: Path | None) -> None:
+    """Recall and time of an image with a large database."""
     objects = make_objects(count)
     database = ObjectDatabase(detector)
     begin = time.process_time()
-    refused = 0
-    for each in objects:
-        try:
-            database.add(each.name, [each.image])
-        except VoError as error:
-            refused += 1
-            print("refused", error)
-    added = time.process_time() - begin
-    times, hits, total = [], 0, 0
-    for n in range(10):
-        scene = make_scene(objects, 1000 + n, SceneOptions(count=3, cover=(0.0, 0.3)))
-        begin = time.process_time()
+    if file is not None and file.exists():
+        database = ObjectDatabase.load(file)
+    else:
+        for each in objects:
+            try:
+                database.add(each.name, [each.image])
+            except VoError as error:
+                print("refused", error)
+        if file is not None:
+            database.save(file)
+    ready = time.process_time() - begin
+    spent: list[tuple[float, float]] = []
+    hits = total = wrong = 0
+    for n in range(12):
+        options = SceneOptions(3, (0.0, 0.3), light=LIGHTS[n % len(LIGHTS)])
+        scene = make_scene(objects, 1000 + n, options)
+        start, begin = time.perf_counter(), time.process_time()
         found = database.find(scene.image)
-        times.append(time.process_time() - begin)
-        hits += sum(any(f.name == i.name for f in found) for i in scene.instances)
+        spent.append((time.process_time() - begin, time.perf_counter() - start))
+        right = [_right(scene, each.name, each.outline) for each in found]
+        hits += len({each for each in right if each is not None})
+        wrong += right.count(None)
         total += len(scene.instances)
+    cpu, wall = np.median(spent[1:], axis=0)
     print(
-        f"{len(database)} objects: {added / count:.2f} s CPU to add one, {times[0]:.2f} s the "
-        f"first image (index), then median {np.median(times[1:]):.2f} s, maximum "
-        f"{max(times[1:]):.2f} s; {hits} of {total} found"
+        f"{len(database)} objects: {ready:.1f} s CPU to add or read them; first image "
+        f"{spent[0][0]:.2f} s CPU (index), then median {cpu:.2f} s CPU, {wall:.2f} s; "
+        f"{hits} of {total} found, {wrong} wrong"
     )
 
 

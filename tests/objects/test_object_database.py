@@ -8,8 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from object_samples import CAMERA, SHAPE, WIDTH_M, corners, pose, scene, stored
+from object_samples import CAMERA, SHAPE, WIDTH_M, corners, homography, pose, scene, stored
 
+from data_synth.worlds import prints
 from vo.errors import InputError
 from vo.geometry.cameras import distort
 from vo.geometry.transforms import rotation_angle
@@ -191,3 +192,18 @@ def test_binary_features_recognise_too(tmp_path: Path) -> None:
     (found,) = ObjectDatabase.load(tmp_path / "orb.vodb").find(scene((0, truth)))
     assert overlap(found.outline, corners(truth)) > 0.95
     assert stored(0).shape == SHAPE
+
+
+def test_a_small_and_pale_object_among_much_print(database: ObjectDatabase) -> None:
+    """Thousands of stronger features of other things do not use up those of the object."""
+    rng = np.random.default_rng(0)
+    notices = [[prints.notices(rng, (160, 160)) for _ in range(8)] for _ in range(6)]
+    canvas = 255.0 * np.block(notices)
+    matrix = homography(pose(0.3, 0.2, 1.0, 40.0, 20.0))
+    size = canvas.shape[1::-1]
+    image = 0.4 * cv2.warpPerspective(stored(0).astype(np.float32), matrix, size) + 60.0
+    mask = cv2.warpPerspective(np.ones(SHAPE, np.float32), matrix, size)
+    canvas = mask * image + (1.0 - mask) * canvas + rng.normal(0.0, 2.0, canvas.shape)
+    (found,) = database.find(np.clip(np.rint(canvas), 0, 255).astype(np.uint8))
+    assert found.name == "print0"
+    assert overlap(found.outline, corners(pose(0.3, 0.2, 1.0, 40.0, 20.0))) > 0.9

@@ -21,7 +21,7 @@ from vo.objects.records import Codes
 from vo.objects.scene_features import CODE_BITS
 from vo.types import Floats, Floats32, Ints
 
-MAX_CANDIDATES = 12
+MAX_CANDIDATES = 20
 _TABLES = 16
 _MIN_KEY_BITS, _MAX_KEY_BITS = 8, 16
 _IN_BUCKET = 8  # wanted features of a table with the same key
@@ -92,7 +92,7 @@ class CandidateIndex:
         rows, weights = row[feature, place], weight[feature, place]
         score: Floats
         if np.isnan(scene.angle).any():
-            score = np.bincount(part[order], weights, minlength=self._parts)
+            score = np.bincount(part[order], weights, self._parts).astype(np.float64)
         else:
             motion = moves(
                 (self._xy[rows], self._angle[rows], self._size[rows]),

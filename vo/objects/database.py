@@ -9,7 +9,7 @@ from typing import Self
 
 from vo.errors import InputError
 from vo.objects.adding import Extractors, make_object
-from vo.objects.candidates import MAX_CANDIDATES, CandidateIndex, IndexedFeatures
+from vo.objects.candidates import CandidateIndex, IndexedFeatures
 from vo.objects.confidence import THRESHOLD, flat_confidence
 from vo.objects.database_file import FileContents, read_objects, write_objects
 from vo.objects.flat_verification import FlatInstance, flat_instances
@@ -27,6 +27,8 @@ from vo.objects.scene_features import (
 from vo.types import Bytes, Camera, Floats32
 
 DETECTOR = "sift"
+_MANY = 100  # parts; the index then ranks what is there before nearly all that is not
+_PATIENCE, _PATIENCE_OF_MANY = 12, 5  # candidates in a row that are not there end the search
 _PREPARED = 64  # parts that are kept ready for matching
 
 
@@ -153,9 +155,7 @@ class ObjectDatabase:
         if camera is not None:
             image = without_distortion(image, camera)
         scene = extract(self._extractors.scene, image)
-        found = [
-            each for key in self._candidates(scene) for each in self._search(key, image, scene)
-        ]
+        found = self._all(image, scene)
         kept = [pair for pair in found if pair[0].confidence >= threshold]
         kept = [kept[n] for n in without_overlaps([each for each, _ in kept])]
         if camera is None:
@@ -170,11 +170,26 @@ class ObjectDatabase:
     def evidence(self, image: Bytes) -> list[tuple[FoundObject, FlatInstance]]:
         """All instances that geometry allows, with what their confidence is computed from."""
         scene = extract(self._extractors.scene, image)
-        return [each for key in self._candidates(scene) for each in self._search(key, image, scene)]
+        return self._all(image, scene)
+
+    def _all(self, image: Bytes, scene: SceneFeatures) -> list[tuple[FoundObject, FlatInstance]]:
+        """Instances of the likeliest parts, until several parts in a row are not there."""
+        found: list[tuple[FoundObject, FlatInstance]] = []
+        parts = sum(len(each.parts) for each in self.objects)
+        patience = _PATIENCE if parts <= _MANY else _PATIENCE_OF_MANY
+        failures = 0
+        for key in self._candidates(scene):
+            here = self._search(key, image, scene)
+            found += here
+            is_there = any(each.confidence >= THRESHOLD for each, _ in here)
+            failures = 0 if is_there else failures + 1
+            if failures >= patience:
+                break
+        return found
 
     def _candidates(self, scene: SceneFeatures) -> list[tuple[str, int]]:
         keys = [(each.name, n) for each in self.objects for n in range(len(each.parts))]
-        if len(keys) <= MAX_CANDIDATES:
+        if len(keys) <= _PATIENCE:
             return keys
         assert self._centre is not None
         if self._index is None:

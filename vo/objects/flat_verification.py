@@ -130,18 +130,28 @@ def _predicted(
     at = transferred(homography, vectors.xy.astype(np.float64))
     outline = transferred(homography, part.outline.astype(np.float64))
     reach = max(_REACH_PX, _REACH * float(np.sqrt(max(_area(outline), 1.0))))
-    low, high = outline.min(axis=0) - reach, outline.max(axis=0) + reach
-    near = np.flatnonzero(((scene.xy >= low) & (scene.xy <= high)).all(axis=1))
-    u, v = (np.subtract.outer(scene.xy[near, k], at[:, k].astype(np.float32)) for k in (0, 1))
-    row, column = np.nonzero((np.abs(u) <= reach) & (np.abs(v) <= reach))
-    product = (scene.vector[near[row]] * vectors.vector[column]).sum(axis=1)
+    row, column = _near(scene.xy, at, reach)
+    product = (scene.vector[row] * vectors.vector[column]).sum(axis=1)
     distance = 2.0 - 2.0 * product
     limit = _GUIDED_BINARY if part.descriptor.dtype == np.uint8 else _GUIDED
     good = np.flatnonzero(distance <= limit)
     good = good[np.argsort(distance[good], kind="stable")]
-    row, column, distance = near[row[good]], column[good], distance[good]
+    row, column, distance = row[good], column[good], distance[good]
     kept = _first_of_each_place(scene.xy[row], vectors.xy[column])
-    return PartMatches(row[kept], column[kept].astype(np.int64), distance[kept])
+    return PartMatches(row[kept], column[kept], distance[kept])
+
+
+def _near(scene_xy: Floats32, at: Floats, reach: float) -> tuple[Ints, Ints]:
+    """Rows of the scene's features (N, 2) and of places (M, 2) that are within a square."""
+    order = np.argsort(scene_xy[:, 0], kind="stable")
+    u = scene_xy[order, 0]
+    begin, end = np.searchsorted(u, at[:, 0] - reach), np.searchsorted(u, at[:, 0] + reach, "right")
+    count = end - begin
+    column = np.repeat(np.arange(len(at)), count)
+    within = np.arange(len(column)) - np.repeat(np.cumsum(count) - count, count)
+    row = order[np.repeat(begin, count) + within]
+    close = np.abs(scene_xy[row, 1] - at[column, 1]) <= reach
+    return row[close], column[close]
 
 
 def _first_of_each_place(scene_xy: Floats32, part_xy: Floats32) -> Ints:

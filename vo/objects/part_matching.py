@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.compiling.function import compiled
 from vo.objects.agreement import best_agreement, moves
 from vo.objects.records import Part
 from vo.objects.scene_features import SceneFeatures, unit_vectors
@@ -13,7 +14,6 @@ from vo.types import Bools, Floats, Floats32, Ints
 
 _SAME_PLACE = 0.015  # of the size of a part: features so near to each other are of one place
 _MAX_RATIO = 0.72  # of squared distances of the nearest and the nearest of another place
-_MIN_LIKENESS = 0.6  # scalar product of two vectors
 _PLACE_PX = 3.0  # several matches of a place so large count once as they move alike
 
 
@@ -73,14 +73,28 @@ def match_part(scene: SceneFeatures, part: PartVectors) -> PartMatches:
         return PartMatches(empty, empty, np.zeros(0))
     likeness = scene.vector @ part.vector.T
     nearest = likeness.argmax(axis=1)
-    best = likeness[np.arange(len(scene)), nearest]
-    near = np.flatnonzero(best >= _MIN_LIKENESS)
-    nearest, best, likeness = nearest[near], best[near], likeness[near]
-    likeness[part.same[nearest]] = -1.0
-    second = likeness.max(axis=1, initial=-1.0)
-    ratio = (1.0 - best) / np.maximum(1.0 - second, 1e-6)
+    ratio: Floats = _ratios(likeness, nearest, part.same)
     good = np.flatnonzero(ratio <= _MAX_RATIO)
-    return PartMatches(near[good], nearest[good].astype(np.int64), ratio[good].astype(np.float64))
+    return PartMatches(good, nearest[good].astype(np.int64), ratio[good])
+
+
+@compiled
+def _ratios(likeness, nearest, same):  # type: ignore[no-untyped-def]
+    """(n,) squared distances of the nearest relative to those of the nearest at another place.
+
+    Args:
+        likeness: (n, N) scalar products of unit vectors.
+        nearest: (n,) columns of the largest ones.
+        same: (N, N) which columns are of the same place.
+    """
+    ratio = np.empty(len(likeness), dtype=np.float64)
+    for n in range(len(likeness)):
+        second = np.float32(-1.0)
+        for k in range(likeness.shape[1]):
+            if likeness[n, k] > second and not same[nearest[n], k]:
+                second = likeness[n, k]
+        ratio[n] = (1.0 - likeness[n, nearest[n]]) / max(1.0 - second, 1e-6)
+    return ratio
 
 
 def common_motion(scene: SceneFeatures, part: PartVectors, matches: PartMatches) -> Ints | None:
