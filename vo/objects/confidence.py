@@ -12,7 +12,7 @@ THRESHOLD = 0.9
 """Confidence from which an object counts as found."""
 
 # Intercept, then weights of the terms of `evidence`.
-FLAT_WEIGHTS = (-16.8, 3.53, 3.53, 13.2)
+FLAT_WEIGHTS = (-18.0, 3.52, 3.34, 16.6)
 
 
 def evidence(inliers: int, coverage: float, likeness: float) -> tuple[float, float, float]:
