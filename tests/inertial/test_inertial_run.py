@@ -224,14 +224,21 @@ def test_rendered_hall_is_metric(shared_data: Path, tmp_path: Path) -> None:
 def dark_walk(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same with a second of noisy black images."""
     folder = tmp_path_factory.mktemp("dark") / "walk"
-    shutil.copytree(walk, folder)
-    images = sorted((folder / "mav0" / "cam0" / "data").iterdir())
+    return _darkened(walk, folder, BLACK)
+
+
+def _darkened(recording: Path, copy: Path, frames: slice) -> Path:
+    """A copy in which all images of some frames are black, with noise."""
+    shutil.copytree(recording, copy)
     rng = np.random.default_rng(1)
-    for image in images[BLACK]:
-        shape = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).shape
-        black = rng.normal(2.0, 1.5, shape).clip(0, 255).astype(np.uint8)
-        assert cv2.imwrite(str(image), black)
-    return folder
+    for folder in sorted(copy.glob("mav0/cam*/data")):
+        for image in sorted(folder.iterdir())[frames]:
+            grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
+            assert grey is not None
+            black = rng.normal(2.0, 1.5, grey.shape).clip(0, 255).astype(np.uint8)
+            image.unlink()  # it may be read-only
+            assert cv2.imwrite(str(image), black)
+    return copy
 
 
 def test_a_second_without_light_is_bridged(
@@ -262,3 +269,20 @@ def test_without_the_sensor_a_second_without_light_divides_the_path(
 ) -> None:
     summary = _run(dark_walk, tmp_path / "out", "inertial.enabled=false")
     assert len(summary["segments"]) == 2 and summary["inertial_poses"] == 0
+
+
+def test_two_seconds_without_light_are_bridged_to_a_new_map_of_two_cameras(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    dark = _darkened(shared_data / "rendered_hall_stereo", tmp_path / "hall", slice(110, 150))
+    summary = _run(dark, tmp_path / "out")
+    assert summary["tracked"] == 160 and summary["inertial_poses"] == 40
+    assert [s["frames"] for s in summary["segments"]] == [200]  # of one world
+    found, truth = _poses(tmp_path / "out", dark)
+    fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    error = np.linalg.norm(
+        found[:, :3, 3] @ fit.rotation.T + fit.translation - truth[:, :3, 3], axis=1
+    )
+    assert error.max() < 0.04
+    rows = (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:]
+    assert {line.split(",")[3] for line in rows} == {"0", "1"}  # two maps
