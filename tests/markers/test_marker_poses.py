@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from marker_views import Placed, developed, looking_at, random_background, render
 
 from vo.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.markers.detection import MarkerDetector, Refinement, find_dictionary
+from vo.markers.dictionaries import dictionary
 from vo.markers.plane_pose import plane_pose, square_points
 from vo.markers.records import PlanePose
 from vo.markers.search import MarkerFinder, find_too_small
@@ -149,3 +151,17 @@ def test_a_marker_that_is_too_small_is_found_for_the_message(
     assert small is not None
     assert small.id == 3
     assert small.side_px == pytest.approx(600.0 * LENGTH_M / 11.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("side", "is_found"), [(60, True), (14, False)])
+def test_a_small_likeness_with_uneven_cells_is_no_marker(side: int, is_found: bool) -> None:
+    """Textures have many of them; a large one is a marker in uneven light."""
+    rng = np.random.default_rng(8)
+    pattern = np.asarray(dictionary("4X4_50").generateImageMarker(5, 6), np.float64) / 255.0
+    cells = np.where(pattern > 0.5, rng.uniform(110, 250, (6, 6)), rng.uniform(0, 75, (6, 6)))
+    size = 6 * (side // 6 + 1)
+    image = np.full((120, 120), 200.0)
+    image[30 : 30 + size, 30 : 30 + size] = np.kron(cells, np.ones((size // 6, size // 6)))
+    image = cv2.GaussianBlur(image, (0, 0), 0.5)
+    found = MarkerDetector("4X4_50").detect(np.asarray(image, np.uint8))
+    assert [marker.id for marker in found] == ([5] if is_found else [])

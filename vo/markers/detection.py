@@ -17,7 +17,8 @@ from vo.markers.records import DetectedMarker
 from vo.types import Bytes, Camera, Floats
 
 _SUBPIX_SIGMA_PX, _APRILTAG_SIGMA_PX, _RAW_SIGMA_PX = 0.15, 0.12, 0.6
-_MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show
+_MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show; of small ones, of which
+_MIN_SMALL_CORRELATION = 0.95  # textures have many likenesses
 _CELL_PX = 8  # of a marker seen from the front, for that comparison
 _MIN_LEAD = 2  # markers by which a dictionary is ahead of the next one
 MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
@@ -75,10 +76,15 @@ class MarkerDetector:
     ) -> DetectedMarker | None:
         """The marker with refined corners; None if it is a chance likeness."""
         lines = refine_corners(image, corners, self.cells, camera)
-        if lines is None or self._correlation(image, number, lines.corners) < _MIN_CORRELATION:
+        if lines is None:
+            return None
+        refined = DetectedMarker(number, lines.corners, lines.sigma_px)
+        is_small = refined.side_px < MIN_SIDE_PX
+        least = _MIN_SMALL_CORRELATION if is_small else _MIN_CORRELATION
+        if self._correlation(image, number, lines.corners) < least:
             return None
         if self._refinement is Refinement.LINES:
-            return DetectedMarker(number, lines.corners, lines.sigma_px)
+            return refined
         sigma = {
             Refinement.SUBPIX: _SUBPIX_SIGMA_PX,
             Refinement.APRILTAG: _APRILTAG_SIGMA_PX,
