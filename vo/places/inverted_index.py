@@ -4,6 +4,10 @@ Bags are numbered as they are added. The latest ones are scanned one by one; whe
 `_BLOCK` of them they become a block: their entries sorted by word, so that a query reads only the
 entries of its own words. Within a block a score is one addition to an array that fits the cache.
 A removed bag keeps its number and has no score; blocks in which most are removed are made anew.
+
+With many blocks a query first reads the entries of its rarest words alone, which are few and tell
+most, and then those of all words in the blocks with the best scores (two passes in the manner of
+Broder et al., "Efficient query evaluation using a two-level retrieval process", 2003).
 """
 
 from __future__ import annotations
@@ -18,6 +22,9 @@ from vo.places.vocabulary import Bag, Words
 from vo.types import Bools, Floats32, Ints
 
 _BLOCK = 512  # numbers of bags in a block; below 2^16
+# With more blocks than these, only so many of them are searched by all words, chosen by the rarest
+# words of a query, whose lists are this ratio of the length of all its lists.
+_MAX_WHOLE, _MAX_SEARCHED, _FIRST_PASS = 64, 16, 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +57,7 @@ class InvertedIndex:
         self._latest: list[Bag] = []
         self._kept = np.zeros(_BLOCK, np.bool_)
         self._count = 0
+        self._length = np.zeros(words, np.int64)  # entries of each word in all blocks
 
     def add(self, bag: Bag) -> None:
         """Add a bag."""
@@ -59,7 +67,9 @@ class InvertedIndex:
         self._latest.append(bag)
         self._count += 1
         if len(self._latest) == _BLOCK:
-            self._blocks.append(self._make_block())
+            block = self._make_block()
+            self._blocks.append(block)
+            self._length += np.diff(block.start)
             self._latest = []
 
     def remove(self, number: int) -> None:
@@ -71,21 +81,46 @@ class InvertedIndex:
             return
         kept = self._kept[at * _BLOCK : (at + 1) * _BLOCK]
         if 2 * int(kept.sum()) < self._blocks[at].kept:
-            self._blocks[at] = self._without_removed(self._blocks[at], kept)
+            block = self._without_removed(self._blocks[at], kept)
+            self._length += np.diff(block.start) - np.diff(self._blocks[at].start)
+            self._blocks[at] = block
 
     def scores(self, bag: Bag) -> Floats32:
-        """(N,) L1 score of a bag against each one added; 0 for removed ones."""
+        """(N,) L1 score of a bag against each one added; 0 for removed ones.
+
+        With more than 32,768 bags also 0 for those of blocks that have no similar one.
+        """
         result = np.zeros(self._count, np.float32)
         weight = np.zeros(self._words, np.float32)
         weight[bag.word] = bag.weight
-        for n, block in enumerate(self._blocks):
-            part = result[n * _BLOCK : (n + 1) * _BLOCK]
-            _add_scores(bag.word, bag.weight, block.start, block.bag, block.weight, part)
         first = len(self._blocks) * _BLOCK
+        in_blocks = result[:first].reshape(-1, _BLOCK)
+        for n in self._searched(bag):
+            self._add_scores(n, bag, in_blocks[n])
         for n, other in enumerate(self._latest, first):
             result[n] = _score(weight, other.word, other.weight)
         result[~self._kept[: self._count]] = 0.0
         return result
+
+    def _searched(self, bag: Bag) -> list[int]:
+        """Numbers of the blocks that may have the bags most similar to one."""
+        count = len(self._blocks)
+        if count <= _MAX_WHOLE:
+            return list(range(count))
+        length = self._length[bag.word]
+        order = np.argsort(length, kind="stable")
+        rows = order[np.cumsum(length[order]) <= _FIRST_PASS * length.sum()]
+        rare = Bag(bag.word[rows], bag.weight[rows])
+        scores = np.zeros((count, _BLOCK), np.float32)
+        for n in range(count):
+            self._add_scores(n, rare, scores[n])
+        scores[~self._kept[: count * _BLOCK].reshape(scores.shape)] = 0.0
+        best = np.argsort(-scores.max(axis=1), kind="stable")[:_MAX_SEARCHED]
+        return sorted(best.tolist())
+
+    def _add_scores(self, number: int, bag: Bag, scores: Floats32) -> None:
+        block = self._blocks[number]
+        _add_scores(bag.word, bag.weight, block.start, block.bag, block.weight, scores)
 
     def _make_block(self) -> _Block:
         sizes = np.array([len(b.word) for b in self._latest])
