@@ -245,6 +245,9 @@ class MemoryConfig(Section):
         "", description="file of the words by which places are recognised; empty for the built-in"
     )
     map: str = expert("", description="file of a map to continue in, empty for none")
+    adjust: bool = expert(
+        True, description="one camera: bundle adjustment of a path with loops at the end"
+    )
     localize: bool = expert(False, description="only find poses in `memory.map`, add nothing to it")
 
 

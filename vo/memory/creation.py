@@ -10,9 +10,9 @@ from vo.errors import ConfigError
 from vo.frontend.contracts import DescriptorFormat
 from vo.frontend.orb import OrbExtractor
 from vo.geometry.rectification import RectifiedRig
-from vo.memory.early_search import EarlySearch
 from vo.memory.inertial_poses import InertialPoses
 from vo.memory.loaded_map import load_map
+from vo.memory.loop_bundle import LoopBundle
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.memory import Memory
 from vo.memory.place_maker import PlaceMaker
@@ -71,16 +71,17 @@ def make_memory(
         graph.add_map(loaded.placed, loaded.is_metric)
         session = len(loaded.sessions)
     localizes = config.memory.localize
+    adjusts = config.memory.adjust and not rig.is_stereo and inertial is None
     describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
     maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo, describer=describer)
     recogniser = Recogniser(database, verifier, camera, threads, loaded, localizes=localizes)
     return Memory(
         maker,
         recogniser,
-        EarlySearch(maker, recogniser),
         graph,
         trajectory,
         stopwatch,
         WorldsInMap(file, loaded),
         inertial,
+        LoopBundle(rig.intrinsics, config.smoothing) if adjusts else None,
     )

@@ -15,13 +15,14 @@ from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
 from vo.memory.early_search import EarlySearch
 from vo.memory.inertial_poses import InertialPoses
+from vo.memory.loop_bundle import LoopBundle
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.place_maker import PlaceMaker
-from vo.memory.placed_worlds import of_worlds, scaled_worlds
+from vo.memory.placed_worlds import of_worlds, scaled_worlds, with_adjusted
 from vo.memory.recognition import Recognised, Recogniser
 from vo.memory.reports import LoopEnds, closed_loop, correction_of, relocalisation
 from vo.metric_scale import MetricScale
-from vo.places.records import InertialPose, Loop, PlaceKey
+from vo.places.records import InertialPose, Loop, PlacedKeyframes, PlaceKey
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Bytes, Floats
@@ -49,33 +50,35 @@ class Memory:
     Args:
         maker: makes places.
         recogniser: stores and recognises them.
-        early: searches for keyframes before they are stored.
         graph: places them in the map frame.
         trajectory: follows.
         stopwatch: measures the stages.
         worlds: those of a loaded map.
         inertial: gives the graph metric poses of a single camera, None without a sensor.
+        bundle: adjusts worlds with loops at the end, or None.
     """
 
     def __init__(
         self,
         maker: PlaceMaker,
         recogniser: Recogniser,
-        early: EarlySearch,
         graph: PoseGraph,
         trajectory: TrajectoryBuilder,
         stopwatch: Stopwatch,
         worlds: WorldsInMap,
         inertial: InertialPoses | None = None,
+        bundle: LoopBundle | None = None,
     ) -> None:
         self.stopwatch = stopwatch
         self._maker = maker
         self._recogniser = recogniser
-        self._early = early
+        self._early = EarlySearch(maker, recogniser)
         self._graph = graph
         self._trajectory = trajectory
         self._worlds = worlds
         self._inertial = inertial
+        self._bundle = bundle
+        self._adjusted: list[PlacedKeyframes] = []  # worlds after the adjustment
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
         self._frames: dict[PlaceKey, FrameId] = {}  # of keyframes in the graph
         self._stored = 0  # number of keyframes that were stored
@@ -121,6 +124,8 @@ class Memory:
         if self._submitted is None and self._stored >= self._next and is_due:
             self._submit()
         place = self._maker.make(keyframe, landmarks, image)
+        if self._bundle is not None:
+            self._bundle.add(place.key, keyframe, landmarks)
         is_known = any(loop.later == place.key for loop in self._loops)
         self._future = self._recogniser.add(place, searches=not is_known)
 
@@ -169,6 +174,8 @@ class Memory:
         self._relocalisations = [r for r in self._relocalisations if r.frame < frame_index]
         self._found = None
         self._recogniser.remove(gone)
+        if self._bundle is not None:
+            self._bundle.remove_from(frame_index)
         self._graph.keep_loops(kept)
         self._graph.remove_keyframes(gone)
 
@@ -184,6 +191,8 @@ class Memory:
             self._submit()
             self._apply_placed()
         self._unmarked.clear()
+        if self._bundle is not None and self._closed:
+            self._adjust(self._bundle)
 
     def check_savable(self, path: Path) -> None:
         """Check before the first frame that the run can be saved with the loaded map.
@@ -208,6 +217,7 @@ class Memory:
         placed = self._graph.result()
         if self._inertial is not None:
             placed = self._inertial.placement.to_metres(placed, self._maker.session)
+        placed = with_adjusted(placed, self._adjusted)
         placed = scaled_worlds(placed, self._factors(placed.keys, scales))
         accepted = [self._loops[n] for n in sorted(self._closed)]
         self._recogniser.save_map(path, source, placed, accepted)
@@ -227,6 +237,17 @@ class Memory:
             (n, world_of(self._frames[k].segment)) for n, k in enumerate(keys) if k in self._frames
         )
         return {n: scales[world].value for n, world in worlds if world in scales}
+
+    def _adjust(self, bundle: LoopBundle) -> None:
+        """Adjust the worlds with loops once more, by all observations."""
+        loops = [self._loops[n] for n in sorted(self._closed)]
+        worlds = {self._trajectory.store.world(self._frames[loop.later].segment) for loop in loops}
+        session = self._maker.session
+        for world in sorted(worlds - set(self._worlds.met)):
+            placed = bundle.adjusted(self._trajectory.placed(world, session), loops)
+            if placed is not None:
+                self._trajectory.place(placed, session)
+                self._adjusted.append(placed)
 
     def _apply_recognised(self) -> None:
         """Wait for the results of all searches."""

@@ -26,6 +26,17 @@ def of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes
     )
 
 
+def with_adjusted(placed: PlacedKeyframes, adjusted: Sequence[PlacedKeyframes]) -> PlacedKeyframes:
+    """Placed keyframes, with the poses and scales of those that were adjusted afterwards."""
+    world_from_cam, scale = placed.world_from_cam.copy(), placed.scale.copy()
+    row = {key: n for n, key in enumerate(placed.keys)}
+    for each in adjusted:
+        for n, key in enumerate(each.keys):
+            if key in row:
+                world_from_cam[row[key]], scale[row[key]] = each.world_from_cam[n], each.scale[n]
+    return replace(placed, world_from_cam=world_from_cam, scale=scale)
+
+
 def scaled_worlds(placed: PlacedKeyframes, factor_of: Mapping[int, float]) -> PlacedKeyframes:
     """Placed keyframes with some worlds in another unit.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.keyframe import FrameId, Keyframe
-from vo.places.records import PlacedKeyframes
+from vo.places.records import PlacedKeyframes, PlaceKey
 from vo.trajectory.map_frame import Anchor
 from vo.trajectory.store import TrajectoryStore
 from vo.trajectory.table import Table
@@ -113,6 +113,19 @@ class TrajectoryBuilder:
     def world_from_rectified(self, world_from_cam0: Floats) -> Floats:
         """The inverse of `world_from_cam0`."""
         return np.asarray(self._rectified_from_cam0 @ world_from_cam0 @ self._cam0_from_rectified)
+
+    def placed(self, world: int, session: int) -> PlacedKeyframes:
+        """The keyframes of a world of the run, as for `place`."""
+        ids, world_from_cam0, scale, covariance = self.store.placed(world)
+        to_rectified = adjoint(self._rectified_from_cam0)
+        return PlacedKeyframes(
+            tuple(PlaceKey(session, number) for number in ids.tolist()),
+            np.full(len(ids), world, np.int64),
+            self.world_from_rectified(world_from_cam0),
+            scale,
+            to_rectified @ covariance @ to_rectified.T,
+            (),
+        )
 
     def world_from_cam0(self, world_from_rectified: Floats) -> Floats:
         """Poses (..., 4, 4) of the recorded cam0."""

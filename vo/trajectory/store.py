@@ -157,6 +157,14 @@ class TrajectoryStore:
         frame = bisect_left(self.frames["keyframe"], int(rows["id"][first]))
         self._changed = min(self._changed, self._first_after_tracked(frame))
 
+    def placed(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
+        """Keyframes of a world: their ids, poses, scales and covariances, as for `place`."""
+        table = self._keyframes.rows
+        segments = [n for n in np.unique(table["segment"]).tolist() if self.world(n) == world]
+        rows = table[np.isin(table["segment"], segments)]
+        poses = whole_transforms(rows["world_from_cam0"])
+        return rows["id"].copy(), poses, rows["scale"].copy(), symmetric(rows["covariance"])
+
     def apply_scales(self, scales: Mapping[int, MetricScale]) -> None:
         """Convert the poses of worlds to metres, once, after the last frame.
 
