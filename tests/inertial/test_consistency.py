@@ -1,0 +1,140 @@
+"""Whether the stated covariances of inertial states are those of their errors, over many runs.
+
+The normalised estimation error squared (NEES) of a consistent estimate has the mean of its number
+of dimensions. Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and
+navigation", 2001, sec. 5.4.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from inertial_flight import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    IMU_FROM_CAM,
+    NOISE,
+    START_NS,
+    Samples,
+    Sensor,
+    keyframe_stamps,
+    path,
+    world_from_cam,
+)
+
+from vo.geometry.transforms import inverse, se3_exp
+from vo.inertial.chain import InertialChain, Node, placed_at_origin
+from vo.inertial.samples import SampleReader
+from vo.inertial.states import States
+from vo.types import Floats, ImuNoise, Ints
+
+_RUNS, _KEYFRAMES = 20, 24  # of 0.5 s
+_RATE_HZ = 200
+# Errors of a motion by images: standard deviations in rad and m, and of the logarithm of the scale.
+_TURN, _MOVE, _DRIFT = 1e-3, 3e-3, 0.0015
+_SCALE = 0.5
+_WALKING = ImuNoise(NOISE.gyro_noise, 2e-5, NOISE.accel_noise, 1e-3)
+
+_PARTS: dict[str, slice] = {
+    "pose": slice(0, 6),
+    "velocity": slice(6, 9),
+    "gyro_bias": slice(9, 12),
+    "accel_bias": slice(12, 15),
+    "log_scale": slice(15, 16),
+}
+
+
+def _sensor(rng: np.random.Generator) -> tuple[Sensor, Floats]:
+    """A sensor with noise and walking biases; (n, 6) its biases."""
+    since_s = np.arange(int((_KEYFRAMES * 0.5 + 1.0) * _RATE_HZ)) / _RATE_HZ
+    rotation, _, _, acceleration, rate = path(since_s)
+    force = np.einsum("nji,nj->ni", rotation, acceleration + np.array([0.0, 0.0, 9.81]))
+    walk = np.repeat([_WALKING.gyro_walk, _WALKING.accel_walk], 3) / np.sqrt(_RATE_HZ)
+    steps = np.cumsum(rng.standard_normal((len(since_s), 6)) * walk, axis=0)
+    biases = np.concatenate([GYRO_BIAS, ACCEL_BIAS]) + steps
+    density = np.repeat([_WALKING.gyro_noise, _WALKING.accel_noise], 3) * np.sqrt(_RATE_HZ)
+    white = rng.standard_normal((len(since_s), 6)) * density
+    values = np.concatenate([rate, force], axis=1) + biases + white
+    stamps = START_NS + np.round(1e9 * since_s).astype(np.int64)
+    return Sensor(Samples(stamps, values[:, :3], values[:, 3:]), inverse(IMU_FROM_CAM)), biases
+
+
+def _visual(stamps: Ints, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Poses (n, 4, 4) of the camera in a map whose scale drifts; the scale of each step."""
+    truth = world_from_cam(stamps)
+    scale = _SCALE * np.exp(np.cumsum(_DRIFT * rng.standard_normal(len(stamps))))
+    poses = [np.eye(4)]
+    for k, step in enumerate(inverse(truth[:-1]) @ truth[1:]):
+        moved = step @ se3_exp(rng.standard_normal(6) * np.repeat([_TURN, _MOVE], 3))
+        moved[:3, 3] /= scale[k]
+        poses.append(poses[-1] @ moved)
+    return np.stack(poses), scale
+
+
+def _covariance(scale: float) -> Floats:
+    return np.diag([_TURN**2] * 3 + [(_MOVE / scale) ** 2] * 3)
+
+
+def _true_states(stamps: Ints, biases: Floats, scale: Floats) -> States:
+    since_s = 1e-9 * (stamps - START_NS)
+    rotation, position, velocity, *_ = path(since_s)
+    rows = np.round(since_s * _RATE_HZ).astype(np.int64)
+    states = States(rotation, position, velocity, biases[rows, :3], biases[rows, 3:], np.log(scale))
+    return placed_at_origin(states, IMU_FROM_CAM)
+
+
+@cache
+def _errors(seed: int, told: float = 1.0) -> tuple[Floats, Floats]:
+    """Errors (n, 16) of the states of a run, and their covariances (n, 16, 16).
+
+    Args:
+        seed: of all noise.
+        told: covariance of the motions by images that is told, relative to the true one.
+    """
+    rng = np.random.default_rng(seed)
+    stamps = keyframe_stamps(_KEYFRAMES)
+    sensor, biases = _sensor(rng)
+    poses, scale = _visual(stamps, rng)
+    chain = InertialChain(SampleReader(sensor), _WALKING, IMU_FROM_CAM, is_metric=False)
+    for k in range(_KEYFRAMES):
+        covariance = told * _covariance(float(scale[k - 1])) if k else None
+        chain.set(Node(k, k, int(stamps[k]), 0, poses[k], covariance))
+        chain.update()
+    placed = chain.finish()
+    assert placed is not None and len(placed.nodes) == _KEYFRAMES
+    estimate = placed.estimate
+    return estimate.states.since(_true_states(stamps, biases, scale)), estimate.covariance
+
+
+def _nees(part: str, row: int, told: float = 1.0) -> float:
+    """Mean over the runs."""
+    columns = _PARTS[part]
+    total = 0.0
+    for seed in range(_RUNS):
+        errors, covariances = _errors(seed, told)
+        error, covariance = errors[row, columns], covariances[row][columns, columns]
+        total += float(error @ np.linalg.solve(covariance, error))
+    return total / _RUNS
+
+
+def _band(dimensions: int) -> tuple[float, float]:
+    """95 % of the means of so many squares over the runs (Wilson and Hilferty)."""
+    freedom = _RUNS * dimensions
+    spread = 1.96 * np.sqrt(2.0 / (9.0 * freedom))
+    low, high = ((1.0 - 2.0 / (9.0 * freedom) + s * spread) ** 3 for s in (-1.0, 1.0))
+    return dimensions * float(low), dimensions * float(high)
+
+
+@pytest.mark.parametrize("part", _PARTS)
+def test_stated_covariances_are_those_of_the_errors(part: str) -> None:
+    # The scale of the last keyframe is that of a step that follows.
+    last = _KEYFRAMES - (2 if part == "log_scale" else 1)
+    low, high = _band(_PARTS[part].stop - _PARTS[part].start)
+    for row in (last // 2, last):
+        assert low < _nees(part, row) < high
+
+
+def test_motions_by_images_with_too_small_covariances_are_not_consistent() -> None:
+    assert _nees("pose", _KEYFRAMES - 1, told=0.1) > 1.5 * _band(6)[1]
