@@ -19,6 +19,7 @@ from vo.types import Floats, ImuNoise
 _WINDOW_LAST_STEP = 3.0  # standard deviations
 _WINDOW = 12  # newest keyframes whose states are estimated together
 _MAX_FIRST = 40  # newest keyframes that first states are searched with
+_RETRY_NS = 1_000_000_000  # after the motion did not determine the first states
 _MAX_BRIDGE_S = 3.0  # between segments without images
 _MAX_BIAS_RAD_S = 0.003  # from which preintegration is repeated
 _MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
@@ -88,6 +89,7 @@ class InertialChain:
         self._nodes: list[Node] = []
         self._intervals: list[Interval | None] = []  # before each node
         self._measured: list[Preintegrated | None] = []
+        self._tried_ns: int | None = None  # time of the newest node when states were searched
         self._origin = 0  # row of the first node of the world
         self._begin = 0  # row of the first node of the estimate
         self._estimate: Estimate | None = None
@@ -130,7 +132,7 @@ class InertialChain:
         """Forget a frame and all after it, which are tracked anew; states are found anew, too."""
         kept = sum(node.frame_index < frame_index for node in self._nodes)
         del self._nodes[kept:], self._intervals[kept:], self._measured[kept:]
-        self._estimate = self._prior = None
+        self._estimate = self._prior = self._tried_ns = None
         self._origin = self._begin = 0
 
     def restart(self) -> None:
@@ -145,14 +147,21 @@ class InertialChain:
         for row in range(1, len(stamps_ns)):
             self._intervals[row] = self._reader.between(stamps_ns[row - 1], stamps_ns[row])
         self._measured = [None] * len(stamps_ns)
+        self._tried_ns = None
 
     def update(self) -> Placed | None:
         """Estimate the states of the newest keyframes; None while that is impossible."""
         if self._estimate is not None:
             self._extend(self._estimate)
         if self._estimate is None:
-            return self._initialise()
+            return self._initialise() if self._is_search_due() else None
         return self.newest
+
+    def _is_search_due(self) -> bool:
+        """Whether to search first states: at times only, where more motion is needed."""
+        if self.reason not in (NotYet.NO_MOTION, NotYet.NO_GRAVITY) or self._tried_ns is None:
+            return True
+        return self._nodes[-1].stamp_ns >= self._tried_ns + _RETRY_NS
 
     def finish(self) -> Placed | None:
         """Estimate all states of the newest world together, and keep the result."""
@@ -185,6 +194,7 @@ class InertialChain:
             self.reason = NotYet.FEW_KEYFRAMES
             return None
         nodes = self._nodes[begin:]
+        self._tried_ns = nodes[-1].stamp_ns
         keyframes = Keyframes(
             np.stack([n.world_from_cam for n in nodes]),
             _covariances(nodes[1:]),
