@@ -2,8 +2,13 @@
 
 The recordings are rendered once, into --cache. For each keyframe that sees a place again (within
 2 m and 30° of a pose at least ten seconds before) it is counted whether a loop was closed within a
-second of it. A loop is false where the true poses of its two frames are further apart than 2 m. The
-exit status is 1 if a loop is false. Recordings given as arguments are used instead of these.
+second of it. A loop is false where the true distance of its two frames is not the one in the path
+to 1 m, or, in mono, is more than 2 m. The exit status is 1 if a loop is false.
+
+With --clean the recordings are those of ../shared/data and of the synthetic suite, most of which
+never come back: no loop may be false, results without a loop must have the same bytes, and the
+ratio of CPU times is the cost. Inertial sensors are not used. Recordings given as arguments are
+used instead of either set. With --write the rows measured replace those of the same recordings.
 """
 
 from __future__ import annotations
@@ -22,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from data_synth.cache import cached_sequence
-from data_synth.recipe import load_recipe
+from data_synth.recipe import load_recipe, recipe_folder
 from vo.formats.trajectory import read_trajectory
 from vo.geometry.transforms import inverse, rotation_angle
 from vo.types import Floats
@@ -49,17 +54,20 @@ COURSES = {
         *("world=warehouse", "camera=pinhole", "seconds=120", "fps=4", "seed=4"),
         *("scale=0.4", "speed=2", "laps=[forward,forward]"),
     ),
-    "street block, two laps": (
-        *("world=street", "camera=kitti", "seconds=125", "fps=8", "seed=5"),
-        "laps=[forward,forward]",
+    "street block, forward and reverse": (
+        *("world=street", "camera=kitti", "seconds=205", "fps=6", "seed=5"),
+        *("scale=0.4", "laps=[forward,reverse,forward]"),
     ),
 }
-WITHOUT_LOOPS = (
-    "kitti06_stereo_000-050",
-    "kitti07_mono_000-099",
-    "kitti_raw_stereo_000-099",
-    "rendered_hall_stereo",
+COURSE_COLUMNS = (
+    *("recording", "cameras", "revisits", "recall", "loops", "false", "farthest, m"),
+    *("ATE without, m", "with, m", "worlds", "CPU time"),
 )
+CLEAN_COLUMNS = (
+    *("recording", "cameras", "frames", "keyframes", "revisits", "loops", "false"),
+    *("ATE without, m", "with, m", "CPU time"),
+)
+_TEXT_COLUMNS = 2
 _NEAR_M, _NEAR_DEG = 2.0, 30.0
 _MAX_ERROR_M = 1.0  # of the distance of the frames of a loop
 _AGAIN_S, _FOUND_S = 10.0, 1.0
@@ -85,52 +93,69 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("recordings", nargs="*", type=Path)
+    parser.add_argument("--clean", action="store_true", help="recordings without loops")
     parser.add_argument("--cache", type=Path, default=ROOT / "out" / "loops")
     parser.add_argument("--only", default="", metavar="TEXT", help="names that contain it")
     parser.add_argument("--modes", default="stereo,mono")
-    parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.name}")
+    parser.add_argument("--end", type=int, metavar="N", help="stop before this frame")
+    parser.add_argument(
+        "--maps", type=Path, metavar="DIR", help="write maps for scripts/lookalikes.py"
+    )
+    parser.add_argument("--write", action="store_true", help=f"write the rows to {PAGE.name}")
     arguments = parser.parse_args()
-    rows, false = [], 0
+    columns = CLEAN_COLUMNS if arguments.clean else COURSE_COLUMNS
+    false = 0
     for name, path in _recordings(arguments):
         for mode in arguments.modes.split(","):
             if "mono" in name and mode == "stereo":
                 continue
-            row, wrong = _measure(name, path, mode)
-            rows.append(row)
-            false += wrong
+            result = _measure(name, path, _options(arguments, name, mode))
+            false += int(result["false"])
+            row = [result[column] for column in columns]
             print("| " + " | ".join(row) + " |", flush=True)
-    if arguments.write:
-        _write(rows)
+            if arguments.write:
+                _write(row, columns, "clean" if arguments.clean else "loops")
     sys.exit(1 if false else 0)
+
+
+def _options(arguments: argparse.Namespace, name: str, mode: str) -> tuple[list[str], list[str]]:
+    """Options of `vo run` without and with loops."""
+    both = ["--mode", mode, "--no-imu", "-q"]
+    both += [] if arguments.end is None else ["--end", str(arguments.end)]
+    loops = ["--loops"]
+    if arguments.maps is not None:
+        arguments.maps.mkdir(parents=True, exist_ok=True)
+        file = re.sub(r"\W+", "_", f"{name} {mode}")
+        loops += ["--save-map", str(arguments.maps / f"{file}.map")]
+    return [*both, "--no-loops"], [*both, *loops]
 
 
 def _recordings(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
     if arguments.recordings:
         return [(path.name, path) for path in arguments.recordings]
     found = []
-    for name, overrides in COURSES.items():
+    if arguments.clean:
+        found = [(path.name, path) for path in sorted(SHARED.glob("*")) if _truth_files(path)]
+        recipes = {p.stem: load_recipe(p) for p in sorted((recipe_folder() / "suite").glob("*"))}
+    else:
+        recipes = {name: load_recipe(None, [*SMALL, *o]) for name, o in COURSES.items()}
+    chosen = [(name, path) for name, path in found if arguments.only in name]
+    for name, recipe in recipes.items():
         if arguments.only in name:
-            recipe = load_recipe(None, [*SMALL, *overrides])
             folder = re.sub(r"\W+", "_", name)
             arguments.cache.mkdir(parents=True, exist_ok=True)
-            found.append((name, cached_sequence(recipe, arguments.cache, folder)))
-    found += [
-        (name, SHARED / name)
-        for name in WITHOUT_LOOPS
-        if arguments.only in name and (SHARED / name).is_dir()
-    ]
-    return found
+            chosen.append((name, cached_sequence(recipe, arguments.cache, folder)))
+    return chosen
 
 
-def _measure(name: str, path: Path, mode: str) -> tuple[list[str], int]:
-    """A row of the table, and the number of false loops."""
+def _measure(name: str, path: Path, options: tuple[list[str], list[str]]) -> dict[str, str]:
+    """The figures of a recording, by column."""
     with TemporaryDirectory() as folder:
-        without = _run(path, mode, Path(folder, "without"), loops=False)
-        loops = _run(path, mode, Path(folder, "with"), loops=True)
+        without = _run(path, Path(folder, "without"), options[0])
+        loops = _run(path, Path(folder, "with"), options[1])
     found = loops.summary["loops"]
-    truth = read_trajectory(_truth_file(path))
-    poses = {int(s): p for s, p in zip(truth.stamps_ns, truth.world_from_cam, strict=True)}
-    frames = {f: _pose(poses, s) for f, s in loops.frame_stamps.items()}
+    truth = read_truth(path)
+    frames = {f: pose_at(truth, s) for f, s in loops.frame_stamps.items()}
     apart = [_apart_m(frames, loop) for loop in found]
     false = sum(
         distance > _NEAR_M
@@ -140,28 +165,30 @@ def _measure(name: str, path: Path, mode: str) -> tuple[list[str], int]:
     )
     revisits, recalled = _recall(loops, frames, found)
     same = without.files == loops.files
-    return [
-        name,
-        mode,
-        str(revisits),
-        f"{recalled / revisits:.2f}" if revisits else "–",
-        str(len(found)),
-        str(false),
-        f"{max(apart):.1f}" if apart else "–",
-        _number(without.ate_m),
-        "same bytes" if same else _number(loops.ate_m),
-        f"{len(without.summary['segments'])} → {len(loops.summary['segments'])}",
-        f"{loops.cpu_s / without.cpu_s:.2f}",
-    ], false
+    return {
+        "recording": name,
+        "cameras": loops.summary["mode"],
+        "frames": str(loops.summary["frames"]),
+        "keyframes": str(len(loops.keyframes)),
+        "revisits": str(revisits),
+        "recall": f"{recalled / revisits:.2f}" if revisits else "–",
+        "loops": str(len(found)),
+        "false": str(false),
+        "farthest, m": f"{max(apart):.1f}" if apart else "–",
+        "ATE without, m": _number(without.ate_m),
+        "with, m": "same bytes" if same else _number(loops.ate_m),
+        "worlds": f"{len(without.summary['segments'])} → {len(loops.summary['segments'])}",
+        "CPU time": f"{loops.cpu_s / without.cpu_s:.2f}",
+    }
 
 
-def _run(path: Path, mode: str, output: Path, *, loops: bool) -> Run:
+def _run(path: Path, output: Path, options: list[str]) -> Run:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
-        [sys.executable, "-m", "vo", "run", str(path), "-o", str(output), "--mode", mode, "-q"]
-        + ["--loops" if loops else "--no-loops"],
+        [sys.executable, "-m", "vo", "run", str(path), "-o", str(output), *options],
         check=True,
         cwd=ROOT,
+        stderr=subprocess.DEVNULL,  # warnings, such as of a lost camera
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -189,16 +216,21 @@ def _ate_m(output: Path, path: Path) -> float | None:
     return float(json.loads(result.stdout)["ate"]["translation_m"]["rmse"])
 
 
-def _truth_file(path: Path) -> Path:
+def _truth_files(path: Path) -> list[Path]:
     names = ("groundtruth.tum", "groundtruth.txt", "poses_cam0.tum", "poses.txt")
-    return next(path / name for name in names if (path / name).is_file())
+    return [path / name for name in names if (path / name).is_file()]
 
 
-def _pose(poses: dict[int, Floats], stamp_ns: int) -> Floats | None:
-    """The true pose of a stamp, to a microsecond: text has no more digits."""
-    for change in (0, *range(-1000, 1001, 100)):
-        if stamp_ns + change in poses:
-            return poses[stamp_ns + change]
+def read_truth(path: Path) -> dict[int, Floats]:
+    """True poses of a recording, by stamp in nanoseconds."""
+    truth = read_trajectory(_truth_files(path)[0])
+    return {int(s): p for s, p in zip(truth.stamps_ns, truth.world_from_cam, strict=True)}
+
+
+def pose_at(poses: dict[int, Floats], stamp_ns: int) -> Floats | None:
+    """The true pose of a stamp, to 2 ms: text has no more digits than microseconds."""
+    if stamp_ns in poses:
+        return poses[stamp_ns]
     nearest = min(poses, key=lambda each: abs(each - stamp_ns))
     return poses[nearest] if abs(nearest - stamp_ns) < 2_000_000 else None
 
@@ -246,13 +278,18 @@ def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.4f}"
 
 
-def _write(rows: list[list[str]]) -> None:
-    heading = ["recording", "cameras", "revisits", "recall", "loops", "false", "farthest, m"]
-    heading += ["ATE without, m", "with, m", "worlds", "CPU time"]
-    lines = ["| " + " | ".join(heading) + " |", "|" + " --- |" * 2 + " ---: |" * 9]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
+def _write(row: list[str], columns: tuple[str, ...], section: str) -> None:
+    """Write a row into a table of the page, in place of that of the same recording and cameras."""
     text = PAGE.read_text()
-    begin, end = "<!-- loops: begin -->", "<!-- loops: end -->"
+    begin, end = f"<!-- {section}: begin -->", f"<!-- {section}: end -->"
+    known = re.findall(r"^\| (.*) \|$", text.split(begin)[1].split(end)[0], flags=re.MULTILINE)
+    rows = [line.split(" | ") for line in known][2:]
+    rows = [row if old[:_TEXT_COLUMNS] == row[:_TEXT_COLUMNS] else old for old in rows]
+    if row not in rows:
+        rows.append(row)
+    numbers = len(columns) - _TEXT_COLUMNS
+    rule = ["---"] * _TEXT_COLUMNS + ["---:"] * numbers
+    lines = ["| " + " | ".join(each) + " |" for each in (columns, rule, *rows)]
     table = "\n".join([begin, "", *lines, "", end])
     PAGE.write_text(re.sub(f"{begin}.*?{end}", lambda _: table, text, flags=re.DOTALL))
 

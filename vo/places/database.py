@@ -192,8 +192,7 @@ class KeyframeDatabase:
     def _ratios(self, query: Place | Descriptors) -> Floats32:
         """(N,) scores relative to those of consecutive keyframes, 0 for what is no candidate."""
         place = query if isinstance(query, Place) else None
-        bag = self.vocabulary.bag(query.descriptor if isinstance(query, Place) else query)
-        scores = self._index.scores(bag)
+        scores = self._index.scores(self._bag(query))
         expected = self._expected_score()
         if place is not None and place.key in self._number_of:
             number = self._number_of[place.key]
@@ -203,6 +202,14 @@ class KeyframeDatabase:
             segment = self._segments.get((place.key.session, place.frame.segment), -1)
             scores[self._segment[: len(self._keys)] == segment] = 0.0
         return np.asarray(scores / np.float32(expected))
+
+    def _bag(self, query: Place | Descriptors) -> Bag:
+        """The bag of a query; that of the latest keyframe is known."""
+        if not isinstance(query, Place):
+            return self.vocabulary.bag(query)
+        if self._keys and query.key == self._keys[-1]:
+            return self._latest
+        return self.vocabulary.bag(query.descriptor)
 
     def _expected_score(self, number: int | None = None, scores: Floats32 | None = None) -> float:
         """Score of consecutive keyframes: with the one before, or the mean of all."""
