@@ -35,6 +35,7 @@ from vo.types import Camera, Floats
 _SAME_M, _SAME_DEG, _AGAIN_S = 2.0, 30.0, 10.0
 _OTHER_M, _OTHER_DEG = 6.0, 45.0
 _NEIGHBOURS, _REACH, _MIN_SHARED = 6, 12, 15  # as in a run
+_LIMIT = 0.04  # of the ratio, in step 6
 _TRUE_M, _TRUE_DEG = 1.0, 5.0  # errors of a relation that is true
 
 
@@ -72,6 +73,7 @@ def main() -> None:
             figures = "smallest {:.3f}, median {:.3f}, 95 % {:.3f}, largest {:.3f}".format(
                 *np.quantile(ratios, (0.0, 0.5, 0.95, 1.0))
             )
+            figures += f", above {_LIMIT}: {int((ratios > _LIMIT).sum())}"
         print(f"{arguments.map.stem}, {name}: {tried[is_true]} tried, {len(ratios)}: {figures}")
 
 

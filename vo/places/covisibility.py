@@ -83,6 +83,14 @@ class Covisibility:
         numbers = np.flatnonzero(counts)
         return Shared(numbers, counts[numbers].astype(np.int64))
 
+    def shared_with_any(self, numbers: Ints) -> Ints:
+        """Increasing numbers of the keyframes with a landmark of one of several, these included."""
+        found = np.zeros(len(self._ids), np.bool_)
+        for number in numbers.tolist():
+            last = self._last[self._session[number]]
+            _mark_shared(self._ids[number], last, self._before, self._owner, self._kept, found)
+        return np.flatnonzero(found)
+
     def observers(self, number: int) -> Ints:
         """(n,) by how many other keyframes each landmark of a keyframe is observed."""
         last = self._last[self._session[number]]
@@ -127,6 +135,17 @@ def _count_shared(ids, last, before, owner, kept, counts):  # type: ignore[no-un
         while at >= 0:
             if kept[owner[at]]:
                 counts[owner[at]] += 1
+            at = before[at]
+
+
+@compiled
+def _mark_shared(ids, last, before, owner, kept, found):  # type: ignore[no-untyped-def]
+    """Mark the keyframes that observe one of some landmarks."""
+    for n in range(len(ids)):
+        at = last[ids[n]]
+        while at >= 0:
+            if kept[owner[at]]:
+                found[owner[at]] = True
             at = before[at]
 
 

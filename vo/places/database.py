@@ -232,9 +232,9 @@ class KeyframeDatabase:
     def _connected(self, number: int) -> Ints:
         """Keyframes near in time or in the map, and the keyframe itself: no loops."""
         direct = self._covisibility.shared(number).number
-        further = [self._covisibility.shared(n).number for n in direct.tolist()]
+        further = self._covisibility.shared_with_any(direct)
         near = self._neighbours(number, _NEIGHBOURS)
-        return np.unique(np.concatenate([[number], near, direct, *further]).astype(np.int64))
+        return np.concatenate([[number], near, direct, further])
 
     def _groups(self, ratio: Floats32) -> list[Candidate]:
         """The best keyframe of each group of consecutive ones, by the sum of a group's scores."""
@@ -258,10 +258,10 @@ class KeyframeDatabase:
         removed = []
         for other in self._covisibility.shared(number).number.tolist():
             key = self._keys[other]
-            if key in self._protected or len(self._neighbours(other, 1)) < 2:
+            if key in self._protected:
                 continue
-            observers = self._covisibility.observers(other)
-            if (observers >= _OBSERVERS).mean() >= _REDUNDANT:
+            is_seen = self._covisibility.observers(other) >= _OBSERVERS
+            if is_seen.mean() >= _REDUNDANT and len(self._neighbours(other, 1)) == 2:
                 self.remove(key)
                 removed.append(key)
         return tuple(removed)
