@@ -80,8 +80,10 @@ class MapUse:
         file: its path.
         sessions: names of its recordings.
         met: segments of the run that are in the map's world, by the number of their first segment.
+        metric_worlds: those of them, of one camera, whose lengths are metres by the map.
     """
 
     file: str
     sessions: tuple[str, ...]
     met: tuple[int, ...]
+    metric_worlds: tuple[int, ...] = ()

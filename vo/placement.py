@@ -52,7 +52,9 @@ class Placement:
         return None if self._inertial is None else self._inertial.use
 
     def is_metric(self, segment: int) -> bool:
-        """Whether an inertial sensor has given lengths of a segment of one camera the metre."""
+        """Whether a sensor or the loaded map gives lengths of a segment of one camera the metre."""
+        if self._memory is not None and self._memory.is_metric(segment):
+            return True
         return self._inertial is not None and self._inertial.is_metric(segment)
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:

@@ -115,3 +115,24 @@ def test_segments_that_are_merged_have_one_scale_and_one_vertical(
     assert [s["segment"] for s in summary["segments"]] == [0] and summary["length_unit"] == "m"
     error, scale, tilt = _errors(tmp_path / "out", rounds)
     assert error < 0.02 and scale < 0.02 and tilt < 0.5
+
+
+@pytest.mark.parametrize("settings", [(), (IMU,)])
+def test_a_later_session_is_in_the_metres_of_the_map(
+    settings: tuple[str, ...], rounds: Path, closed: Path, tmp_path: Path
+) -> None:
+    """Also without an inertial sensor of its own."""
+    saved = rounds.parent / "imu.map"
+    with MapFile(saved) as file:
+        assert file.header.metric_worlds == (0,)
+    again = f"memory.map={saved}"
+    summary = run_rounds(
+        rounds, tmp_path / "out", LOOPS, again, *settings, end=80, save_map=tmp_path / "both.map"
+    )
+    assert summary["map"]["met"] == [0] == summary["map"]["metric_worlds"]
+    assert summary["length_unit"] == "m"
+    first, second = (read_tum(f / "trajectory.tum") for f in (closed, tmp_path / "out"))
+    apart = second.positions - first.positions[: len(second.positions)]
+    assert np.median(np.linalg.norm(apart, axis=1)) < 0.02
+    with MapFile(tmp_path / "both.map") as file:
+        assert file.header.metric_worlds == (0,)

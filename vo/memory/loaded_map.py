@@ -27,6 +27,7 @@ class LoadedMap:
         is_metric: (n,) whether lengths of each are metres.
         loops: between its keyframes.
         frames: which frame each keyframe is.
+        metric_worlds: numbers of the worlds of one camera whose lengths are metres.
     """
 
     camera: Camera
@@ -35,6 +36,7 @@ class LoadedMap:
     is_metric: Sequence[bool]
     loops: tuple[Loop, ...]
     frames: dict[PlaceKey, FrameId]
+    metric_worlds: tuple[int, ...]
 
 
 def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> LoadedMap:
@@ -70,7 +72,15 @@ def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> Load
             database.add(place, removes_redundant=False)
             frames[key] = place.frame
             metric.append(place.is_metric)
-        return LoadedMap(header.camera, header.sessions, file.placed, metric, file.loops, frames)
+        return LoadedMap(
+            header.camera,
+            header.sessions,
+            file.placed,
+            metric,
+            file.loops,
+            frames,
+            header.metric_worlds,
+        )
 
 
 def with_covariance_of(placed: PlacedKeyframes, loaded: PlacedKeyframes) -> PlacedKeyframes:

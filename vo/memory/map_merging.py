@@ -61,7 +61,10 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         keyframes = [(key, database.encoded(key)) for key in loaded.placed.keys]
         keyframes += [(place.key, encode_place(place)) for place in places]
         names = (*loaded.sessions, *added.header.sessions)
-        header = MapHeader(loaded.camera, vocabulary.id, names)
+        first_worlds = int(loaded.placed.world.max(initial=-1)) + 1
+        own_worlds = {first_worlds + world for world in added.header.metric_worlds}
+        metric = {*loaded.metric_worlds, *own_worlds} & set(both.world.tolist())
+        header = MapHeader(loaded.camera, vocabulary.id, names, tuple(sorted(metric)))
         both = with_covariance_of(both, _joined(loaded.placed, placed))
         own = [_of_later_session(loop, sessions) for loop in added.loops]
         write_map(output, header, keyframes, both, [*loaded.loops, *own, *kept])

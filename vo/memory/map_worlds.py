@@ -20,6 +20,7 @@ class WorldsInMap:
 
     Attributes:
         met: numbers of the worlds of the run that are in the map.
+        metric: those of them whose lengths are metres by the map.
 
     Args:
         file: of the map.
@@ -28,6 +29,7 @@ class WorldsInMap:
 
     def __init__(self, file: str, loaded: LoadedMap | None) -> None:
         self.met: tuple[int, ...] = ()
+        self.metric: tuple[int, ...] = ()
         self._file = file
         self._loaded = loaded
 
@@ -36,7 +38,7 @@ class WorldsInMap:
         """What is reported, None without a map."""
         if self._loaded is None:
             return None
-        return MapUse(self._file, self._loaded.sessions, self.met)
+        return MapUse(self._file, self._loaded.sessions, self.met, self.metric)
 
     def frame(self, key: PlaceKey) -> FrameId | None:
         """The frame of a keyframe of the map, None for another one."""
@@ -64,5 +66,18 @@ class WorldsInMap:
                 segment = frames[key].segment
                 number[world] = min(number.get(world, segment), segment)
         self.met = tuple(sorted(n for world, n in number.items() if world <= last))
+        metric = self._loaded.metric_worlds
+        self.metric = tuple(sorted(n for world, n in number.items() if world in metric))
         world = np.array([number.get(w, w) for w in placed.world.tolist()], np.int64)
         return replace(placed, world=world)
+
+    def metric_of(self, placed: PlacedKeyframes) -> set[int]:
+        """Numbers of the placed worlds that are metric by the map."""
+        if self._loaded is None:
+            return set()
+        world_of = dict(zip(self._loaded.placed.keys, self._loaded.placed.world, strict=True))
+        return {
+            int(world)
+            for key, world in zip(placed.keys, placed.world, strict=True)
+            if key in world_of and int(world_of[key]) in self._loaded.metric_worlds
+        }

@@ -194,6 +194,10 @@ class Memory:
         if self._bundle is not None and self._closed:
             self._adjust(self._bundle)
 
+    def is_metric(self, segment: int) -> bool:
+        """Whether lengths of a segment of one camera are metres by the loaded map."""
+        return self._trajectory.store.world(segment) in self._worlds.metric
+
     def check_savable(self, path: Path) -> None:
         """Check before the first frame that the run can be saved with the loaded map.
 
@@ -218,9 +222,12 @@ class Memory:
         if self._inertial is not None:
             placed = self._inertial.placement.to_metres(placed, self._maker.session)
         placed = with_adjusted(placed, self._adjusted)
-        placed = scaled_worlds(placed, self._factors(placed.keys, scales))
+        factors = self._factors(placed.keys, scales)
+        placed = scaled_worlds(placed, factors)
+        metric = {int(placed.world[row]) for row in (*factors, *self._metric_rows(placed.keys))}
+        metric |= self._worlds.metric_of(placed)
         accepted = [self._loops[n] for n in sorted(self._closed)]
-        self._recogniser.save_map(path, source, placed, accepted)
+        self._recogniser.save_map(path, source, placed, accepted, tuple(sorted(metric)))
 
     def close(self) -> None:
         """End threads and processes."""
@@ -248,6 +255,17 @@ class Memory:
             if placed is not None:
                 self._trajectory.place(placed, session)
                 self._adjusted.append(placed)
+
+    def _metric_rows(self, keys: Sequence[PlaceKey]) -> list[int]:
+        """Rows of the keyframes of the run whose worlds an inertial sensor has given the metre."""
+        if self._inertial is None:
+            return []
+        metric, world_of = self._inertial.placement.metric_worlds, self._trajectory.store.world
+        return [
+            n
+            for n, key in enumerate(keys)
+            if key in self._frames and world_of(self._frames[key].segment) in metric
+        ]
 
     def _apply_recognised(self) -> None:
         """Wait for the results of all searches."""

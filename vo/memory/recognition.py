@@ -114,7 +114,12 @@ class Recogniser:
             )
 
     def save_map(
-        self, path: Path, source: str, placed: PlacedKeyframes, loops: Sequence[Loop]
+        self,
+        path: Path,
+        source: str,
+        placed: PlacedKeyframes,
+        loops: Sequence[Loop],
+        metric_worlds: tuple[int, ...],
     ) -> None:
         """Write all stored keyframes that are placed; none may be without a result.
 
@@ -127,7 +132,8 @@ class Recogniser:
             sessions = (*self._loaded.sessions, source)
             placed = with_covariance_of(placed, self._loaded.placed)
             loops = [*self._loaded.loops, *loops]
-        header = MapHeader(self._camera, self._database.vocabulary.id, sessions)
+        vocabulary = self._database.vocabulary.id
+        header = MapHeader(self._camera, vocabulary, sessions, metric_worlds)
         known = set(placed.keys)
         keyframes = ((k, self._database.encoded(k)) for k in self._database if k in known)
         kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]

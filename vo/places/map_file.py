@@ -58,11 +58,13 @@ class MapHeader:
         camera: the rectified camera 0 of the last session, whose pixels those of keyframes are.
         vocabulary: id of the vocabulary by which loops were found.
         sessions: names of the recordings, by number of their session.
+        metric_worlds: numbers of the worlds of one camera whose lengths are metres.
     """
 
     camera: Camera
     vocabulary: str
     sessions: tuple[str, ...]
+    metric_worlds: tuple[int, ...] = ()
 
 
 def write_map(
@@ -112,6 +114,7 @@ def _write(
         "camera": asdict(header.camera),
         "vocabulary": header.vocabulary,
         "sessions": list(header.sessions),
+        "metric_worlds": list(header.metric_worlds),
         "keyframes": listed,
         "placements": _write_part(file, placements.tobytes()),
         "loops": _write_part(file, np.array(table, _LOOP).tobytes()),
@@ -223,7 +226,8 @@ class MapFile:
         camera = dict(index["camera"])
         camera["distortion"] = tuple(camera["distortion"])
         sessions = tuple(str(name) for name in index["sessions"])
-        self.header = MapHeader(Camera(**camera), str(index["vocabulary"]), sessions)
+        metric = tuple(int(world) for world in index.get("metric_worlds", ()))
+        self.header = MapHeader(Camera(**camera), str(index["vocabulary"]), sessions, metric)
         self._parts = {PlaceKey(s, k): part for s, k, *part in index["keyframes"]}
         placements = np.frombuffer(self._read(index["placements"]), _PLACEMENT)
         if len(placements) != len(self._parts):

@@ -164,7 +164,9 @@ class Summary:
             return True
         scales = {} if self.scale is None else self.scale.by_segment()
         upright = () if self.inertial is None else self.inertial.metric_worlds
-        return has_all_scales([each.segment for each in self.segments], {*scales, *upright})
+        known = () if self.map_use is None else self.map_use.metric_worlds
+        worlds = [each.segment for each in self.segments]
+        return has_all_scales(worlds, {*scales, *upright, *known})
 
     @property
     def length_unit(self) -> str:
