@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from vo.objects.agreement import best_agreement, largest_agreements, moves
@@ -92,10 +94,12 @@ def test_the_index_ranks_a_part_by_where_its_features_are() -> None:
     )
     scene = joined(at_place, anywhere, features(rng, 2000, 1000.0))
     index = CandidateIndex(parts)
-    assert index.candidates(IndexedFeatures(code, *scene))[0] == 17
+    with ThreadPoolExecutor(2) as pool:
+        assert index.candidates(IndexedFeatures(code, *scene), pool)[0] == 17
     # Without orientation only the number of votes is left.
     unturned = IndexedFeatures(code, scene[0], np.full(len(code), np.nan, np.float32), scene[2])
-    assert index.candidates(unturned)[:2] == [5, 17]
+    with ThreadPoolExecutor(2) as pool:
+        assert index.candidates(unturned, pool)[:2] == [5, 17]
 
 
 def noisy(rng: np.random.Generator, code: np.ndarray) -> np.ndarray:

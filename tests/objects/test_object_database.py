@@ -27,6 +27,15 @@ def database() -> ObjectDatabase:
     return made
 
 
+@pytest.fixture(scope="module")
+def large() -> ObjectDatabase:
+    """More sides than are compared one by one."""
+    made = ObjectDatabase()
+    for number in range(16):
+        made.add(f"print{number}", [stored(number)])
+    return made
+
+
 def test_an_object_has_its_outline_and_its_pose(database: ObjectDatabase) -> None:
     truth = pose(0.05, -0.02, 0.7, turn_deg=130.0, tilt_deg=30.0)
     (found,) = database.find(scene((0, truth)), CAMERA)
@@ -174,14 +183,28 @@ def test_a_removed_object_is_not_found() -> None:
         database.find(scene())
 
 
-def test_a_large_database_is_searched_by_its_index() -> None:
-    """More sides than are compared one by one."""
-    database = ObjectDatabase()
-    for number in range(16):
-        database.add(f"print{number}", [stored(number)])
+def test_a_large_database_is_searched_by_its_index(large: ObjectDatabase) -> None:
     for number in (3, 13):
-        (found,) = database.find(scene((number, pose(0, 0, 0.8, 50.0, 25.0))))
+        (found,) = large.find(scene((number, pose(0, 0, 0.8, 50.0, 25.0))))
         assert found.name == f"print{number}"
+
+
+def test_any_number_of_threads_gives_the_same_bits(large: ObjectDatabase) -> None:
+    image = scene((3, pose(-0.15, 0, 0.9, 70.0)), (3, pose(0.2, -0.1, 1.0)), (8, pose(0.2, 0.1, 1)))
+    before = large.threads, cv2.getNumThreads()
+    results = []
+    try:
+        for threads in (1, 2, 5):
+            large.threads = threads
+            cv2.setNumThreads(threads)
+            results.append(
+                [(e.name, e.confidence, e.homography.tobytes()) for e, _ in large.evidence(image)]
+            )
+    finally:
+        large.threads = before[0]
+        cv2.setNumThreads(before[1])
+    assert {name for name, *_ in results[0]} >= {"print3", "print8"}
+    assert results[0] == results[1] == results[2]
 
 
 def test_binary_features_recognise_too(tmp_path: Path) -> None:

@@ -9,12 +9,14 @@ Source: Indyk and Motwani, "Approximate nearest neighbors", STOC 1998 (locality-
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.compiling.function import compiled
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.frontend.hamming_kernels import hamming
 from vo.objects.agreement import largest_agreements, moves
 from vo.objects.records import Codes
@@ -30,6 +32,7 @@ _NEAREST = 5  # parts that a feature votes for
 _TRIED = 60  # matches of a part that are tried as its motion
 _MIN_SCORE = 10.0  # bits
 _SEED = 340
+_PIECES = 8  # of the work for several threads; results do not depend on their number
 
 _Keys = NDArray[np.uint16]
 
@@ -77,13 +80,16 @@ class CandidateIndex:
         counted = [np.bincount(each, minlength=2**key_bits) for each in keys]
         self._begin = np.stack([np.concatenate([[0], np.cumsum(each)]) for each in counted])
 
-    def candidates(self, scene: IndexedFeatures) -> list[int]:
-        """Numbers of the parts that a scene may show, the likeliest first."""
+    def candidates(self, scene: IndexedFeatures, pool: Executor) -> list[int]:
+        """Numbers of the parts that a scene may show, the likeliest first.
+
+        Args:
+            scene: features of the scene.
+            pool: threads that do the work.
+        """
         if not len(scene.code) or not len(self._code):
             return []
-        keys = np.ascontiguousarray(_keys(scene.code, self._bits).T)
-        stored = self._order, self._begin, self._code, self._part
-        part, row, weight = _nearest_parts(scene.code, keys, stored, self._parts)
+        part, row, weight = self._votes(scene.code, pool)
         feature, place = np.nonzero(part >= 0)
         part = part[feature, place]
         order = np.argsort(part, kind="stable")
@@ -98,9 +104,37 @@ class CandidateIndex:
                 (self._xy[rows], self._angle[rows], self._size[rows]),
                 (scene.xy[feature], scene.angle[feature], scene.size[feature]),
             )
-            score = largest_agreements(motion, weights, begin, _TRIED)
+            score = _scores(motion, weights, begin, pool)
         best: Ints = np.argsort(-score, kind="stable")[:MAX_CANDIDATES]
         return [n for n in best.tolist() if score[n] >= _MIN_SCORE]
+
+    def _votes(self, code: Codes, pool: Executor) -> tuple[Ints, Ints, Floats32]:
+        """What `_nearest_parts` gives, of all features of a scene."""
+        keys = np.ascontiguousarray(_keys(code, self._bits).T)
+        stored = self._order, self._begin, self._code, self._part
+
+        def votes(piece: slice) -> tuple[Ints, Ints, Floats32]:
+            found: tuple[Ints, Ints, Floats32] = _nearest_parts(code[piece], keys[piece], stored)
+            return found
+
+        part, row, weight = zip(*pool.map(votes, _pieces(len(code))), strict=True)
+        return np.concatenate(part), np.concatenate(row), np.concatenate(weight)
+
+
+def _scores(motion: Floats, weights: Floats32, begin: Ints, pool: Executor) -> Floats:
+    """What `largest_agreements` gives, of all parts."""
+
+    def scores(piece: slice) -> Floats:
+        edges = begin[piece.start : piece.stop + 1]
+        found: Floats = largest_agreements(motion, weights, edges, _TRIED)
+        return found
+
+    return np.concatenate(list(pool.map(scores, _pieces(len(begin) - 1))))
+
+
+def _pieces(count: int) -> list[slice]:
+    edges = np.linspace(0, count, _PIECES + 1).astype(int).tolist()
+    return [slice(low, high) for low, high in pairwise(edges)]
 
 
 def _keys(code: Codes, bits: Ints) -> _Keys:
@@ -114,50 +148,46 @@ def _keys(code: Codes, bits: Ints) -> _Keys:
 
 
 @compiled
-def _nearest_parts(code, keys, stored, parts):  # type: ignore[no-untyped-def]
+def _nearest_parts(code, keys, stored):  # type: ignore[no-untyped-def]
     """(N, nearest) parts, rows and weights of each feature of a scene; part -1 for none.
 
     Source: McCann and Lowe, "Local naive Bayes nearest neighbor for image classification", CVPR
     2012, algorithm 2.
     """
-    order, begin, codes, part = stored
-    result_part = np.full((len(code), _NEAREST), -1, dtype=np.int64)
-    result_row = np.zeros((len(code), _NEAREST), dtype=np.int64)
-    result_weight = np.zeros((len(code), _NEAREST), dtype=np.float32)
-    seen = np.full(parts, -1, dtype=np.int64)
-    best = np.empty(parts, dtype=np.int64)
-    nearest = np.empty(parts, dtype=np.int64)
-    hit = np.empty(parts, dtype=np.int64)
+    part = np.full((len(code), _NEAREST + 1), -1, dtype=np.int64)
+    row = np.zeros((len(code), _NEAREST + 1), dtype=np.int64)
+    distance = np.full((len(code), _NEAREST + 1), _MAX_BITS + 1, dtype=np.int64)
+    weight = np.zeros((len(code), _NEAREST), dtype=np.float32)
     for n in range(len(code)):
-        hits = 0
-        for table in range(len(order)):
-            key = keys[n, table]
-            for at in range(begin[table, key], begin[table, key + 1]):
-                row = order[table, at]
-                distance = np.int64(hamming(code[n], codes[row]))
-                if distance > _MAX_BITS:
-                    continue
-                p = part[row]
-                if seen[p] != n:
-                    seen[p] = n
-                    hit[hits] = p
-                    hits += 1
-                    best[p] = distance
-                    nearest[p] = row
-                elif distance < best[p]:
-                    best[p] = distance
-                    nearest[p] = row
-        # The nearest parts come first; the next one is the level of parts in general.
-        for k in range(min(hits, _NEAREST + 1)):
-            least = k
-            for h in range(k + 1, hits):
-                if best[hit[h]] < best[hit[least]]:
-                    least = h
-            hit[k], hit[least] = hit[least], hit[k]
-        level = best[hit[_NEAREST]] if hits > _NEAREST else np.int64(_MAX_BITS)
-        for k in range(min(hits, _NEAREST)):
-            p = hit[k]
-            result_part[n, k] = p
-            result_row[n, k] = nearest[p]
-            result_weight[n, k] = np.float32(level - best[p])
-    return result_part, result_row, result_weight
+        _find_nearest(code[n], keys[n], stored, (part[n], row[n], distance[n]))
+        # The nearest parts count; the next one is the level of parts in general.
+        level = min(distance[n, _NEAREST], _MAX_BITS)
+        for k in range(_NEAREST):
+            if part[n, k] >= 0:
+                weight[n, k] = np.float32(level - distance[n, k])
+    return part[:, :_NEAREST], row[:, :_NEAREST], weight
+
+
+@compiled(**NO_REFCOUNT)
+def _find_nearest(code, keys, stored, nearest):  # type: ignore[no-untyped-def]
+    """Fill in the nearest parts of a feature, their nearest rows and distances, nearest first."""
+    order, begin, codes, part = stored
+    parts, rows, distances = nearest
+    last = len(parts) - 1
+    for table in range(len(order)):
+        key = keys[table]
+        for at in range(begin[table, key], begin[table, key + 1]):
+            row = order[table, at]
+            distance = np.int64(hamming(code, codes[row]))
+            if distance >= distances[last]:
+                continue
+            p = part[row]
+            k = 0
+            while k < last and parts[k] != p:
+                k += 1
+            if parts[k] == p and distances[k] <= distance:
+                continue
+            while k > 0 and distances[k - 1] > distance:
+                parts[k], rows[k], distances[k] = parts[k - 1], rows[k - 1], distances[k - 1]
+                k -= 1
+            parts[k], rows[k], distances[k] = p, row, distance

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from itertools import repeat
 from pathlib import Path
 from typing import Self
 
@@ -16,7 +18,7 @@ from vo.objects.flat_verification import FlatInstance, flat_instances
 from vo.objects.overlap import without_overlaps
 from vo.objects.part_matching import PartVectors, match_part, part_vectors
 from vo.objects.pose import with_pose, without_distortion
-from vo.objects.records import FoundObject, Part, StoredObject
+from vo.objects.records import FoundObject, StoredObject
 from vo.objects.scene_features import (
     SceneFeatures,
     codes,
@@ -24,6 +26,7 @@ from vo.objects.scene_features import (
     scene_extractor,
     stored_extractor,
 )
+from vo.scheduling import available_cores
 from vo.types import Bytes, Camera, Floats32
 
 DETECTOR = "sift"
@@ -39,6 +42,10 @@ class ObjectDatabase:
         detector: value of `features.detector`.
         descriptor: value of `features.descriptor`.
 
+    Attributes:
+        threads: number of threads of a search, by default that of the cores; results do not depend
+            on it.
+
     Raises:
         ConfigError: this installation lacks them, or they do not go together.
         ModelError: the model of a learned detector has not been fetched.
@@ -47,6 +54,7 @@ class ObjectDatabase:
     def __init__(self, detector: str = DETECTOR, descriptor: str = "auto") -> None:
         self.detector = detector
         self.descriptor = descriptor
+        self.threads = available_cores()
         self._extractors = Extractors(
             stored_extractor(detector, descriptor),
             scene_extractor(detector, descriptor),
@@ -178,16 +186,21 @@ class ObjectDatabase:
         parts = sum(len(each.parts) for each in self.objects)
         patience = _PATIENCE if parts <= _MANY else _PATIENCE_OF_MANY
         failures = 0
-        for key in self._candidates(scene):
-            here = self._search(key, image, scene)
-            found += here
-            is_there = any(each.confidence >= THRESHOLD for each, _ in here)
-            failures = 0 if is_there else failures + 1
-            if failures >= patience:
-                break
+        with ThreadPoolExecutor(self.threads) as pool:
+            left = self._candidates(scene, pool)
+            while left and failures < patience:
+                # So many are examined in any case, whatever is found of them.
+                count = patience - failures
+                vectors = [self._vectors(key) for key in left[:count]]
+                searched = pool.map(self._search, left, vectors, repeat(image), repeat(scene))
+                for here in searched:
+                    found += here
+                    is_there = any(each.confidence >= THRESHOLD for each, _ in here)
+                    failures = 0 if is_there else failures + 1
+                left = left[count:]
         return found
 
-    def _candidates(self, scene: SceneFeatures) -> list[tuple[str, int]]:
+    def _candidates(self, scene: SceneFeatures, pool: Executor) -> list[tuple[str, int]]:
         keys = [(each.name, n) for each in self.objects for n in range(len(each.parts))]
         if len(keys) <= _PATIENCE:
             return keys
@@ -198,14 +211,13 @@ class ObjectDatabase:
             self._index = CandidateIndex(indexed)
         code = codes(scene.vector, self._centre)
         query = IndexedFeatures(code, scene.xy, scene.angle, scene.size)
-        return [keys[n] for n in self._index.candidates(query)]
+        return [keys[n] for n in self._index.candidates(query, pool)]
 
     def _search(
-        self, key: tuple[str, int], image: Bytes, scene: SceneFeatures
+        self, key: tuple[str, int], vectors: PartVectors, image: Bytes, scene: SceneFeatures
     ) -> list[tuple[FoundObject, FlatInstance]]:
         name, number = key
         part = self._objects[name].parts[number]
-        vectors = self._vectors(key, part)
         matches = match_part(scene, vectors)
         found = []
         for instance in flat_instances(image, scene, part, vectors, matches):
@@ -222,10 +234,10 @@ class ObjectDatabase:
             found.append((made, instance))
         return found
 
-    def _vectors(self, key: tuple[str, int], part: Part) -> PartVectors:
+    def _vectors(self, key: tuple[str, int]) -> PartVectors:
         if key not in self._prepared:
             if len(self._prepared) >= _PREPARED:
                 self._prepared.popitem(last=False)
-            self._prepared[key] = part_vectors(part)
+            self._prepared[key] = part_vectors(self._objects[key[0]].parts[key[1]])
         self._prepared.move_to_end(key)
         return self._prepared[key]

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.geometry.epipolar import transferred
 from vo.geometry.sampson import point_errors
 from vo.objects.appearance import likeness
@@ -33,6 +34,7 @@ _MAX_STRETCH = 6.0  # ratio of both singular values of the local affine map
 _ROUNDS = 2
 _MAX_ITERATIONS = 2000
 _MIN_DETERMINANT = 1e-9
+_PLACE_PX = 1.0  # features nearer than this are at the same place
 
 
 class FlatInstance(NamedTuple):
@@ -154,18 +156,26 @@ def _near(scene_xy: Floats32, at: Floats, reach: float) -> tuple[Ints, Ints]:
     return row[close], column[close]
 
 
-def _first_of_each_place(scene_xy: Floats32, part_xy: Floats32) -> Ints:
+@compiled
+def _first_of_each_place(scene_xy, part_xy):  # type: ignore[no-untyped-def]
     """Rows, in order, whose place is taken by no row before: in the scene and in the part."""
-    rows: list[int] = []
+    rows = np.empty(len(scene_xy), dtype=np.int64)
+    count = 0
     for n in range(len(scene_xy)):
-        if rows:
-            taken = np.array(rows)
-            if (np.abs(scene_xy[taken] - scene_xy[n]).max(axis=1) < 1.0).any():
-                continue
-            if (np.abs(part_xy[taken] - part_xy[n]).max(axis=1) < 1.0).any():
-                continue
-        rows.append(n)
-    return np.array(rows, np.int64)
+        is_free = True
+        for k in rows[:count]:
+            if _is_near(scene_xy, k, n) or _is_near(part_xy, k, n):
+                is_free = False
+                break
+        if is_free:
+            rows[count] = n
+            count += 1
+    return rows[:count]
+
+
+@compiled(**NO_REFCOUNT)
+def _is_near(xy, i, j):  # type: ignore[no-untyped-def]
+    return abs(xy[i, 0] - xy[j, 0]) < _PLACE_PX and abs(xy[i, 1] - xy[j, 1]) < _PLACE_PX
 
 
 def _pixels(

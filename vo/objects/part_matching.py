@@ -57,8 +57,8 @@ def part_vectors(part: Part) -> PartVectors:
     """Prepare a part for matching."""
     xy = part.xy
     size = float(np.ptp(xy, axis=0).max()) if len(xy) else 0.0
-    away = np.abs(xy[:, None] - xy[None]).max(axis=2)
-    same = np.asarray(away <= _SAME_PLACE * size)
+    near = [np.abs(each[:, None] - each[None]) <= _SAME_PLACE * size for each in xy.T]
+    same = near[0] & near[1]
     return PartVectors(unit_vectors(part.descriptor), xy, part.angle, part.size, same)
 
 
