@@ -277,8 +277,10 @@ class RunSession:
     def _finish_recording(self) -> None:
         placement = self._odometry.placement
         if placement.closed_loops and isinstance(self._recorder, LoopRecorder):
-            found = placement.closed_loops, placement.relocalisations
-            self._recorder.set_loops(LoopClosures(*found, self._before_loops({})))
+            store = self._odometry.trajectory
+            found = placement.closed_loops, placement.relocalisations, self._before_loops({})
+            scales = store.map_scales(self._scale.by_world)
+            self._recorder.set_loops(LoopClosures(*found, store.worlds, scales))
         self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
 
     def _before_loops(self, scales: Mapping[int, MetricScale]) -> Trajectory:

@@ -222,13 +222,8 @@ class Keypoints:
 
     def select(self, rows: Bools | Ints) -> Keypoints:
         """Some rows of the keypoints."""
-        return Keypoints(
-            self.xy[rows],
-            self.octave[rows],
-            self.angle[rows],
-            self.response[rows],
-            self.descriptor[rows],
-        )
+        chosen = self.xy[rows], self.octave[rows], self.angle[rows], self.response[rows]
+        return Keypoints(*chosen, self.descriptor[rows])
 
 
 class State(StrEnum):
@@ -291,6 +286,7 @@ class KeyframePose:
         world_from_cam0: (4, 4).
         covariance: (6, 6) of the tangent (rx ry rz tx ty tz), rad and m, in the cam0 frame:
             true = world_from_cam0 @ exp(xi); None before the first optimisation.
+        scale: length in the world of one unit of the map that it was tracked in.
     """
 
     frame_index: int
@@ -298,6 +294,7 @@ class KeyframePose:
     segment: int
     world_from_cam0: Floats
     covariance: Floats | None
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,8 +338,7 @@ class Snapshot:
     Attributes:
         view: the frame.
         landmarks: the map, None where no keyframe was added or moved.
-        neighbours: of a new keyframe, the number of landmarks that other keyframes of the map share
-            with it, by frame index.
+        neighbours: numbers of landmarks shared with a new keyframe, by frame index of the others.
     """
 
     view: View

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from room_course import FILES, ate, run_rounds
+from rrd import STATIC, read_rrd
 from typer.testing import CliRunner
 
 from vo.cli.app import app
 from vo.formats.trajectory import read_tum
 from vo.geometry.transforms import inverse
 from vo.odometry import Odometry
+from vo.recording import entities
+from vo.recording.exports import Exports
+from vo.report.entry import Entry
+from vo.report.plots.paths import draw_paths
+from vo.report.run_folder import read_run
 from vo.types import Estimate, Frame
 
 BLACK = range(70, 84)
@@ -52,6 +59,18 @@ def _cut(frame: Frame) -> Frame | None:
     return None if frame.index in CUT else frame
 
 
+@pytest.fixture(scope="module")
+def joined(rounds: Path) -> Path:
+    """Results of a camera that was covered, with loops; recording and exports are beside."""
+    output = rounds.parent / "joined"
+    exports = Exports(colmap=rounds.parent / "joined-model", ply=rounds.parent / "joined.ply")
+    outputs = {"exports": exports, "rrd": rounds.parent / "joined.rrd", "rrd_images": "none"}
+    with pytest.MonkeyPatch.context() as patch:
+        _changes_frames(patch, _black)
+        run_rounds(rounds, output, "memory.loops=true", **outputs)
+    return output
+
+
 def _without_pose(summary: dict[str, object]) -> set[int]:
     ranges = summary["without_pose"]
     assert isinstance(ranges, list)
@@ -59,18 +78,68 @@ def _without_pose(summary: dict[str, object]) -> set[int]:
 
 
 def test_a_camera_that_was_covered_is_found_again(
-    rounds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rounds: Path, joined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_rounds(rounds, tmp_path / "plain")
     _changes_frames(monkeypatch, _black)
     apart = run_rounds(rounds, tmp_path / "apart", end=BLACK[-1] + 30)
     assert [s["segment"] for s in apart["segments"]] == [0, 1]
-    joined = run_rounds(rounds, tmp_path / "joined", "memory.loops=true")
-    assert [s["segment"] for s in joined["segments"]] == [0]
-    assert "merge" in [loop["kind"] for loop in joined["loops"]]
-    assert joined["verdict"] == "not to be trusted"  # joined only by what places look like
-    assert set(BLACK) <= _without_pose(joined)
-    assert ate(tmp_path / "joined", rounds) < 1.5 * ate(tmp_path / "plain", rounds)
+    summary = json.loads((joined / "summary.json").read_text(encoding="utf-8"))
+    assert [s["segment"] for s in summary["segments"]] == [0]
+    assert "merge" in [loop["kind"] for loop in summary["loops"]]
+    assert summary["verdict"] == "not to be trusted"  # joined only by what places look like
+    assert set(BLACK) <= _without_pose(summary)
+    assert ate(joined, rounds) < 1.5 * ate(tmp_path / "plain", rounds)
+
+
+def test_merged_segments_are_one_colmap_model(rounds: Path, joined: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    folder = rounds.parent / "joined-model" / "sparse"
+    assert [each.name for each in folder.iterdir()] == ["0"]
+    model = pycolmap.Reconstruction(str(folder / "0"))
+    path = read_tum(joined / "trajectory.tum")
+    resumed_ns = read_tum(rounds / "groundtruth.tum").stamps_ns[BLACK[-1] + 1]
+    images_after, counts, errors_px = 0, [], []
+    for image in model.images.values():
+        stamp_ns = int(image.name.removesuffix(".png"))
+        (row,) = np.flatnonzero(path.stamps_ns == stamp_ns)
+        np.testing.assert_allclose(image.projection_center(), path.positions[row], atol=1e-6)
+        images_after += stamp_ns >= resumed_ns
+        camera, cam_from_world = model.cameras[image.camera_id], image.cam_from_world()
+        seen = [each for each in image.points2D if each.has_point3D()]
+        counts.append(len(seen))
+        for each in seen:
+            in_cam = cam_from_world * model.points3D[each.point3D_id].xyz
+            errors_px.append(np.linalg.norm(camera.img_from_cam(in_cam) - each.xy))
+    assert images_after >= 20 and len(counts) - images_after >= 10
+    # The second map has another unit: without its scale, some images have no point at all.
+    assert min(counts) > 100
+    assert np.mean(errors_px) < 0.3
+    header = (rounds.parent / "joined.ply").read_bytes().split(b"end_header")[0]
+    assert int(header.split(b"element vertex ")[1].split()[0]) >= model.num_points3D()
+
+
+def test_the_recording_and_the_report_have_one_world_and_a_gap(
+    rounds: Path, joined: Path, tmp_path: Path
+) -> None:
+    path = read_tum(joined / "trajectory.tum")
+    resumed_ns = read_tum(rounds / "groundtruth.tum").stamps_ns[BLACK[-1] + 1]
+    first = int(np.searchsorted(path.stamps_ns, resumed_ns))
+    logged = read_rrd(rounds.parent / "joined.rrd", "strips")[entities.SMOOTHED_PATH]
+    (strips,) = [values for frame, values in logged if frame == STATIC and values]
+    assert [len(strip) for strip in strips] == [first, len(path) - first]
+    np.testing.assert_allclose(np.concatenate(strips), path.positions, atol=1e-5)
+    errors = read_rrd(rounds.parent / "joined.rrd", "scalars")[f"{entities.ERROR_PLOT}/smoothed"]
+    rms = np.sqrt(np.mean(np.square([value for _, value in errors])))
+    np.testing.assert_allclose(rms, ate(joined, rounds), rtol=1e-6)
+
+    run = read_run(joined)
+    assert set(run.segment_of(path.stamps_ns).tolist()) == {0}
+    figure = draw_paths([Entry("joined", 0, run)])
+    assert figure is not None
+    drawn = np.asarray(figure.axes[0].lines[0].get_xydata())
+    assert len(drawn) == len(path) + 1
+    assert np.flatnonzero(np.isnan(drawn[:, 0])).tolist() == [first]
 
 
 def test_a_camera_in_a_foreign_place_is_not_found_and_back_again_it_is(

@@ -32,7 +32,7 @@ from vo.recording.mcap_recorder import McapRecorder
 from vo.recording.model import Model, PointTracks
 from vo.recording.ply import PlyRecorder
 from vo.recording.reconstruction import Reconstruction
-from vo.recording.recorder import Recorder
+from vo.recording.recorder import LoopClosures, Recorder
 from vo.run_recording import run
 from vo.types import Camera, Rig, Trajectory
 
@@ -167,7 +167,8 @@ def test_points_move_with_the_final_path() -> None:
     np.testing.assert_allclose(all_points(after).xyz, moved, atol=1e-9)
 
 
-def test_each_segment_is_a_separate_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_merged", [False, True])
+def test_each_world_is_a_separate_model(is_merged: bool, tmp_path: Path) -> None:
     pytest.importorskip("pycolmap")
     (tmp_path / "sparse" / "7").mkdir(parents=True)
     (tmp_path / "sparse" / "7" / "images.txt").write_text("of an earlier run")
@@ -184,13 +185,16 @@ def test_each_segment_is_a_separate_model(tmp_path: Path) -> None:
         keyframes = tuple(k for k in estimate.keyframes if k.frame_index >= 8)
         snapshot = replace(snapshot, landmarks=replace(snapshot.landmarks, sightings=kept))
         recorder.record(replace(estimate, keyframes=keyframes), lambda snapshot=snapshot: snapshot)
+    recorder._write_models(None)  # as during the run
+    if is_merged:
+        recorder.set_loops(LoopClosures((), (), exact_run.smoothed(), {1: 0}, {}))
     recorder.finish(exact_run.smoothed(), exact_run.smoothed())
     names = [path.name for path in sorted((tmp_path / "sparse").iterdir())]
-    assert names == ["0", "1", "8"]
+    assert names == (["0", "8"] if is_merged else ["0", "1", "8"])
     lines = (tmp_path / "sparse" / "0" / "images.txt").read_text().splitlines()
-    assert [line.split()[-1] for line in lines[::2]] == [
-        f"frame_{frame:06d}.png" for frame in range(8, exact_run.FRAMES)
-    ]
+    after = range(8, exact_run.FRAMES)
+    frames = [*range(3), *after] if is_merged else after
+    assert [line.split()[-1] for line in lines[::2]] == [f"frame_{n:06d}.png" for n in frames]
 
 
 def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:

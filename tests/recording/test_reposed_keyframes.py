@@ -16,10 +16,10 @@ from vo.geometry.transforms import make_transform, so3_exp, transform_points
 from vo.recording import entities, map_layer, settled_map
 from vo.recording.keyframe_history import KeyframeHistory
 from vo.recording.reconstruction import Reconstruction
-from vo.recording.recorder import Recorder
+from vo.recording.recorder import LoopClosures, Recorder
 from vo.recording.rerun_recorder import RerunRecorder
 from vo.trajectory.store import TrajectoryStore
-from vo.types import Estimate, Floats, KeyframePose, Rig, Snapshot
+from vo.types import Estimate, Floats, KeyframePose, Rig, Snapshot, Trajectory
 
 MOVE = make_transform(so3_exp(np.array([0.0, 0.2, 0.1])), np.array([1.0, -0.5, 2.0]))
 BACK = make_transform(so3_exp(np.array([0.05, 0.0, -0.1])), np.array([-0.5, 0.2, 0.3]))
@@ -163,6 +163,61 @@ def test_exported_points_move_with_the_last_keyframe_that_observes_them() -> Non
     distance = np.linalg.norm(xyz[:, None] - expected, axis=2)
     assert distance.min(axis=1).max() < 1e-9
     assert (np.linalg.norm(xyz[:, None] - exact_run.points(), axis=2).min(axis=1) > 0.1).any()
+
+
+def test_points_get_the_scale_of_their_keyframe() -> None:
+    """A whole world with another unit at the end of the run."""
+    reconstruction = Reconstruction()
+    for frame in range(exact_run.FRAMES):
+        reconstruction.add(exact_run.estimate(frame), exact_run.snapshot(frame))
+    path, factor = exact_run.smoothed(), 3.0
+    poses = np.stack([_grown(pose, factor) for pose in path.world_from_cam])
+    scales = dict.fromkeys(range(exact_run.FRAMES), factor)
+    closures = LoopClosures((), (), path, {}, scales)
+    (before,) = reconstruction.models(path)
+    (after,) = reconstruction.models(Trajectory(path.stamps_ns, poses), closures=closures)
+    assert after.point_count == before.point_count > 100
+    xyz, grown = (np.concatenate([p.xyz for p in m.points()]) for m in (before, after))
+    np.testing.assert_allclose(grown, factor * xyz, atol=1e-9)
+
+
+def test_points_that_left_the_map_get_the_scale_that_keyframes_get_later() -> None:
+    """The unit of the world changes by the time of one frame, in keyframes and in landmarks."""
+    factor, at = 3.0, 7
+    reconstruction = Reconstruction()
+    for frame in range(exact_run.FRAMES):
+        estimate, snapshot = exact_run.estimate(frame), exact_run.snapshot(frame)
+        assert snapshot.landmarks is not None
+        if frame >= at:
+            moved = range(frame + 1) if frame == at else exact_run.window(frame)
+            keyframes = tuple(pose_of(k, _grown(exact_run.pose(k), factor)) for k in moved)
+            keyframes = tuple(replace(k, scale=factor) for k in keyframes)
+            estimate = replace(estimate, keyframes=keyframes)
+            landmarks = replace(snapshot.landmarks, xyz=factor * snapshot.landmarks.xyz)
+            snapshot = replace(snapshot, landmarks=landmarks)
+        reconstruction.add(estimate, snapshot)
+    (model,) = reconstruction.models()
+    xyz = np.concatenate([points.xyz for points in model.points()])
+    distance = np.linalg.norm(xyz[:, None] - factor * exact_run.points(), axis=2)
+    assert len(xyz) > 100 and distance.min(axis=1).max() < 1e-9
+
+
+def _grown(world_from_cam0: Floats, factor: float) -> Floats:
+    grown = world_from_cam0.copy()
+    grown[:3, 3] *= factor
+    return grown
+
+
+def test_a_keyframe_with_another_scale_moves_by_a_similarity() -> None:
+    history = KeyframeHistory()
+    for frame in range(12):
+        history.update(exact_run.estimate(frame).keyframes, exact_run.snapshot(frame))
+    old = pose_of(3, exact_run.pose(3))
+    new = replace(old, world_from_cam0=MOVE @ old.world_from_cam0, scale=1.5)
+    move = history.update([new], exact_run.snapshot(11)).moves[3]
+    in_cam0 = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    moved = transform_points(move @ old.world_from_cam0, in_cam0)
+    np.testing.assert_allclose(moved, transform_points(new.world_from_cam0, 1.5 * in_cam0))
 
 
 def test_history_reports_moves_of_old_keyframes_only() -> None:

@@ -185,6 +185,32 @@ def test_each_segment_is_aligned_separately(own_run: Path, tmp_path: Path) -> No
     assert "Segments, run" in page.text
 
 
+def test_segments_of_a_world_may_have_another_one_in_between(own_run: Path) -> None:
+    stamps = read_tum(own_run / "trajectory.tum").stamps_ns
+    segments = [
+        {
+            "segment": number,
+            "first_frame": first,
+            "last_frame": last,
+            "first_stamp_ns": int(stamps[first]),
+            "last_stamp_ns": int(stamps[last]),
+            "frames": 7,
+            "path_m": 0.4,
+        }
+        for number, (first, last) in enumerate([(0, 9), (4, 13)])
+    ]
+    change_summary(own_run, segments=segments)
+    numbers = [0] * 4 + [1] * 3 + [0] * 3 + [1] * 4
+    table = own_run / "poses.csv"
+    head, *rows = [line.split(",") for line in table.read_text().splitlines()]
+    column = head.index("segment")
+    rows = [
+        [*row[:column], str(n), *row[column + 1 :]] for row, n in zip(rows, numbers, strict=True)
+    ]
+    table.write_text("".join(f"{','.join(row)}\n" for row in [head, *rows]))
+    assert read_run(own_run).segment_of(stamps).tolist() == numbers
+
+
 def test_a_killed_run_is_shown(own_run: Path, tmp_path: Path) -> None:
     for name in ("trajectory.tum", "causal.tum", "covariance.csv", "frames.csv"):
         (own_run / name).rename(own_run / f"{name}.partial")

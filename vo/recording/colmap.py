@@ -20,7 +20,7 @@ from vo.recording.checkpoints import Checkpoints
 from vo.recording.image_folder import ImageFolder
 from vo.recording.model import Model
 from vo.recording.reconstruction import Reconstruction, camera_of, pinhole_of
-from vo.recording.recorder import TakeSnapshot
+from vo.recording.recorder import LoopClosures, TakeSnapshot
 from vo.types import Camera, Estimate, Floats32, Rig, Trajectory, View
 
 _IMAGES, _MODELS = "images", "sparse"
@@ -30,9 +30,10 @@ _PARTIAL_SUFFIX = ".partial"
 class ColmapRecorder:
     """Writes `images/`, and again and again `sparse/0`, `sparse/1`, …; the final ones at the end.
 
-    Each segment is a model, because the relative poses of segments are unknown; the one with most
-    keyframes is first. Images are those used by the odometry: rectified in stereo, as recorded in
-    mono (in colour if available). They are undistorted if COLMAP does not support the lens.
+    Each world is a model: a segment, or at the end all segments that loops have connected, because
+    other relative poses are unknown. The one with most keyframes is first. Images are those used by
+    the odometry: rectified in stereo, as recorded in mono (in colour if available). They are
+    undistorted if COLMAP does not support the lens.
 
     Args:
         folder: created if it is missing; models of an earlier run in it are removed.
@@ -42,6 +43,7 @@ class ColmapRecorder:
         self._folder = folder
         self._checkpoints = Checkpoints()
         self._scales: dict[int, MetricScale] = {}
+        self._closures: LoopClosures | None = None
         self._images = ImageFolder(folder / _IMAGES)
         self._is_rectified = False
         self._names: dict[int, str] = {}
@@ -58,9 +60,7 @@ class ColmapRecorder:
         try:
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
             self._reconstruction = Reconstruction(self._folder)
-            for old in (self._folder / _MODELS).glob("[0-9]*"):
-                if {each.name for each in old.iterdir()} <= set(MODEL_FILES):
-                    shutil.rmtree(old)
+            self._remove_models(from_number=0)
         except OSError as error:
             raise OutputError(
                 f"cannot write to folder {self._folder}: {error.strerror or error}; "
@@ -99,6 +99,10 @@ class ColmapRecorder:
         """Write the final models in metres."""
         self._scales = dict(scales)
 
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Write one final model for all segments that loops have connected."""
+        self._closures = closures
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the models that have points.
 
@@ -111,9 +115,9 @@ class ColmapRecorder:
         self._reconstruction.close()
 
     def _write_models(self, smoothed: Trajectory | None) -> None:
-        models = self._reconstruction.models(smoothed, self._names, self._scales)
-        with_points = [model for model in models if model.point_count]
-        for number, model in enumerate(with_points or models[:1]):
+        models = self._reconstruction.models(smoothed, self._names, self._scales, self._closures)
+        written = [model for model in models if model.point_count] or models[:1]
+        for number, model in enumerate(written):
             folder = self._folder / _MODELS / str(number)
             partial = folder.with_name(f"{number}{_PARTIAL_SUFFIX}")
             shutil.rmtree(partial, ignore_errors=True)
@@ -125,6 +129,15 @@ class ColmapRecorder:
             except OSError:
                 shutil.rmtree(partial, ignore_errors=True)
                 raise
+        self._remove_models(from_number=len(written))
+
+    def _remove_models(self, from_number: int) -> None:
+        """Remove models of an earlier run or moment, but no folder with other files."""
+        for old in (self._folder / _MODELS).glob("[0-9]*"):
+            is_model = {each.name for each in old.iterdir()} <= set(MODEL_FILES)
+            number = int(old.name) if old.name.isdecimal() else 0
+            if is_model and number >= from_number:
+                shutil.rmtree(old)
 
     def _write(self, folder: Path, model: Model) -> None:
         assert self._camera is not None

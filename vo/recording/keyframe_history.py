@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from vo.geometry.transforms import inverse
 from vo.types import Floats, KeyframePose, Snapshot
 
@@ -16,8 +18,9 @@ class KeyframeChanges(NamedTuple):
         optimised: keyframes that were added, or moved by local optimisation.
         settled: keyframes that have left the window, oldest first.
         moves: of a step in which old keyframes were re-posed, as after a loop closure: the motion
-            (4, 4) of each of its keyframes in the world, by frame number, such that
-            `new_pose = move @ old_pose`. Empty for other steps.
+            (4, 4) of each of its keyframes in the world, by frame number; a similarity where the
+            scale of the keyframe has changed, too. It moves landmarks with their keyframe. Empty
+            for other steps.
     """
 
     optimised: Sequence[KeyframePose]
@@ -76,7 +79,7 @@ class KeyframeHistory:
 
     def _moves(self, keyframes: Iterable[KeyframePose]) -> dict[int, Floats]:
         return {
-            k.frame_index: k.world_from_cam0 @ inverse(self.poses[k.frame_index].world_from_cam0)
+            k.frame_index: _motion(self.poses[k.frame_index], k)
             for k in keyframes
             if k.frame_index in self.poses
         }
@@ -89,3 +92,9 @@ class KeyframeHistory:
         leaving = sorted(frame for frame in self._window if frame < min(frames))
         self._window = (self._window - set(leaving)) | frames
         return [self.poses[frame] for frame in leaving]
+
+
+def _motion(old: KeyframePose, new: KeyframePose) -> Floats:
+    in_cam0 = inverse(old.world_from_cam0)
+    in_cam0[:3] *= new.scale / old.scale
+    return np.asarray(new.world_from_cam0 @ in_cam0)

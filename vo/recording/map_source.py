@@ -19,6 +19,7 @@ class MapSource:
         landmarks: the map.
         rows: its landmarks as in the spool.
         poses: frames (K,) of all keyframes, and their poses (K, 4, 4).
+        scales: (K,) lengths in the world of one unit of the rows of their landmarks.
         scale: factor of all lengths that are given out.
     """
 
@@ -26,6 +27,7 @@ class MapSource:
     landmarks: Landmarks
     rows: LandmarkRows
     poses: tuple[Ints, Floats]
+    scales: Floats
     scale: float = 1.0
 
     def world_from_cam0(self, frames: Ints) -> Floats:
@@ -53,8 +55,10 @@ class MapSource:
             rows[in_map] = self.rows[place[in_map]]
         xyz = np.full((len(ids), 3), np.nan)
         known = rows["is_known"]
-        poses = self.world_from_cam0(rows["keyframe"][known].astype(np.int64))
-        xyz[known] = transformed(poses, self.scale * rows["in_keyframe"][known])
+        frames = rows["keyframe"][known].astype(np.int64)
+        scales = self.scale * self.scales[np.searchsorted(self.poses[0], frames)]
+        in_keyframe = scales[:, None] * rows["in_keyframe"][known]
+        xyz[known] = transformed(self.world_from_cam0(frames), in_keyframe)
         return xyz, rows["grey"].copy()
 
 

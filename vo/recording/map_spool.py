@@ -16,7 +16,8 @@ from vo.types import Floats, Ints, Sightings
 LANDMARK_ROW = np.dtype(
     [("in_keyframe", "<f8", 3), ("keyframe", "<i4"), ("grey", "u1"), ("is_known", "?")]
 )
-"""A landmark: position in the cam0 frame of a keyframe that observes it, number of its frame."""
+"""A landmark: position in the cam0 frame of a keyframe that observes it, in units of odometry;
+number of its frame."""
 
 LandmarkRows = NDArray[Any]  # of LANDMARK_ROW
 

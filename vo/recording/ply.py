@@ -10,7 +10,7 @@ from vo.formats.ply import write_ply
 from vo.metric_scale import MetricScale
 from vo.recording.checkpoints import Checkpoints
 from vo.recording.reconstruction import Reconstruction
-from vo.recording.recorder import TakeSnapshot
+from vo.recording.recorder import LoopClosures, TakeSnapshot
 from vo.types import Estimate, Rig, Trajectory
 
 
@@ -25,6 +25,7 @@ class PlyRecorder:
         self._path = path
         self._checkpoints = Checkpoints()
         self._scales: dict[int, MetricScale] = {}
+        self._closures: LoopClosures | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Check that the file can be written.
@@ -62,6 +63,10 @@ class PlyRecorder:
         """Write the final points in metres."""
         self._scales = dict(scales)
 
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Write the final points where loops have placed them."""
+        self._closures = closures
+
     def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
         """Write the points.
 
@@ -72,7 +77,7 @@ class PlyRecorder:
         self._reconstruction.close()
 
     def _write(self, smoothed: Trajectory | None) -> None:
-        models = self._reconstruction.models(smoothed, scales=self._scales)
+        models = self._reconstruction.models(smoothed, scales=self._scales, closures=self._closures)
         count = sum(model.point_count for model in models)
         parts = ((part.xyz, part.grey) for model in models for part in model.points())
         write_ply(self._path, count, parts, self._name)

@@ -1,8 +1,8 @@
 """Collects all keyframes and landmarks of a run, to be written during the run and at its end.
 
 The local map holds the newest keyframes only. Of a keyframe or landmark that leaves it, the last
-observations and positions are kept on disk. If a keyframe gets a new pose later, the landmarks move
-with the last keyframe that observed them.
+observations and positions are kept on disk. If a keyframe gets a new pose or scale later, the
+landmarks move with the last keyframe that observed them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from vo.metric_scale import MetricScale
 from vo.recording.map_source import MapSource, transformed
 from vo.recording.map_spool import LANDMARK_ROW, LandmarkRows, MapSpool
 from vo.recording.model import Model
+from vo.recording.recorder import LoopClosures
 from vo.types import (
     Camera,
     Estimate,
@@ -51,7 +52,7 @@ class Reconstruction:
         self._keyframes: dict[int, KeyframePose] = {}
         self._known: set[int] = set()  # frames of keyframes with observations and a pose
         self._map = _NO_MAP
-        self._pose_in_map: dict[int, Floats] = {}  # as the landmarks of `_map` were updated
+        self._in_map: dict[int, KeyframePose] = {}  # as the landmarks of `_map` were updated
         self._camera: Camera | None = None
         self._cam0_from_image0 = np.eye(4)
 
@@ -70,29 +71,41 @@ class Reconstruction:
         smoothed: Trajectory | None = None,
         frames: Container[int] | None = None,
         scales: Mapping[int, MetricScale] = MappingProxyType({}),
+        closures: LoopClosures | None = None,
     ) -> list[Model]:
-        """A model for each segment, the one with most keyframes first.
+        """A model for each world, the one with most keyframes first.
 
         Args:
             smoothed: the final path; points move with the last keyframe that observes them.
             frames: if given, only keyframes of these frames are used.
             scales: by segment, to convert the model to metres.
+            closures: loops that connected segments; without any, each segment is a world.
         """
         if self._camera is None:
             return []
         rows, poses = self._map_rows(), self._poses(smoothed)
-        known = [k for k in sorted(self._known) if frames is None or k in frames]
-        segments = [self._keyframes[k].segment for k in known]
-        models = [
-            Model(
-                MapSource(self._spool, self._map, rows, poses, _value(scales.get(segment))),
-                self._camera,
-                np.array([k for k, s in zip(known, segments, strict=True) if s == segment]),
-                self._cam0_from_image0,
-            )
-            for segment in sorted(set(segments))
-        ]
+        kept = {k: self._keyframes[k].scale for k in sorted(self._known)}
+        if closures is not None:
+            kept = {k: closures.scales.get(k, scale) for k, scale in kept.items()}
+        map_scales = np.array(list(kept.values()))
+        models = []
+        for segment, chosen in self._by_world(frames, closures):
+            metric = _value(scales.get(segment))
+            source = MapSource(self._spool, self._map, rows, poses, map_scales, metric)
+            models.append(Model(source, self._camera, np.array(chosen), self._cam0_from_image0))
         return sorted(models, key=lambda model: -len(model.frame_index))
+
+    def _by_world(
+        self, frames: Container[int] | None, closures: LoopClosures | None
+    ) -> list[tuple[int, list[int]]]:
+        """First segment of each world, and the frames of its keyframes."""
+        worlds = {} if closures is None else closures.worlds
+        found: dict[int, list[int]] = {}
+        for frame in sorted(self._known):
+            if frames is None or frame in frames:
+                segment = self._keyframes[frame].segment
+                found.setdefault(worlds.get(segment, segment), []).append(frame)
+        return [(self._keyframes[each[0]].segment, each) for _, each in sorted(found.items())]
 
     def close(self) -> None:
         """Remove the temporary files."""
@@ -108,28 +121,27 @@ class Reconstruction:
         if has_left.any():
             self._spool.add_landmarks(self._map.ids[has_left], self._map_rows()[has_left])
         self._map = landmarks
-        self._pose_in_map = {
-            frame: self._keyframes[frame].world_from_cam0
-            for frame in frames
-            if frame in self._keyframes
-        }
-        self._known |= self._pose_in_map.keys()
+        self._in_map = {k: self._keyframes[k] for k in frames if k in self._keyframes}
+        self._known |= self._in_map.keys()
 
     def _map_rows(self) -> LandmarkRows:
         """The landmarks of the map, each relative to the last keyframe that observes it."""
         landmarks = self._map
         rows = np.zeros(len(landmarks.ids), LANDMARK_ROW)
-        frames = sorted(self._pose_in_map)
+        frames = sorted(self._in_map)
         if not frames or not len(rows):
             return rows
         last = np.full(len(rows), len(frames) - 1)  # of those without an observation in the map
         for sightings in landmarks.sightings:  # in time order
-            if sightings.frame_index in self._pose_in_map:
+            if sightings.frame_index in self._in_map:
                 seen = np.searchsorted(landmarks.ids, sightings.ids)
                 seen = seen[seen < len(rows)]
                 last[seen] = frames.index(sightings.frame_index)
-        cam0_from_world = inverse(np.stack([self._pose_in_map[frame] for frame in frames]))[last]
-        rows["in_keyframe"] = transformed(cam0_from_world, landmarks.xyz)
+        poses = np.stack([self._in_map[frame].world_from_cam0 for frame in frames])
+        cam0_from_world = inverse(poses)[last]
+        # All landmarks have the scale of the newest keyframe (`make_snapshot`).
+        in_keyframe = transformed(cam0_from_world, landmarks.xyz)
+        rows["in_keyframe"] = in_keyframe / self._in_map[frames[-1]].scale
         rows["keyframe"] = np.array(frames)[last]
         rows["grey"] = _MID_GREY if landmarks.grey is None else landmarks.grey
         rows["is_known"] = True

@@ -49,16 +49,20 @@ class LoopClosures(NamedTuple):
         loops: all that were closed.
         relocalisations: all segments whose place in an older world was found.
         odometry: the path before any loop, each segment in its own frame.
+        worlds: number of the world of each segment that was connected to another one.
+        scales: length in the world of one unit of odometry, by frame number of each keyframe.
     """
 
     loops: tuple[ClosedLoop, ...]
     relocalisations: tuple[Relocalisation, ...]
     odometry: Trajectory
+    worlds: Mapping[int, int]
+    scales: Mapping[int, float]
 
 
 @runtime_checkable
 class LoopRecorder(Protocol):
-    """A recorder that shows loops."""
+    """A recorder that shows loops, or what they have connected."""
 
     def set_loops(self, closures: LoopClosures) -> None:
         """Before `finish`, if loops were closed."""

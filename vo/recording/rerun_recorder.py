@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -154,12 +154,14 @@ class RerunRecorder:
         if self._markers is not None:
             MarkerLayer(self._batch, self._index.by_frame, self._view.scale).log(self._markers)
         pieces = self._index.by_segment(smoothed)
+        connected = {} if self._closures is None else self._closures.worlds
+        worlds = self._index.by_world(smoothed, connected)
         if pieces:
             self._map.finish(self._index.last, pieces)
-            self._align_truth_to(max(pieces, key=len))
+            self._align_truth_to(max(worlds, key=len))
         errors = {
-            name: self._add_errors(f"{entities.ERROR_PLOT}/{name}", path)
-            for name, path in (("smoothed", smoothed), ("causal", causal))
+            name: self._add_errors(f"{entities.ERROR_PLOT}/{name}", parts)
+            for name, parts in (("smoothed", worlds), ("causal", self._index.by_segment(causal)))
             if self._truth is not None
         }
         length = sum(np.linalg.norm(np.diff(p.positions, axis=0), axis=1).sum() for p in pieces)
@@ -174,12 +176,12 @@ class RerunRecorder:
         if positions is not None:
             self._map.log_ground_truth(positions)
 
-    def _add_errors(self, entity: str, path: Trajectory) -> Floats:
-        """Add the error of each pose, with each segment aligned separately; all errors."""
+    def _add_errors(self, entity: str, parts: Sequence[Trajectory]) -> Floats:
+        """Add the error of each pose, with each part of a path aligned separately; all errors."""
         assert self._truth is not None
         all_errors = []
-        for piece in self._index.by_segment(path):
-            found = position_errors(self._truth, piece, with_scale=not self._has_scale)
+        for part in parts:
+            found = position_errors(self._truth, part, with_scale=not self._has_scale)
             if found is None:
                 continue
             all_errors.append(found[1])

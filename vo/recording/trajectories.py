@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import rerun as rr
 
@@ -55,12 +57,34 @@ class RunIndex:
 
         Not at their beginnings: frames before the first mono map may get a pose in it later.
         """
+        return [piece for _, piece in self._pieces(trajectory)]
+
+    def by_world(self, trajectory: Trajectory, worlds: Mapping[int, int]) -> list[Trajectory]:
+        """A trajectory as `by_segment`, with the segments of each world together.
+
+        Args:
+            trajectory: to be divided.
+            worlds: number of the world of each segment that was connected to another one.
+        """
+        found: dict[int, list[Trajectory]] = {}
+        for segment, piece in self._pieces(trajectory):
+            found.setdefault(worlds.get(segment, segment), []).append(piece)
+        return [
+            Trajectory(
+                np.concatenate([piece.stamps_ns for piece in pieces]),
+                np.concatenate([piece.world_from_cam for piece in pieces]),
+            )
+            for pieces in found.values()
+        ]
+
+    def _pieces(self, trajectory: Trajectory) -> list[tuple[int, Trajectory]]:
+        """Segments that are not empty, with their numbers."""
         ends = list(self._last_stamp.values())[:-1]
         cuts = np.searchsorted(trajectory.stamps_ns, ends, side="right")
         stamps = np.split(trajectory.stamps_ns, cuts)
         poses = np.split(trajectory.world_from_cam, cuts)
-        pairs = zip(stamps, poses, strict=True)
-        return [Trajectory(stamp, pose) for stamp, pose in pairs if len(stamp)]
+        rows = zip(list(self._last_stamp) or [0], stamps, poses, strict=True)
+        return [(segment, Trajectory(stamp, pose)) for segment, stamp, pose in rows if len(stamp)]
 
 
 def add_trajectory(batch: Batch, entity: str, trajectory: Trajectory, index: RunIndex) -> None:

@@ -62,6 +62,8 @@ class RunRecord:
         summary: `summary.json`.
         config: `config.yaml` as text, empty if missing.
         trajectory: the smoothed path, possibly empty.
+        worlds: stamps (N,) in `poses.csv` and the number (N,) of the segment of each, where merged
+            segments have one number; possibly empty.
         causal: the causal path, possibly empty.
         odometry: the path before loops, empty without any.
         frames: None if `frames.csv` is missing.
@@ -72,6 +74,7 @@ class RunRecord:
     summary: Mapping[str, Any]
     config: str
     trajectory: Trajectory
+    worlds: tuple[Ints, Ints]
     causal: Trajectory
     odometry: Trajectory
     frames: FrameTable | None
@@ -88,6 +91,10 @@ class RunRecord:
         for segment in self.summary.get("segments", ()):
             first, last = segment["first_stamp_ns"], segment["last_stamp_ns"]
             numbers[(stamps_ns >= first) & (stamps_ns <= last)] = segment["segment"]
+        known, segments = self.worlds  # merged segments may have another one in between
+        if len(known):
+            rows = np.minimum(np.searchsorted(known, stamps_ns), len(known) - 1)
+            numbers = np.where(known[rows] == stamps_ns, segments[rows], numbers)
         return numbers
 
 
@@ -104,6 +111,7 @@ def read_run(folder: Path) -> RunRecord:
         _summary(folder / "summary.json"),
         _text(folder / "config.yaml"),
         _trajectory(folder / "trajectory.tum"),
+        _worlds(folder / "poses.csv"),
         _trajectory(folder / "causal.tum"),
         _trajectory(folder / "odometry.tum"),
         _frames(folder / "frames.csv"),
@@ -159,6 +167,18 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(lines.split("\n")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{found} cannot be read: {error}; run `vo run` again") from error
+
+
+def _worlds(path: Path) -> tuple[Ints, Ints]:
+    rows = _rows(path)
+    try:
+        stamps, segments = (
+            np.array([int(row[name]) for row in rows], dtype=np.int64)
+            for name in ("stamp_ns", "segment")
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+    return stamps, segments
 
 
 def _frames(path: Path) -> FrameTable | None:

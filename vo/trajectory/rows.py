@@ -79,6 +79,7 @@ def keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
             int(row["segment"]),
             world_from_cam0[k],
             covariance[k] if known[k] else None,
+            float(row["scale"]),
         )
         for k, row in enumerate(rows)
     ]

@@ -101,6 +101,11 @@ class TrajectoryStore:
         """The newest keyframe of a segment that was placed, which its newer poses follow."""
         return self._anchors.get(segment)
 
+    @property
+    def worlds(self) -> dict[int, int]:
+        """The worlds of the segments that were placed in the map frame."""
+        return dict(self._worlds)
+
     def world(self, segment: int) -> int:
         """Number of the connected world that a segment belongs to: that of its first segment."""
         return self._worlds.get(segment, segment)
@@ -194,6 +199,20 @@ class TrajectoryStore:
         """Scales by number of the segment, of those by number of the world."""
         worlds = {n: self.world(n) for n in np.unique(self.frames["segment"]).tolist()}
         return {number: scales[world] for number, world in worlds.items() if world in scales}
+
+    def map_scales(self, scales: Mapping[int, MetricScale]) -> dict[int, float]:
+        """Length in the world of one unit of odometry, by frame number of the keyframe.
+
+        Args:
+            scales: by number of the world, those that `apply_scales` got, which are left out.
+        """
+        metric = self.scales_of_segments(scales)
+        found = {}
+        for row in self._keyframes.rows:
+            scale = metric.get(int(row["segment"]))
+            value = 1.0 if scale is None else scale.value
+            found[int(row["frame_index"])] = float(row["scale"]) / value
+        return found
 
     def turn_worlds(self, new_from_old: Mapping[int, Floats]) -> None:
         """Give worlds other frames after the last frame: (4, 4) by number of the world."""

@@ -78,7 +78,7 @@ def _draw(axes: Axes, entries: Sequence[Entry], x: int, y: int, flip: float) -> 
 
 
 def _positions(entry: Entry) -> Floats:
-    """Positions (N, 3), with rows of NaN at gaps and at the beginning of segments."""
+    """Positions (N, 3), with rows of NaN at gaps and where the world changes."""
     if entry.evaluation is not None:
         every = (entry.evaluation, *entry.others)
         stamps = np.concatenate([each.matched.stamps_ns for each in every])
