@@ -86,12 +86,12 @@ def _true_states(stamps: Ints, biases: Floats, scale: Floats) -> States:
 
 
 @cache
-def _errors(seed: int, told: float = 1.0) -> tuple[Floats, Floats]:
+def _errors(seed: int, stated: float = 1.0) -> tuple[Floats, Floats]:
     """Errors (n, 16) of the states of a run, and their covariances (n, 16, 16).
 
     Args:
         seed: of all noise.
-        told: covariance of the motions by images that is told, relative to the true one.
+        stated: stated covariance of the motions by images, relative to the true one.
     """
     rng = np.random.default_rng(seed)
     stamps = keyframe_stamps(_KEYFRAMES)
@@ -99,7 +99,7 @@ def _errors(seed: int, told: float = 1.0) -> tuple[Floats, Floats]:
     poses, scale = _visual(stamps, rng)
     chain = InertialChain(SampleReader(sensor), _WALKING, IMU_FROM_CAM, is_metric=False)
     for k in range(_KEYFRAMES):
-        covariance = told * _covariance(float(scale[k - 1])) if k else None
+        covariance = stated * _covariance(float(scale[k - 1])) if k else None
         chain.set(Node(k, k, int(stamps[k]), 0, poses[k], covariance))
         chain.update()
     placed = chain.finish()
@@ -108,12 +108,12 @@ def _errors(seed: int, told: float = 1.0) -> tuple[Floats, Floats]:
     return estimate.states.since(_true_states(stamps, biases, scale)), estimate.covariance
 
 
-def _nees(part: str, row: int, told: float = 1.0) -> float:
+def _nees(part: str, row: int, stated: float = 1.0) -> float:
     """Mean over the runs."""
     columns = _PARTS[part]
     total = 0.0
     for seed in range(_RUNS):
-        errors, covariances = _errors(seed, told)
+        errors, covariances = _errors(seed, stated)
         error, covariance = errors[row, columns], covariances[row][columns, columns]
         total += float(error @ np.linalg.solve(covariance, error))
     return total / _RUNS
@@ -137,4 +137,4 @@ def test_stated_covariances_are_those_of_the_errors(part: str) -> None:
 
 
 def test_motions_by_images_with_too_small_covariances_are_not_consistent() -> None:
-    assert _nees("pose", _KEYFRAMES - 1, told=0.1) > 1.5 * _band(6)[1]
+    assert _nees("pose", _KEYFRAMES - 1, stated=0.1) > 1.5 * _band(6)[1]
