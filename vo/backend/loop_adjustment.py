@@ -51,12 +51,10 @@ class AdjustedPath(NamedTuple):
     Attributes:
         world_from_cam: (K, 4, 4), the first one as it was.
         points: (M, 3).
-        cost: half the robust sum of squares before, and after.
     """
 
     world_from_cam: Floats
     points: Floats
-    cost: tuple[float, float]
 
 
 def adjust_path(
@@ -78,7 +76,7 @@ def adjust_path(
     bundle = Bundle(replace(problem, fixed=np.arange(count) == 0), usable, config)
     edges = _Edges(motions)
     poses = problem.world_from_cam
-    first = cost = bundle.cost(poses) + edges.cost(poses)
+    cost = bundle.cost(poses) + edges.cost(poses)
     damping = _FIRST_DAMPING
     for _ in range(_MAX_STEPS):
         normal = bundle.normal_equations(poses)
@@ -96,7 +94,7 @@ def adjust_path(
     points = bundle.points_for(poses)
     if not (np.isfinite(poses).all() and np.isfinite(points[usable]).all()):
         return None
-    return AdjustedPath(poses, points, (first, cost))
+    return AdjustedPath(poses, points)
 
 
 class _Edges:
