@@ -54,11 +54,19 @@ def wait_until(condition: Any, seconds: float = 90.0) -> None:
         time.sleep(0.02)
 
 
-def children() -> set[int]:
+def workers() -> set[int]:
+    """Child processes that run a job; one that is stopped before its exec blocks its parent."""
     found: set[int] = set()
     for path in Path("/proc/self/task").glob("*/children"):
         found |= {int(word) for word in path.read_text().split()}
-    return found
+    return {pid for pid in found if b"vo.batch.worker" in command_line(pid)}
+
+
+def command_line(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 @pytest.fixture(scope="module")
@@ -112,15 +120,15 @@ def test_bad_recordings_cost_only_themselves(walks: Path, tmp_path: Path) -> Non
 
 
 def run_with(walk: Path, output: Path, limits: Limits, number: int) -> JobResult:
-    """Run a job, and send a signal to each of its processes as soon as it is there."""
+    """Run a job, and send a signal to each of its processes as soon as it runs."""
     found: list[JobResult] = []
     job = Job("walk", str(walk), "fast")
-    known = children()
+    known = workers()
     thread = threading.Thread(target=lambda: found.append(run_job(job, output, limits)))
     thread.start()
     for _ in range(limits.retries + 1):
-        wait_until(lambda: children() - known)
-        [child] = children() - known
+        wait_until(lambda: workers() - known)
+        [child] = workers() - known
         os.kill(child, number)
         known.add(child)
     thread.join(60)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _WORLD, _CAM0 = "world", "cam0"
 _BACKLOG = 256  # messages that wait for a slow client, which then misses the oldest
 _PATH_EVERY_S = 1.0
+_LAST_PATH_S = 0.5  # for the last path to leave
 _CLOSE_S = 1.0
 
 _log = logging.getLogger(__name__)
@@ -111,6 +112,8 @@ class FoxgloveServer:
     def close(self) -> None:
         """Send the whole path, and stop the server."""
         self._send_path()
+        if self._path.has_sinks():
+            time.sleep(_LAST_PATH_S)  # the package drops what is queued when it stops
         # The package would wait a minute for a client that does not read.
         stopping = threading.Thread(target=self._server.stop, daemon=True)
         stopping.start()
