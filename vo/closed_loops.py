@@ -10,8 +10,9 @@ class ClosedLoop:
     """An accepted loop, and the correction that followed.
 
     Attributes:
-        kind: `loop` within a world, `merge` where it connected two segments,
-            `session` to a keyframe of the loaded map.
+        kind: `loop` within a world, `merge` where it connected two segments, `repair` across frames
+            where odometry was doubted and loops contradict it, `session` to a keyframe of the
+            loaded map.
         frame: number of the later keyframe's frame.
         earlier_frame: number of the earlier keyframe's frame, in the recording of its session.
         segment: of the later frame.
@@ -39,6 +40,11 @@ class ClosedLoop:
     def joins(self) -> bool:
         """Whether it joins what only the look of places connects: no odometry speaks for it."""
         return self.kind != "loop"
+
+    @property
+    def repairs(self) -> bool:
+        """Whether it contradicts odometry, which was doubted in between."""
+        return self.kind == "repair"
 
 
 @dataclass(frozen=True)

@@ -42,10 +42,6 @@ _FAULTS_OF_FAILURES = {
 }
 
 
-# Minimum ratio of landmarks with a disparity from which the right camera takes part.
-_MIN_MEASURED_RATIO = 0.1
-
-
 class FrameResult(NamedTuple):
     """Result of a frame.
 
@@ -83,8 +79,7 @@ class FrameResult(NamedTuple):
         """Whether there is a right image that hardly any of the tracked landmarks agrees with."""
         if self.tracked is None or self.frame.right is None:
             return False
-        measured = np.isfinite(self.tracked.observed.disparity[self.tracked.inlier])
-        return bool(np.count_nonzero(measured) < _MIN_MEASURED_RATIO * len(measured))
+        return self.tracked.lacks_disparities
 
     @property
     def world_from_cam(self) -> Floats | None:

@@ -94,6 +94,7 @@ def laps(
         odom_from_cam=_unscaled_path(steps, scale),
         scale=np.ones(keyframes),
         covariance=np.tile(np.diag(np.maximum(sigma[:6], 1e-9) ** 2), (keyframes, 1, 1)),
+        is_doubted=np.zeros(keyframes, dtype=bool),
         loops=(*true, *false),
     )
     return Laps(poses, problem, np.arange(loops) < len(true))
@@ -184,6 +185,16 @@ def believed(placed: PlacedKeyframes, problem: GraphProblem) -> Bools:
 def with_loops(problem: GraphProblem, loops: tuple[Loop, ...]) -> GraphProblem:
     """The same graph with other loops."""
     return replace(problem, loops=loops)
+
+
+def with_wrong_motion(
+    problem: GraphProblem, at: int, motion: Floats, *, is_doubted: bool = True
+) -> GraphProblem:
+    """The same graph, with odometry that is wrong by a motion (4, 4) before row `at`."""
+    odom, doubted = problem.odom_from_cam.copy(), problem.is_doubted.copy()
+    odom[at:] = odom[at] @ motion @ sim3.inverse(odom[at]) @ odom[at:]
+    doubted[at] = is_doubted
+    return replace(problem, odom_from_cam=odom, is_doubted=doubted)
 
 
 def cut(problem: GraphProblem, at: int) -> GraphProblem:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import Laps, believed, cut, laps, with_loops
+from graphs import Laps, believed, cut, laps, with_loops, with_wrong_motion
 
 from vo.backend.graph_problem import GraphProblem
 from vo.backend.graph_solution import optimise_graph
@@ -132,16 +133,108 @@ def test_a_segment_that_fits_in_two_places_stays_apart() -> None:
     case = laps(4)
     problem = cut(case.problem, 150)
     between = [loop for loop in problem.loops if loop.earlier.keyframe < 150 <= loop.later.keyframe]
+    placed = optimise_graph(with_loops(problem, (*between, *_copies(problem, between))))
+    assert set(placed.world.tolist()) == {0, 1}
+
+
+WRONG = sim3.retract(np.array([0.02, 0.33, 0.0, 0.8, 0.0, 0.3, 0.0]))  # 19 degrees, 0.85 m
+AT = 150
+
+
+def _across(problem: GraphProblem) -> list[Loop]:
+    return [loop for loop in problem.loops if loop.earlier.keyframe < AT <= loop.later.keyframe]
+
+
+@pytest.mark.parametrize("scale_sigma", [0.0, 0.005])
+def test_loops_mend_a_wrong_motion_that_was_doubted(scale_sigma: float) -> None:
+    for seed in range(4, 7):
+        case = laps(seed, scale_sigma=scale_sigma)
+        right = optimise_graph(case.problem)
+        problem = with_wrong_motion(case.problem, AT, WRONG)
+        mended = optimise_graph(problem)
+        assert mended.wrong == (PlaceKey(0, AT),)
+        assert believed(mended, problem).mean() > 0.95
+        assert case.error_m(mended) < 1.5 * case.error_m(right) + 0.05
+
+
+def test_a_wrong_motion_that_nothing_doubts_stays() -> None:
+    case = laps(4)
+    problem = with_wrong_motion(case.problem, AT, WRONG, is_doubted=False)
+    placed = optimise_graph(problem)
+    assert placed.wrong == ()
+    across = [loop for loop in _across(problem) if loop not in placed.rejected]
+    assert not across
+
+
+def test_a_doubted_motion_that_was_right_makes_no_difference() -> None:
+    for seed in range(3):
+        case = laps(seed, loops=60, scale_sigma=0.005)
+        doubted = np.isin(np.arange(300), (80, 150, 151, 220))
+        expected = optimise_graph(case.problem)
+        placed = optimise_graph(replace(case.problem, is_doubted=doubted))
+        assert placed.wrong == ()
+        for name in ("world_from_cam", "scale", "covariance"):
+            np.testing.assert_array_equal(getattr(placed, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize("groups", [0, 3])
+def test_false_loops_across_doubted_motions_are_refused(groups: int) -> None:
+    for seed in range(5):
+        case = laps(seed, false_ratio=0.5, groups=groups)
+        doubted = np.isin(np.arange(300), (AT, AT + 1))
+        placed = optimise_graph(replace(case.problem, is_doubted=doubted))
+        np.testing.assert_array_equal(believed(placed, case.problem), case.is_true)
+
+
+def test_two_loops_do_not_mend_a_motion() -> None:
+    case = laps(4)
+    problem = with_wrong_motion(case.problem, AT, WRONG)
+    placed = optimise_graph(with_loops(problem, tuple(_across(problem)[:2])))
+    assert placed.wrong == () and len(placed.rejected) == 2
+    np.testing.assert_array_equal(placed.world_from_cam, problem.odom_from_cam)
+
+
+def test_loops_to_two_places_do_not_mend_a_motion() -> None:
+    case = laps(4)
+    problem = with_wrong_motion(case.problem, AT, WRONG)
+    loops = (*_across(problem), *_copies(problem, _across(problem)))
+    placed = optimise_graph(with_loops(problem, loops))
+    assert placed.wrong == ()
+    np.testing.assert_array_equal(placed.world_from_cam, problem.odom_from_cam)
+
+
+def test_several_wrong_motions_are_mended() -> None:
+    case = laps(5, loops=60)
+    problem = with_wrong_motion(case.problem, 60, WRONG)
+    problem = with_wrong_motion(problem, AT, sim3.inverse(WRONG))
+    problem = with_wrong_motion(problem, AT + 1, WRONG)
+    placed = optimise_graph(problem)
+    assert placed.wrong == tuple(PlaceKey(0, n) for n in (60, AT, AT + 1))
+    error = np.linalg.norm(placed.world_from_cam[:, :3, 3] - case.truth[:, :3, 3], axis=1)
+    assert np.median(error) < 0.5
+
+
+def test_a_removed_keyframe_hands_its_doubt_on() -> None:
+    case = laps(4)
+    problem = with_wrong_motion(case.problem, AT, WRONG)
+    needed = {key.keyframe for loop in problem.loops for key in (loop.earlier, loop.later)}
+    assert AT not in needed
+    graph = _graph(replace(case, problem=problem), 1)
+    graph.remove_keyframes([PlaceKey(0, AT)])
+    graph.submit()
+    assert graph.result().wrong == (PlaceKey(0, AT + 1),)
+
+
+def _copies(problem: GraphProblem, loops: Sequence[Loop]) -> list[Loop]:
+    """The loops to the same place once more, 16 m away."""
     shift = np.eye(4)
     shift[:3, 3] = 16.0, 0.0, 0.0
-    odom = problem.odom_from_cam
     copies = []
-    for loop in between:  # the same place once more, 16 m away
-        moved = odom[loop.earlier.keyframe] @ loop.earlier_from_later
-        relation = sim3.inverse(odom[loop.earlier.keyframe]) @ shift @ moved
+    for loop in loops:
+        earlier = problem.odom_from_cam[loop.earlier.keyframe]
+        relation = sim3.inverse(earlier) @ shift @ earlier @ loop.earlier_from_later
         copies.append(replace(loop, earlier_from_later=relation))
-    placed = optimise_graph(with_loops(problem, (*between, *copies)))
-    assert set(placed.world.tolist()) == {0, 1}
+    return copies
 
 
 def test_metric_and_other_segments_stay_apart() -> None:
@@ -178,7 +271,7 @@ def test_a_loaded_map_stays_as_it_is() -> None:
             name: getattr(case.problem, name)[:150]
             for name in (
                 *("keys", "chain", "is_rigid", "is_metric", "is_inertial"),
-                *("odom_from_cam", "scale", "covariance"),
+                *("odom_from_cam", "scale", "covariance", "is_doubted"),
             )
         },
         loops=(),
@@ -278,4 +371,5 @@ def _place(problem: GraphProblem, n: int, session: int, segment: int) -> Place:
         np.empty((0, 32), np.uint8),
         landmarks,
         np.zeros((1, 1), np.uint8),
+        bool(problem.is_doubted[n]),
     )

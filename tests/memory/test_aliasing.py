@@ -12,7 +12,7 @@ import pytest
 
 from vo.backend.pose_graph import PoseGraph
 from vo.config import load_config
-from vo.geometry.transforms import make_transform
+from vo.geometry.transforms import inverse, make_transform
 from vo.memory.recognition import Recogniser
 from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
@@ -101,6 +101,46 @@ def test_a_walk_between_two_copies_of_a_room_closes_no_loop(
     way = _corridor(first, 1)
     copy, count = _placed([*first, *way, *_elsewhere(second, 2, 0, APART)], camera)
     assert len(copy.rejected) == count >= 3  # the images are the same, only odometry differs
+
+
+def _with_wrong_motion(places: Sequence[Place], *, is_doubted: bool) -> list[Place]:
+    """The keyframes with odometry that was wrong by 20 degrees before the first of them."""
+    angle = np.radians(20.0)
+    turn = np.array(
+        [[np.cos(angle), 0.0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    )
+    at = places[0].odom_from_cam
+    wrong = at @ make_transform(turn, np.zeros(3)) @ inverse(at)
+    return [
+        replace(place, odom_from_cam=wrong @ place.odom_from_cam, is_doubted=is_doubted and n == 0)
+        for n, place in enumerate(places)
+    ]
+
+
+def test_loops_mend_a_wrong_motion_only_where_it_is_doubted(
+    places: tuple[list[Place], list[Place], Camera],
+) -> None:
+    first, second, camera = places
+    second = _elsewhere(second, 1, 0, 0.0)
+    right, count = _placed([*first, *second], camera)
+    stays, _ = _placed([*first, *_with_wrong_motion(second, is_doubted=False)], camera)
+    assert len(stays.rejected) >= 3 and not stays.wrong
+    mended, _ = _placed([*first, *_with_wrong_motion(second, is_doubted=True)], camera)
+    assert mended.wrong == (second[0].key,) and not mended.rejected
+    size = np.ptp(right.world_from_cam[:, :3, 3], axis=0).max()
+    apart = mended.world_from_cam[:, :3, 3] - right.world_from_cam[:, :3, 3]
+    assert np.linalg.norm(apart, axis=1).max() < 0.02 * size
+
+
+def test_a_doubted_motion_between_two_copies_that_were_seen_closes_no_loop(
+    places: tuple[list[Place], list[Place], Camera],
+) -> None:
+    first, second, camera = places
+    copy = [*_corridor(first, 1), *_elsewhere(first, 2, 0, APART)]
+    again = _elsewhere(second, 3, 0, APART / 2)  # by odometry in neither of them
+    again[0] = replace(again[0], is_doubted=True)
+    placed, count = _placed([*first, *copy, *again], camera)
+    assert len(placed.rejected) == count >= 6 and not placed.wrong
 
 
 def test_a_lost_camera_in_one_of_two_copies_is_not_merged_with_either(

@@ -7,9 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded_walk import COUNT, Recording, Run, aligned, changed, track
+from recorded_walk import CONFIG, COUNT, Recording, Run, aligned, changed, track
 
 from vo.faults import Fault, FaultKind
+from vo.mapping.keyframe_store import MemoryKeyframeStore
+from vo.odometry import Odometry
+from vo.stages import Components
 from vo.types import Bytes, Frame, State
 
 RNG = np.random.default_rng(0)
@@ -43,6 +46,17 @@ def test_a_useless_right_image_is_told_and_the_path_stays_metric(
     assert [n for n, e in enumerate(run.estimates) if ALONE in e.faults] == list(HIDDEN)
     ate, _ = aligned(run, recording, with_scale=False)
     assert ate < 0.01 * recording.path_m
+
+
+def test_keyframes_by_the_left_camera_alone_are_doubted_and_no_others(recording: Recording) -> None:
+    store = MemoryKeyframeStore()
+    odometry = Odometry(recording.rig, CONFIG, Components(keyframe_store=store))
+    for frame in changed(recording.frames, HIDDEN, with_right(covered)):
+        odometry.track(frame)
+    odometry.close()
+    alone = [keyframe for keyframe in store.keyframes if keyframe.frame.index in HIDDEN]
+    assert alone
+    assert [keyframe for keyframe in store.keyframes if keyframe.is_doubted] == alone
 
 
 def test_good_pairs_are_no_fault(stereo: Run) -> None:

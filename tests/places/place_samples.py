@@ -50,5 +50,7 @@ def make_place(
     thumbnail = random.integers(0, 256, (12, 16), dtype=np.uint8)
     covariance = np.eye(6) * 1e-4
     return Place(
-        PlaceKey(session, number), frame, True, pose, covariance, descriptor, landmarks, thumbnail
+        *(PlaceKey(session, number), frame, True, pose, covariance, descriptor, landmarks),
+        thumbnail,
+        is_doubted=number % 3 == 2,
     )

@@ -32,6 +32,7 @@ def _seen_again(descriptor: Bytes, seed: int) -> Bytes:
 
 def _assert_equal(a: Place, b: Place) -> None:
     assert (a.key, a.frame, a.is_metric) == (b.key, b.frame, b.is_metric)
+    assert a.is_doubted == b.is_doubted
     for name in ("odom_from_cam", "covariance", "descriptor", "thumbnail"):
         assert getattr(a, name).dtype == getattr(b, name).dtype
         assert np.array_equal(getattr(a, name), getattr(b, name))

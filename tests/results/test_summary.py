@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.calibration_errors import CalibrationErrors, LensError
+from vo.closed_loops import ClosedLoop
 from vo.failures import Failure, FailureReason, ImageDefect
 from vo.faults import Fault, FaultKind
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
@@ -131,6 +132,16 @@ def test_the_path_length_excludes_gaps_between_segments() -> None:
     assert summary.segments[1].first_stamp_ns == 50 * 10**8
     assert summary.path_m == 6.0
     assert "2 segments, each in its own world frame" in summary.warnings
+
+
+def test_a_path_that_loops_have_repaired_is_not_trusted() -> None:
+    loop = ClosedLoop("loop", 90, 10, 0, 0, 80, None, 0.1, 0.2)
+    summary = summary_of([estimate(0), estimate(1)], path_of([0, 1]))
+    closed = replace(summary, loops=(loop,))
+    assert closed.verdict.word == "complete" and not closed.warnings
+    repaired = replace(summary, loops=(loop, replace(loop, kind="repair")))
+    assert repaired.verdict.word == "not to be trusted"
+    assert len(repaired.warnings) == 1 and "little of the map agreed" in repaired.warnings[0]
 
 
 def test_incomplete_runs_have_warnings() -> None:

@@ -17,6 +17,8 @@ _DRIFT_RATIO, _DRIFT_ROTATION_RATIO = 0.01, 0.005
 # Steps whose covariance is unknown.
 _UNKNOWN_RATIO, _UNKNOWN_RAD = 0.1, 0.02
 _UNKNOWN_LOG_SCALE = 0.03  # of two segments that an inertial sensor has joined
+# Doubted steps: radians, steps of their own and of the median length, and logarithm of the scale.
+_DOUBTED_RAD, _DOUBTED_STEPS, _DOUBTED_LOG_SCALE = 0.25, 1.5, 0.2
 FIXED_LOG_SCALE = 1e-6  # standard deviation of a scale that cannot change
 
 
@@ -96,5 +98,11 @@ def _step_errors(problem: GraphProblem, poses: Floats) -> tuple[Floats, Floats]:
         drift[rows, axis + 3, axis + 3] = _DRIFT_RATIO * length
     by_sensor = np.where(unknown, _UNKNOWN_LOG_SCALE, _INERTIAL_STEP_LOG_SCALE)
     of_mono = np.where(problem.is_inertial[rows], by_sensor, _STEP_LOG_SCALE)
+    doubted = problem.is_doubted[rows]
+    of_mono = np.where(doubted, _DOUBTED_LOG_SCALE, of_mono)
     noise[rows, 6, 6] = np.where(problem.is_metric[rows], FIXED_LOG_SCALE, of_mono) ** 2
+    wide = _DOUBTED_STEPS * (length[doubted] + np.median(length))
+    for axis in range(3):
+        noise[rows[doubted], axis, axis] += _DOUBTED_RAD**2
+        noise[rows[doubted], axis + 3, axis + 3] += wide**2
     return noise, drift

@@ -1,6 +1,11 @@
-"""Chains of keyframes connected by loops: which loops are plausible, and initial poses."""
+"""Chains of keyframes connected by loops: which loops are plausible, and initial poses.
+
+Motions in chains that are doubted, and that loops contradict, are like gaps between two chains.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +15,9 @@ from vo.backend.loop_edges import LoopEdges, agreement, agrees_with_odometry, la
 from vo.geometry import sim3
 from vo.types import Bools, Floats, Ints
 
-# Loops that must agree, of as many later keyframes, before two chains are merged: there is no
-# odometry between them. A second set that agrees on another relation must be half as large at most.
+# Loops that must agree, of as many later keyframes, before two chains are merged, or the parts
+# beside a doubted motion: there is no odometry between them. A second set that agrees on another
+# relation must be half as large at most.
 _MIN_LOOPS = 3
 _MAX_COMPARED = 200  # newest loops between two chains
 
@@ -23,29 +29,54 @@ def plausible_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotio
     result = np.zeros(len(loops), dtype=bool)
     result[inside] = agrees_with_odometry(loops.select(inside), motions)
     comparable = problem.is_metric[loops.earlier] == problem.is_metric[loops.later]
-    for rows in _by_pair(problem, loops, comparable & (earlier != later)):
+    result |= comparable & (earlier != later)
+    for rows in _by_pair_of_parts(problem, loops, result):
+        result[rows] = False
         result[_agreeing_pair(loops, rows[-_MAX_COMPARED:], motions)] = True
     return result
 
 
+def with_contradicted_doubts(problem: GraphProblem, loops: LoopEdges) -> GraphProblem:
+    """The graph, with only those of its doubted motions that loops contradict.
+
+    Loops across them must agree as those between chains, on a relation that odometry excludes.
+    """
+    trusted = replace(problem, is_doubted=np.zeros(len(problem.keys), dtype=bool))
+    crosses = problem.part[loops.earlier] != problem.part[loops.later]
+    crosses &= problem.chain[loops.earlier] == problem.chain[loops.later]
+    if not crosses.any():
+        return trusted
+    motions, contradicted = ChainMotions(problem), trusted.is_doubted.copy()
+    by_odometry = agrees_with_odometry(loops.select(crosses), ChainMotions(trusted))
+    disagrees = crosses.copy()
+    disagrees[crosses] = ~by_odometry
+    crosses[crosses] = agrees_with_odometry(loops.select(crosses), motions)
+    for rows in _by_pair_of_parts(problem, loops, crosses):
+        found = _agreeing_pair(loops, rows[-_MAX_COMPARED:], motions)
+        if 2 * disagrees[found].sum() > len(found):
+            first = int(np.minimum(loops.earlier[found], loops.later[found]).max())
+            last = int(np.maximum(loops.earlier[found], loops.later[found]).min())
+            contradicted[first + 1 : last + 1] |= problem.is_doubted[first + 1 : last + 1]
+    return replace(problem, is_doubted=contradicted)
+
+
 def without_weak_merges(problem: GraphProblem, loops: LoopEdges, kept: Bools) -> Bools:
-    """(L,) the loops kept, without those between chains that too few of them connect."""
+    """(L,) the loops kept, without those between parts that too few of them connect."""
     result = kept.copy()
-    apart = problem.chain[loops.earlier] != problem.chain[loops.later]
-    for rows in _by_pair(problem, loops, kept & apart):
+    for rows in _by_pair_of_parts(problem, loops, kept):
         if len(np.unique(loops.later[rows])) < _MIN_LOOPS:
             result[rows] = False
     return result
 
 
-def _by_pair(problem: GraphProblem, loops: LoopEdges, chosen: Bools) -> list[Ints]:
-    """Chosen loops by the pair of chains that they connect."""
-    pairs = np.sort(
-        np.stack([problem.chain[loops.earlier], problem.chain[loops.later]], axis=1), axis=1
-    )
+def _by_pair_of_parts(problem: GraphProblem, loops: LoopEdges, chosen: Bools) -> list[Ints]:
+    """Those of the chosen loops that connect two parts, by the pair of them."""
+    part = problem.part
+    pairs = np.sort(np.stack([part[loops.earlier], part[loops.later]], axis=1), axis=1)
+    between = chosen & (pairs[:, 0] != pairs[:, 1])
     return [
-        np.flatnonzero(chosen & (pairs == pair).all(axis=1))
-        for pair in np.unique(pairs[chosen], axis=0)
+        np.flatnonzero(between & (pairs == pair).all(axis=1))
+        for pair in np.unique(pairs[between], axis=0)
     ]
 
 
@@ -74,16 +105,27 @@ def worlds_of(problem: GraphProblem, loops: LoopEdges) -> Ints:
 
 
 def place_chains(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Floats:
-    """(n, 4, 4) first guess of all rows in the frames of their worlds."""
-    poses = motions.odom_from_cam
-    placed = {int(c): np.eye(4) for c in np.unique(worlds_of(problem, loops))}
-    earlier, later = problem.chain[loops.earlier].tolist(), problem.chain[loops.later].tolist()
-    ends = list(zip(earlier, later, strict=True))
+    """(n, 4, 4) first guess of all rows in the frames of their worlds.
+
+    A part of a chain that no loop connects is placed by the doubted motion beside it.
+    """
+    poses, part = motions.odom_from_cam, problem.part
+    _, first_row = np.unique(problem.chain, return_index=True)
+    first_part = dict(zip(problem.chain[first_row].tolist(), part[first_row].tolist(), strict=True))
+    placed = {first_part[int(c)]: np.eye(4) for c in np.unique(worlds_of(problem, loops))}
+    ends = list(zip(part[loops.earlier].tolist(), part[loops.later].tolist(), strict=True))
+    goes_on = (problem.chain[1:] == problem.chain[:-1]) & (part[1:] != part[:-1])
+    beside = [(int(p) - 1, int(p)) for p in part[1:][goes_on]]
     while True:
         half_placed = (n for n, (a, b) in enumerate(ends) if (a in placed) != (b in placed))
         n = next(half_placed, None)
         if n is None:
-            break
+            joined = next((p for p in beside if (p[0] in placed) != (p[1] in placed)), None)
+            if joined is None:
+                break
+            a, b = joined if joined[0] in placed else joined[::-1]
+            placed[b] = placed[a]
+            continue
         a, b = ends[n]
         at_earlier, at_later = poses[loops.earlier[n]], poses[loops.later[n]]
         relation = loops.relation[n]
@@ -91,4 +133,4 @@ def place_chains(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions)
             placed[b] = placed[a] @ at_earlier @ relation @ sim3.inverse(at_later)
         else:
             placed[a] = placed[b] @ at_later @ sim3.inverse(relation) @ sim3.inverse(at_earlier)
-    return np.stack([placed[int(c)] for c in problem.chain]) @ poses
+    return np.stack([placed[int(p)] for p in part]) @ poses

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from vo.places.records import Loop
 from vo.types import Bools, Floats, Ints
 
@@ -27,6 +29,7 @@ class GraphProblem:
             loaded maps and by an inertial sensor.
         covariance: (n, 6, 6) of the motion since the row before, in this camera's frame, NaN if
             unknown; ignored in the first row of a chain, and where keyframes are rigid.
+        is_doubted: (n,) whether that motion may be wrong by far more.
         loops: between them.
     """
 
@@ -38,7 +41,16 @@ class GraphProblem:
     odom_from_cam: Floats
     scale: Floats
     covariance: Floats
+    is_doubted: Bools
     loops: tuple[Loop, ...]
+
+    @property
+    def part(self) -> Ints:
+        """(n,) number of the part of each row: the rows of a chain between doubted motions."""
+        begins = self.is_doubted.copy()
+        begins[:1] = True
+        begins[1:] |= self.chain[1:] != self.chain[:-1]
+        return np.asarray(np.cumsum(begins) - 1)
 
 
 class Edges(NamedTuple):

@@ -11,6 +11,7 @@ from vo.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.backend.chain_worlds import (
     place_chains,
     plausible_loops,
+    with_contradicted_doubts,
     without_weak_merges,
     worlds_of,
 )
@@ -26,9 +27,10 @@ _log = logging.getLogger(__name__)
 def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
     """Place all keyframes in worlds, in this process.
 
-    Loops must agree with odometry, or, between chains, with each other. Of those that do the true
-    ones are found by graduated non-convexity, and all poses by least squares. The first keyframe of
-    the first chain of each world stays where it is.
+    Loops must agree with odometry, or, between chains, with each other; across doubted motions they
+    may contradict odometry as well. Of those that do the true ones are found by graduated
+    non-convexity, and all poses by least squares. The first keyframe of the first chain of each
+    world stays where it is.
 
     Raises:
         ValueError: a loop is between keyframes that are not in the graph.
@@ -42,6 +44,7 @@ def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
 
 
 def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
+    problem = with_contradicted_doubts(problem, loops)
     motions = ChainMotions(problem)
     kept = _true_loops(problem, loops, motions)
     chosen = loops.select(kept)
@@ -62,6 +65,19 @@ def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
         scale,
         in_world,
         tuple(loop for loop, is_kept in zip(problem.loops, kept, strict=True) if not is_kept),
+        _wrong_motions(problem, chosen),
+    )
+
+
+def _wrong_motions(problem: GraphProblem, loops: LoopEdges) -> tuple[PlaceKey, ...]:
+    """Keyframes that a doubted motion leads to, which accepted loops replace."""
+    ends = loops.earlier, loops.later
+    first, last = np.minimum(*ends), np.maximum(*ends)
+    inside = problem.chain[first] == problem.chain[last]
+    return tuple(
+        PlaceKey(int(problem.keys[n, 0]), int(problem.keys[n, 1]))
+        for n in np.flatnonzero(problem.is_doubted)
+        if (inside & (first < n) & (n <= last)).any()
     )
 
 

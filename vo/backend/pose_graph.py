@@ -28,6 +28,7 @@ class _Node:
     odom_from_cam: Floats
     scale: float
     covariance: Floats
+    is_doubted: bool = False
     is_inertial: bool = False
 
 
@@ -61,6 +62,7 @@ class PoseGraph:
             place.odom_from_cam,
             1.0,
             place.covariance,
+            place.is_doubted,
         )
 
     def add_map(self, placed: PlacedKeyframes, is_metric: Sequence[bool]) -> None:
@@ -104,6 +106,7 @@ class PoseGraph:
         for node in self._ordered():
             if carried is not None and carried.chain == node.chain:
                 node.covariance = _joined(carried, node)
+                node.is_doubted |= carried.is_doubted
             carried = node if node.key in gone else None
         for key in keys:
             if key in gone:
@@ -166,6 +169,7 @@ class PoseGraph:
             odom_from_cam=np.array([node.odom_from_cam for node in nodes]).reshape(-1, 4, 4),
             scale=np.array([node.scale for node in nodes]),
             covariance=np.array([node.covariance for node in nodes]).reshape(-1, 6, 6),
+            is_doubted=np.array([node.is_doubted for node in nodes], dtype=bool),
             loops=tuple(self._loops),
         )
 

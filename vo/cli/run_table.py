@@ -97,7 +97,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
 
 def _loops(loops: Sequence[ClosedLoop]) -> str:
     """How many keyframes see a place again, and how many segments this connects to others."""
-    joined = len({loop.segment for loop in loops if loop.joins})
+    joined = len({loop.segment for loop in loops if loop.joins and not loop.repairs})
     again = counted(len(loops), "keyframe") + " at known places"
     return f"{again}, {counted(joined, 'segment')} connected by them" if joined else again
 

@@ -70,6 +70,8 @@ class Keyframe:
         disparity: (n,) pixels, NaN without a measurement.
         sigma_px: (n,) standard deviation of xy.
         mask: (H, W) uint8, 0 where its image is not to be used, or None.
+        is_doubted: whether little of the map agreed with its pose, so that the motion since the
+            keyframe before may be wrong.
     """
 
     id: int
@@ -87,6 +89,7 @@ class Keyframe:
     disparity: Floats
     sigma_px: Floats
     mask: Bytes | None = None
+    is_doubted: bool = False
 
     def undistort(self, rig: RectifiedRig) -> None:
         """Compute ideal pixels anew, after the radial distortion was corrected."""

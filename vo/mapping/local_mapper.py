@@ -92,6 +92,8 @@ class LocalMapper:
         observed = tracked.observed
         free = far_from(frame.keypoints.xy, observed.image_xy)
         keyframe = self.add_keyframe_at(frame, tracked.world_from_cam, segment, free)
+        is_alone = frame.right is not None and tracked.lacks_disparities
+        keyframe.is_doubted = is_alone or tracked.is_hardly_confirmed or tracked.is_contradicted
         kept = tracked.inlier & (self._map.rows(tracked.ids) >= 0)
         ids = tracked.ids[kept]
         keyframe.add_observations(

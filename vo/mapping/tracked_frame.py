@@ -11,6 +11,14 @@ from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
 from vo.types import Bools, Floats, Ints
 
+# Of the landmarks in view, the ratio that clean recordings confirm at least once in any five
+# consecutive frames is 0.43 in the dark and 0.56 elsewhere; with something that fills 60 % of the
+# image it is 0.16 to 0.31. Of the landmarks found, at most 0.12 disagree in five frames.
+_MIN_CONFIRMED = 0.25
+_MAX_DISAGREEING = 0.25
+# Minimum ratio of landmarks with a disparity from which the right camera takes part.
+_MIN_MEASURED_RATIO = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Observations:
@@ -67,6 +75,23 @@ class TrackedFrame:
     def inlier_ratio(self) -> float:
         """Inliers among the landmarks that should be in the image."""
         return self.inliers / max(self.in_view, 1)
+
+    @property
+    def is_hardly_confirmed(self) -> bool:
+        """Whether few of the landmarks that should be in the image agree with the pose."""
+        return self.inlier_ratio < _MIN_CONFIRMED
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether many of the landmarks found disagree with the pose."""
+        found = len(self.observed)
+        return (found - self.inliers) / max(found, 1) > _MAX_DISAGREEING
+
+    @property
+    def lacks_disparities(self) -> bool:
+        """Whether hardly any of the inliers has a disparity."""
+        measured = np.isfinite(self.observed.disparity[self.inlier])
+        return bool(np.count_nonzero(measured) < _MIN_MEASURED_RATIO * len(measured))
 
     @property
     def median_disparity_px(self) -> float | None:

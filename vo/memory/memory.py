@@ -79,6 +79,7 @@ class Memory:
         self._inertial = inertial
         self._bundle = bundle
         self._adjusted: list[PlacedKeyframes] = []  # worlds after the adjustment
+        self._wrong: tuple[PlaceKey, ...] = ()  # see `PlacedKeyframes`
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
         self._frames: dict[PlaceKey, FrameId] = {}  # of keyframes in the graph
         self._stored = 0  # number of keyframes that were stored
@@ -246,10 +247,12 @@ class Memory:
         return {n: scales[world].value for n, world in worlds if world in scales}
 
     def _adjust(self, bundle: LoopBundle) -> None:
-        """Adjust the worlds with loops once more, by all observations."""
+        """Adjust the worlds with loops once more, by all observations, unless some are wrong."""
         loops = [self._loops[n] for n in sorted(self._closed)]
         worlds = {self._trajectory.store.world(self._frames[loop.later].segment) for loop in loops}
         session = self._maker.session
+        wrong = [self._frames[key].segment for key in self._wrong if key in self._frames]
+        worlds -= {self._trajectory.store.world(segment) for segment in wrong}
         for world in sorted(worlds - set(self._worlds.met)):
             placed = bundle.adjusted(self._trajectory.placed(world, session), loops)
             if placed is not None:
@@ -321,6 +324,7 @@ class Memory:
         placed = self._graph.result()
         assert self._submitted is not None
         loops = self._loops[: self._submitted]
+        self._wrong = placed.wrong
         self._placed_loops, self._submitted, self._due_frame = self._submitted, None, None
         rejected = {(loop.earlier, loop.later) for loop in placed.rejected}
         accepted = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
@@ -340,7 +344,8 @@ class Memory:
         placer = self._trajectory if self._inertial is None else self._inertial.placement
         placer.place(connected, self._maker.session)
         for n in new:
-            self._closed[n] = self._report(loops[n], before[n], is_merge=apart[n])
+            moved = None if apart[n] else correction_of(before[n], self._pose(loops[n].later))
+            self._closed[n] = closed_loop(loops[n], self._ends(loops[n]), moved, placed.wrong)
         self._unmarked = [n for n in self._unmarked if n in self._closed] + new
         self._relocalisations = [r for r in self._relocalisations if not self._is_apart(r.segment)]
         if was_apart and not self._is_apart(self._segment):
@@ -357,10 +362,6 @@ class Memory:
         loop = self._loops[newest]
         correction = correction_of(before[newest], self._pose(loop.later))
         return relocalisation(self._ends(loop), loop.inliers, len(joining), correction)
-
-    def _report(self, loop: Loop, before: Floats, *, is_merge: bool) -> ClosedLoop:
-        correction = None if is_merge else correction_of(before, self._pose(loop.later))
-        return closed_loop(self._ends(loop), loop.inliers, correction)
 
     def _ends(self, loop: Loop) -> LoopEnds:
         known = self._worlds.frame(loop.earlier)

@@ -100,6 +100,7 @@ class PlaceMaker:
             thumbnail=cv2.resize(
                 image, (thumbnail_width, thumbnail_height), interpolation=cv2.INTER_AREA
             ),
+            is_doubted=keyframe.is_doubted,
         )
 
     def _of_one_kind(

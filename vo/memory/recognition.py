@@ -71,6 +71,7 @@ class Recogniser:
         self._loaded = loaded
         self._localizes = localizes
         self._recent: deque[Place] = deque(maxlen=SUCCESSION)  # newest first, of one segment
+        self._doubted: list[PlaceKey] = []  # keyframes before which odometry may be wrong
         self._in_a_row = 0  # keyframes with loops
         self._last_found_ns = 0  # time of the last one of them
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
@@ -100,6 +101,7 @@ class Recogniser:
             if key in self._database:
                 self._database.remove(key)
         self._recent.clear()
+        self._doubted = [key for key in self._doubted if key not in keys]
 
     def check_savable(self, path: Path) -> None:
         """Check that keyframes of the run can be saved with those of the loaded map.
@@ -150,6 +152,8 @@ class Recogniser:
             self._recent.clear()
             self._in_a_row = 0
         self._recent.appendleft(place)
+        if place.is_doubted:
+            self._doubted.append(place.key)
         removed = () if self._localizes else self._database.add(place)
         stamp_ns = place.frame.stamp_ns
         pauses = self._in_a_row >= _STEADY and stamp_ns - self._last_found_ns < _PAUSE_NS
@@ -163,8 +167,9 @@ class Recogniser:
     def _find(self, later: Sequence[Place]) -> tuple[Loop, ...]:
         """Loops of the first of consecutive keyframes, newest first.
 
-        Odometry decides whether a place of its own segment is the right one. To another segment,
-        all places that look the same are needed: the pose graph refuses one that exists twice.
+        Odometry decides whether a place of its own segment is the right one. To another segment, or
+        where odometry is doubted, all places that look the same are needed: the pose graph refuses
+        one that exists twice.
         """
         for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
             earlier = self._database.get(candidate.key)
@@ -172,8 +177,7 @@ class Recogniser:
             if loop is None:
                 continue
             loops = [loop]
-            of_run = earlier.key.session == later[0].key.session
-            if not of_run or earlier.frame.segment != later[0].frame.segment:
+            if not self._is_connected(earlier, later[0]):
                 rivals = self._database.rivals(later[0], candidate.key)
                 also = (self._verified(later, self._database.get(rival.key)) for rival in rivals)
                 loops += [each for each in also if each is not None]
@@ -183,6 +187,13 @@ class Recogniser:
                 self._database.protect(later[0].key)
             return tuple(loops)
         return ()
+
+    def _is_connected(self, earlier: Place, later: Place) -> bool:
+        """Whether odometry that is not doubted leads from one keyframe to the other."""
+        of_run = earlier.key.session == later.key.session
+        if not of_run or earlier.frame.segment != later.frame.segment:
+            return False
+        return not any(earlier.key < key <= later.key for key in self._doubted)
 
     def _verified(self, later: Sequence[Place], earlier: Place) -> Loop | None:
         """The loop from the newest keyframe to an earlier one, None if they are other places."""

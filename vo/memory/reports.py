@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from vo.closed_loops import ClosedLoop, Relocalisation
 from vo.geometry.transforms import inverse, rotation_angle
 from vo.mapping.keyframe import FrameId
+from vo.places.records import Loop, PlaceKey
 from vo.types import Floats
 
 
@@ -33,16 +35,32 @@ def correction_of(before: Floats, after: Floats) -> tuple[float, float]:
     return float(np.linalg.norm(change[:3, 3])), math.degrees(rotation_angle(change[:3, :3]))
 
 
-def closed_loop(ends: LoopEnds, inliers: int, correction: tuple[float, float] | None) -> ClosedLoop:
-    """A loop that is accepted; it has no correction where it connects two worlds."""
-    kind = "merge" if correction is None else "loop"
+def closed_loop(
+    loop: Loop,
+    ends: LoopEnds,
+    correction: tuple[float, float] | None,
+    wrong: Collection[PlaceKey],
+) -> ClosedLoop:
+    """A loop that is accepted.
+
+    Args:
+        loop: the loop.
+        ends: its frames.
+        correction: of the later keyframe; None where the loop connects two worlds.
+        wrong: keyframes whose motion since the one before the loops have shown to be wrong.
+    """
+    kind = "loop"
+    if correction is None:
+        kind = "merge"
+    elif any(loop.earlier < key <= loop.later for key in wrong):
+        kind = "repair"
     return ClosedLoop(
         kind=kind if ends.session is None else "session",
         frame=ends.later.index,
         earlier_frame=ends.earlier.index,
         segment=ends.later.segment,
         earlier_segment=ends.earlier.segment,
-        inliers=inliers,
+        inliers=loop.inliers,
         corrected_from=None,
         correction_m=None if correction is None else correction[0],
         correction_deg=None if correction is None else correction[1],

@@ -55,6 +55,7 @@ def encode_place(place: Place) -> bytes:
             "keyframe": place.key.keyframe,
             "frame": [frame.index, frame.stamp_ns, frame.segment],
             "is_metric": place.is_metric,
+            **({"is_doubted": True} if place.is_doubted else {}),
             "arrays": listed,
         },
         separators=(",", ":"),
@@ -84,6 +85,7 @@ def decode_place(data: bytes) -> Place:
             frame=FrameId(*map(_whole, header["frame"])),
             is_metric=bool(header["is_metric"]),
             landmarks=landmarks,
+            is_doubted=bool(header.get("is_doubted", False)),
             **{n: arrays[n] for n in _PLACE_ARRAYS},
         )
     except (KeyError, TypeError, IndexError, AttributeError) as error:

@@ -238,6 +238,7 @@ class MapFile:
         self.placed = PlacedKeyframes(
             keys=tuple(self._parts),
             rejected=(),
+            wrong=(),
             **{name: placements[name].copy() for name in _PLACEMENT.names or ()},
         )
         self.loops = tuple(

@@ -73,6 +73,7 @@ class Place:
         descriptor: (N, width) of all its features, for place recognition.
         landmarks: those that it observes.
         thumbnail: (h, w) uint8, the image at a height of at most 120 pixels, to compare places.
+        is_doubted: whether that motion may be wrong by more than its covariance says.
     """
 
     key: PlaceKey
@@ -83,6 +84,7 @@ class Place:
     descriptor: Descriptors
     landmarks: PlaceLandmarks
     thumbnail: Bytes
+    is_doubted: bool = False
 
 
 class InertialPose(NamedTuple):
@@ -145,6 +147,7 @@ class PlacedKeyframes:
         scale: (n,) length in that unit of one unit of the keyframe's own segment.
         covariance: (n, 6, 6) in the camera's frame, NaN if unknown.
         rejected: loops that the graph takes for false.
+        wrong: keyframes whose motion since the one before loops have shown to be wrong.
     """
 
     keys: tuple[PlaceKey, ...]
@@ -153,3 +156,4 @@ class PlacedKeyframes:
     scale: Floats
     covariance: Floats
     rejected: tuple[Loop, ...]
+    wrong: tuple[PlaceKey, ...] = ()

@@ -73,7 +73,12 @@ def _world_warnings(summary: Summary) -> list[str]:
     warnings = []
     if len(summary.segments) > 1:
         warnings.append(f"{len(summary.segments)} segments, each in its own world frame")
-    if any(loop.joins for loop in summary.loops):
+    if any(loop.repairs for loop in summary.loops):
+        warnings.append(
+            "tracking was wrong in frames in which little of the map agreed, as loops show: the "
+            "path follows the loops, and is inaccurate there; compare with a run without --loops"
+        )
+    if any(loop.joins and not loop.repairs for loop in summary.loops):
         warnings.append(
             "parts of the path are joined only by what places look like; those that look alike, "
             "such as corridors, can be joined wrongly: compare with a run without --loops and --map"

@@ -9,11 +9,6 @@ from __future__ import annotations
 from vo.faults import Fault, FaultKind
 from vo.mapping.tracked_frame import TrackedFrame
 
-# Of the landmarks in view, the ratio that clean recordings confirm at least once in any five
-# consecutive frames is 0.43 in the dark and 0.56 elsewhere; with something that fills 60 % of the
-# image it is 0.16 to 0.31. Of the landmarks found, at most 0.12 disagree in five frames.
-_MIN_CONFIRMED = 0.25
-_MAX_DISAGREEING = 0.25
 _FRAMES = 5  # consecutive ones, since a blurred or dark frame confirms little as well
 
 
@@ -30,10 +25,8 @@ class MapAgreement:
 
     def update(self, tracked: TrackedFrame) -> tuple[Fault, ...]:
         """Faults of the next tracked frame."""
-        found = len(tracked.observed)
-        disagreeing = (found - tracked.inliers) / max(found, 1)
-        self._few = self._few + 1 if tracked.inlier_ratio < _MIN_CONFIRMED else 0
-        self._disagreeing = self._disagreeing + 1 if disagreeing > _MAX_DISAGREEING else 0
+        self._few = self._few + 1 if tracked.is_hardly_confirmed else 0
+        self._disagreeing = self._disagreeing + 1 if tracked.is_contradicted else 0
         if max(self._few, self._disagreeing) < _FRAMES:
             return ()
         return (Fault(FaultKind.TWO_MOTIONS, value=1.0 - tracked.inlier_ratio),)
