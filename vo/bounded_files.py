@@ -6,6 +6,7 @@ import errno
 import os
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
 MAX_TABLE_BYTES = 256 * 2**20  # 3 million poses
 MAX_LINE_BYTES = 100_000
@@ -22,24 +23,35 @@ def read_bytes(path: Path | str, max_bytes: int) -> bytes:
         OSError: it cannot be read, is a device, a pipe or a folder, is larger, or is a pointer of
             Git LFS.
     """
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > max_bytes:
+            reason = f"it has {size} bytes; at most {max_bytes} are read"
+            raise OSError(errno.EFBIG, reason, str(path))
+        # The buffer is made for all that is asked for, and some file systems state no size.
+        data = file.read(size or max_bytes)
+    if data.startswith(_LFS_POINTER):
+        raise OSError(errno.EINVAL, f"it {_LFS_REASON}", str(path))
+    return data
+
+
+def open_regular(path: Path | str) -> BinaryIO:
+    """A file that is open for reading, without waiting for the other end of a pipe.
+
+    Raises:
+        OSError: it cannot be read, or is a device, a pipe or a folder.
+    """
     number = os.open(path, os.O_RDONLY | _NO_WAITING)
     try:
-        info = os.fstat(number)
-        if stat.S_ISDIR(info.st_mode):
+        mode = os.fstat(number).st_mode
+        if stat.S_ISDIR(mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-        if not stat.S_ISREG(info.st_mode):
+        if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "it is a device or a pipe, not a file", str(path))
-        if info.st_size > max_bytes:
-            reason = f"it has {info.st_size} bytes; at most {max_bytes} are read"
-            raise OSError(errno.EFBIG, reason, str(path))
-        with open(number, "rb", closefd=False) as file:
-            # The buffer is made for all that is asked for, and some file systems state no size.
-            data = file.read(info.st_size or max_bytes)
-        if data.startswith(_LFS_POINTER):
-            raise OSError(errno.EINVAL, f"it {_LFS_REASON}", str(path))
-        return data
-    finally:
+        return open(number, "rb")
+    except BaseException:
         os.close(number)
+        raise
 
 
 def lfs_pointer_message(path: Path) -> str:

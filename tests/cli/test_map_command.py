@@ -14,8 +14,11 @@ from vo.places.records import PATCH_PX, Place, PlacedKeyframes, PlaceKey, PlaceL
 from vo.types import Camera
 
 
-def _map(path: Path) -> Path:
-    """Two keyframes; 2 of the 3 landmarks of the second are in the first too."""
+def _map(path: Path, *, is_metric: bool = True, metric_worlds: tuple[int, ...] = ()) -> Path:
+    """Two keyframes; 2 of the 3 landmarks of the second are in the first too.
+
+    They are in two worlds if one of these is said to be metric.
+    """
     keys = PlaceKey(0, 0), PlaceKey(0, 1)
     encoded = []
     for n, key in enumerate(keys):
@@ -30,16 +33,18 @@ def _map(path: Path) -> Path:
             patch=np.full((3, PATCH_PX, PATCH_PX), 100 + n, np.uint8),
         )
         place = Place(
-            *(key, FrameId(n, n, 0), True, np.eye(4), np.eye(6)),
+            *(key, FrameId(n, n, 0), is_metric, np.eye(4), np.eye(6)),
             *(np.zeros((4, 32), np.uint8), landmarks, np.zeros((4, 4), np.uint8)),
         )
         encoded.append((key, encode_place(place)))
     poses = np.stack([np.eye(4)] * 2)
     poses[1, 0, 3] = 5.0
+    worlds = np.array([0, len(metric_worlds)])
     placed = PlacedKeyframes(
-        keys, np.zeros(2, np.int64), poses, np.array([1.0, 2.0]), np.zeros((2, 6, 6)), ()
+        keys, worlds, poses, np.array([1.0, 2.0]), np.zeros((2, 6, 6)), rejected=()
     )
-    write_map(path, MapHeader(Camera(64, 48, 50, 50, 32, 24), "ab", ("house",)), encoded, placed)
+    camera = Camera(64, 48, 50, 50, 32, 24)
+    write_map(path, MapHeader(camera, "ab", ("house",), metric_worlds), encoded, placed)
     return path
 
 
@@ -48,8 +53,20 @@ def test_info_lists_what_is_in_a_map(tmp_path: Path) -> None:
     result = json.loads(done.stdout)
     assert done.exit_code == 0
     assert (result["keyframes"], result["loops"], result["observations"]) == (2, 0, 6)
-    assert result["worlds"] == [{"world": 0, "keyframes": 2}]
+    assert result["worlds"] == [{"world": 0, "keyframes": 2, "length_unit": "m"}]
     assert result["sessions"] == ["house"]
+    assert result["metric_worlds"] == []
+
+
+def test_info_says_which_worlds_of_one_camera_are_in_metres(tmp_path: Path) -> None:
+    path = _map(tmp_path / "a.map", is_metric=False, metric_worlds=(1,))
+    done = CliRunner().invoke(app, ["map", "info", str(path), "--json"])
+    result = json.loads(done.stdout)
+    assert [row["length_unit"] for row in result["worlds"]] == ["map units", "m"]
+    assert result["metric_worlds"] == [1]
+    lines = CliRunner().invoke(app, ["map", "info", str(path)]).stdout.splitlines()
+    assert "world 0: 1 keyframes, lengths in map units" in lines
+    assert "world 1: 1 keyframes, lengths in m" in lines
 
 
 def test_export_writes_each_landmark_once(tmp_path: Path) -> None:

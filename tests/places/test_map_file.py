@@ -11,6 +11,7 @@ import pytest
 from place_samples import make_place, random_descriptors
 
 from vo.errors import OutputError, SourceError
+from vo.geometry.transforms import se3_exp
 from vo.places.encoding import decode_place, encode_place
 from vo.places.map_file import MapFile, MapHeader, write_map
 from vo.places.records import Loop, PlacedKeyframes
@@ -20,15 +21,16 @@ RANDOM = np.random.default_rng(3)
 PLACES = [make_place(n, random_descriptors(RANDOM, 40), segment=n // 3) for n in range(6)]
 KEYS = tuple(place.key for place in PLACES)
 HEADER = MapHeader(Camera(320, 240, 200.0, 201.0, 160.5, 120.5), "00e2", ("street", "room"))
+POSES = np.stack([se3_exp(tangent) for tangent in RANDOM.normal(size=(6, 6))])
 PLACED = PlacedKeyframes(
     KEYS,
     np.array([0, 0, 0, 1, 1, 1]),
-    RANDOM.normal(size=(6, 4, 4)),
+    POSES,
     RANDOM.uniform(0.5, 2, 6),
     np.full((6, 6, 6), np.nan),
     (),
 )
-LOOP = Loop(KEYS[0], KEYS[5], np.eye(4) * 1.5, 0.7, np.eye(7), 42)
+LOOP = Loop(KEYS[0], KEYS[5], POSES[2], 0.7, np.eye(7), 42)
 
 
 def _write(path: Path) -> Path:

@@ -134,7 +134,7 @@ def _print(result: dict[str, Any]) -> None:
     echo(f"{result['path']}: intact, {result['bytes'] / 1e6:.1f} MB")
     echo(f"sessions: {', '.join(result['sessions'])}")
     for row in result["worlds"]:
-        echo(f"world {row['world']}: {row['keyframes']} keyframes")
+        echo(f"world {row['world']}: {row['keyframes']} keyframes, lengths in {row['length_unit']}")
     echo(f"loops: {result['loops']}")
     echo(f"observations of landmarks: {result['observations']}")
     echo(f"camera: {result['camera']}, vocabulary {result['vocabulary']}")

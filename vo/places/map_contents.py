@@ -17,7 +17,12 @@ def map_contents(map_file: MapFile) -> dict[str, Any]:
         SourceError: a keyframe is damaged.
     """
     header = map_file.header
-    observations = sum(len(map_file.place(key).landmarks.id) for key in map_file.keys)
+    observations, metric = 0, set(header.metric_worlds)
+    for key, world in zip(map_file.keys, map_file.placed.world.tolist(), strict=True):
+        place = map_file.place(key)
+        observations += len(place.landmarks.id)
+        if place.is_metric:
+            metric.add(world)
     worlds, counts = np.unique(map_file.placed.world, return_counts=True)
     pairs = zip(worlds.tolist(), counts.tolist(), strict=True)
     return {
@@ -25,7 +30,15 @@ def map_contents(map_file: MapFile) -> dict[str, Any]:
         "bytes": map_file.path.stat().st_size,
         "sessions": list(header.sessions),
         "keyframes": len(map_file),
-        "worlds": [{"world": world, "keyframes": count} for world, count in pairs],
+        "worlds": [
+            {
+                "world": world,
+                "keyframes": count,
+                "length_unit": "m" if world in metric else "map units",
+            }
+            for world, count in pairs
+        ],
+        "metric_worlds": list(header.metric_worlds),
         "loops": len(map_file.loops),
         "observations": observations,
         "camera": f"{header.camera.width}x{header.camera.height}",

@@ -19,9 +19,19 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from vo.bounded_documents import load_json
+from vo.bounded_files import open_regular
 from vo.errors import OutputError, SourceError
 from vo.formats.complete_file import complete_file
 from vo.places.encoding import decode_place
+from vo.places.map_checks import (
+    MAX_NUMBER,
+    check_place,
+    check_poses,
+    ideal_camera,
+    listed,
+    number,
+    text,
+)
 from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
 from vo.types import Camera
 
@@ -150,7 +160,7 @@ class MapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = path.open("rb")
+            self._file = open_regular(path)
         except OSError as error:
             raise SourceError(f"cannot read the map {path}: {error.strerror}") from error
         try:
@@ -190,6 +200,7 @@ class MapFile:
         """A keyframe; errors as for `encoded`."""
         try:
             place = decode_place(self.encoded(key))
+            check_place(place)
         except ValueError as error:
             raise self._damaged() from error
         if place.key != key:
@@ -223,18 +234,24 @@ class MapFile:
             raise self._damaged() from error
 
     def _take(self, index: dict[str, Any]) -> None:
-        camera = dict(index["camera"])
-        camera["distortion"] = tuple(camera["distortion"])
-        sessions = tuple(str(name) for name in index["sessions"])
-        metric = tuple(int(world) for world in index.get("metric_worlds", ()))
-        self.header = MapHeader(Camera(**camera), str(index["vocabulary"]), sessions, metric)
-        self._parts = {PlaceKey(s, k): part for s, k, *part in index["keyframes"]}
+        self.header = MapHeader(
+            ideal_camera(index["camera"]),
+            text(index["vocabulary"]),
+            tuple(map(text, listed(index["sessions"]))),
+            tuple(map(number, listed(index.get("metric_worlds", [])))),
+        )
+        self._parts = {PlaceKey(number(s), number(k)): p for s, k, *p in index["keyframes"]}
+        if any(key.session >= len(self.header.sessions) for key in self._parts):
+            raise ValueError("a keyframe is of an unknown session")
         placements = np.frombuffer(self._read(index["placements"]), _PLACEMENT)
         if len(placements) != len(self._parts):
             raise ValueError("keyframes without placement")
+        check_poses(placements["world_from_cam"], placements["scale"])
         table = np.frombuffer(self._read(index["loops"]), _LOOP)
-        if not all(np.isfinite(placements[n]).all() for n in ("world_from_cam", "scale")):
-            raise ValueError("placements are not finite")
+        check_poses(table["earlier_from_later"], table["scale"])
+        for numbers in (placements["world"], table["earlier"], table["later"]):
+            if not ((numbers >= 0) & (numbers <= MAX_NUMBER)).all():
+                raise ValueError("a number of a world, session or keyframe is impossible")
         self.placed = PlacedKeyframes(
             keys=tuple(self._parts),
             rejected=(),
