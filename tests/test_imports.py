@@ -87,7 +87,7 @@ ALLOWED = {
     "vo.rendering": GROUND | {"vo.report", "vo.sources"},
     "vo.batch": GROUND
     | {"vo", "vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
-    "vo.warmup": GROUND | {"vo"},
+    "vo.warmup": GROUND | {"vo", "vo.inertial"},
     "vo.run_scale": GROUND | OUTER | {"vo.trajectory"},
     "vo.run_session": GROUND
     | OUTER

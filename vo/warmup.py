@@ -16,7 +16,9 @@ from vo.compiling import machine_code, store
 from vo.compiling.function import announce_compilation, compiled_here
 from vo.config import Config, load_config
 from vo.formats.png import decode_grey
-from vo.types import Bytes, Camera, Frame, Rig
+from vo.inertial.chain_solver import empty_equations, solve_chain
+from vo.inertial.preintegration import Interval, preintegrate, rotation_of
+from vo.types import Bytes, Camera, Frame, ImuNoise, Rig
 
 _PACKAGE = Path(__file__).parent
 _ROOMS_WITH_KERNELS = (
@@ -26,6 +28,7 @@ _ROOMS_WITH_KERNELS = (
     "formats",
     "frontend",
     "geometry",
+    "inertial",
     "learned",
     "mapping",
     "objects",
@@ -80,6 +83,7 @@ def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
         announce_compilation()
     for rig in _rigs():
         _run(make_odometry, rig)
+    _use_inertial_samples()
     _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
     decode_grey(packed.tobytes())
 
@@ -103,6 +107,17 @@ def _rigs() -> Iterator[Rig]:
     camera = Camera(columns, rows, _FOCAL_PX, _FOCAL_PX, *center, "radtan", _DISTORTION)
     yield Rig(camera, camera, cam1_from_cam0)
     yield Rig(camera)
+
+
+def _use_inertial_samples() -> None:
+    """Call what only a recording with inertial samples needs, with any values."""
+    zero = np.zeros(3)
+    interval = Interval(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros((2, 3)))
+    preintegrate(interval, zero, zero, ImuNoise(1e-3, 1e-5, 1e-2, 1e-4))
+    rotation_of(interval, zero)
+    equations = empty_equations(2, 1)
+    equations.before[:] = 1.0
+    solve_chain(equations)
 
 
 def _frames(stereo: bool) -> Iterator[Frame]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.compiling.function import NO_REFCOUNT, compiled
 from vo.types import Floats
 
 
@@ -58,36 +59,94 @@ def solve_chain(equations: Equations) -> ChainSolution:
     Source: Särkkä, "Bayesian Filtering and Smoothing", 2013, sec. 8.2 (the recursions backwards
     give the marginal covariances).
     """
-    reduced, right = equations.before.copy(), equations.gradient_before.copy()
-    coupling = equations.coupling
-    count, width = right.shape
-    gains, inverses = np.empty_like(coupling), np.empty_like(reduced)
+    parts = equations.before, equations.after, equations.coupling
+    gradients = equations.gradient_before, equations.gradient_after
+    is_determined, *solution = _solved(*(np.ascontiguousarray(a) for a in (*parts, *gradients)))
+    if not is_determined:
+        raise np.linalg.LinAlgError("not positive definite")
+    return ChainSolution(*solution)
+
+
+@compiled
+def _solved(before, after, coupling, gradient_before, gradient_after):  # type: ignore[no-untyped-def]
+    """Whether the equations determine all states, and the fields of `ChainSolution`."""
+    count, width = gradient_before.shape
+    reduced, right = before.copy(), gradient_before.copy()
+    covariance, step = np.zeros(before.shape), np.zeros((count, width))
+    gains = np.zeros(coupling.shape)
+    whole, lower = np.empty((width, width)), np.empty((width, width))
+    carried, scale = np.empty((width, width)), np.empty(width)
     for k in range(count):
-        whole = reduced[k] + equations.after[k]
-        inverses[k] = _inverse(whole)
+        for i in range(width):
+            for j in range(width):
+                whole[i, j] = reduced[k, i, j] + after[k, i, j]
+        if not _invert(whole, scale, lower, covariance[k]):
+            return False, step, covariance, reduced, right
         if k + 1 < count:
-            gains[k] = inverses[k] @ coupling[k]
-            reduced[k + 1] -= coupling[k].T @ gains[k]
-            right[k + 1] -= gains[k].T @ (right[k] + equations.gradient_after[k])
-    step, covariance = np.zeros((count, width)), inverses.copy()
+            _add_product(covariance[k], coupling[k], gains[k])
+            for i in range(width):
+                for m in range(width):
+                    for j in range(width):
+                        reduced[k + 1, m, j] -= coupling[k, i, m] * gains[k, i, j]
+                for m in range(width):
+                    right[k + 1, m] -= gains[k, i, m] * (right[k, i] + gradient_after[k, i])
     for k in range(count - 1, -1, -1):
-        step[k] = -inverses[k] @ (right[k] + equations.gradient_after[k])
+        for i in range(width):
+            for j in range(width):
+                step[k, i] -= covariance[k, i, j] * (right[k, j] + gradient_after[k, j])
         if k + 1 < count:
-            step[k] -= gains[k] @ step[k + 1]
-            covariance[k] += gains[k] @ covariance[k + 1] @ gains[k].T
-    return ChainSolution(step, covariance, reduced, right)
+            for i in range(width):
+                for j in range(width):
+                    step[k, i] -= gains[k, i, j] * step[k + 1, j]
+                    carried[i, j] = 0.0
+                    whole[j, i] = gains[k, i, j]
+            _add_product(gains[k], covariance[k + 1], carried)
+            _add_product(carried, whole, covariance[k])
+    return True, step, covariance, reduced, right
 
 
-def _inverse(matrix: Floats) -> Floats:
+@compiled(fastmath={"contract"}, **NO_REFCOUNT)
+def _add_product(a, b, result):  # type: ignore[no-untyped-def]
+    """Add the product of two square matrices."""
+    for i in range(len(a)):
+        for k in range(len(a)):
+            factor = a[i, k]
+            for j in range(len(a)):
+                result[i, j] += factor * b[k, j]
+
+
+@compiled(**NO_REFCOUNT)
+def _invert(matrix, scale, lower, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a positive definite matrix, by a scaling that equalises its units.
 
-    Raises:
-        numpy.linalg.LinAlgError: it is not positive definite.
+    `matrix`, `scale` and `lower` are changed. Whether it is positive definite.
     """
-    scale = np.diag(matrix).copy()
-    if not (scale > 0).all():
-        raise np.linalg.LinAlgError("not positive definite")
-    scale = 1.0 / np.sqrt(scale)
-    scaled = matrix * scale[:, None] * scale
-    lower = np.linalg.inv(np.linalg.cholesky(0.5 * (scaled + scaled.T)))
-    return np.asarray((lower.T @ lower) * scale[:, None] * scale)
+    width = len(matrix)
+    for i in range(width):
+        if not matrix[i, i] > 0.0:
+            return False
+        scale[i] = 1.0 / np.sqrt(matrix[i, i])
+    for i in range(width):  # Cholesky
+        for j in range(i + 1):
+            rest = 0.5 * (matrix[i, j] + matrix[j, i]) * scale[i] * scale[j]
+            for k in range(j):
+                rest -= lower[i, k] * lower[j, k]
+            if i > j:
+                lower[i, j] = rest / lower[j, j]
+            elif rest > 0.0:
+                lower[i, i] = np.sqrt(rest)
+            else:
+                return False
+    for j in range(width):  # its inverse, in `matrix`
+        for i in range(j, width):
+            rest = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                rest -= lower[i, k] * matrix[k, j]
+            matrix[i, j] = rest / lower[i, i]
+    for i in range(width):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, width):
+                total += matrix[k, i] * matrix[k, j]
+            inverse[i, j] = inverse[j, i] = total * scale[i] * scale[j]
+    return True

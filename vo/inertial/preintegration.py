@@ -1,8 +1,8 @@
 """Preintegration of inertial samples between two times.
 
-All sums are over the samples of one interval, in the frame of the sensor at its start.
-Source: Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", 2017,
-sec. VI; the sums over samples replace its recursions.
+All sums are over the samples of one interval, in the frame of the sensor at its start
+(`sample_kernels.py`). Source: Forster et al., "On-manifold preintegration for real-time
+visual-inertial odometry", 2017, sec. VI; the sums over samples replace its recursions.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vo.geometry import so3
-from vo.geometry.transforms import skew
+from vo.inertial.sample_kernels import integrated, turned
 from vo.types import Floats, ImuNoise
 
 # Errors of interpolation and integration in each interval, which no noise density contains.
@@ -69,71 +68,30 @@ def preintegrate(
     interval: Interval, gyro_bias: Floats, accel_bias: Floats, noise: ImuNoise
 ) -> Preintegrated:
     """Integrate the samples of an interval; rates and forces are linear between samples."""
-    seconds = interval.seconds
-    dt, total = np.diff(seconds), float(seconds[-1])
-    rate = 0.5 * (interval.gyro[1:] + interval.gyro[:-1]) - gyro_bias
-    turns = so3.exp(rate * dt[:, None])
-    rotations = so3.running_products(turns)
-    force = np.einsum("nij,nj->ni", rotations, interval.accel - accel_bias)
-    step = dt[:, None]
-    velocity = _running_sum(0.5 * (force[:-1] + force[1:]) * step)
-    moved = velocity[:-1] * step + (2.0 * force[:-1] + force[1:]) * step**2 / 6.0
-    position = _running_sum(moved)
-    left = (total - seconds[1:])[:, None]  # time after each step
-    later_velocity = velocity[-1] - velocity[1:] + 0.5 * force[1:] * step
-    later_position = position[-1] - position[1:] - velocity[1:] * left
-    later_position += force[1:] * (step**2 / 6.0 + 0.5 * step * left)
-    # Effects (9, 3) on the result of an error in the rate of each step, and in each force.
-    turned = rotations[1:] @ so3.right_jacobian(rate * step) * dt[:, None, None]
-    end = rotations[-1]
-    of_rate = np.concatenate(
-        [-end.T @ turned, skew(later_velocity) @ turned, skew(later_position) @ turned], axis=1
+    total = interval.duration_s
+    rotation, velocity, position, jacobian, covariance = integrated(
+        np.ascontiguousarray(interval.seconds),
+        np.ascontiguousarray(interval.gyro),
+        np.ascontiguousarray(interval.accel),
+        np.ascontiguousarray(gyro_bias),
+        np.ascontiguousarray(accel_bias),
+        noise.gyro_noise**2,
+        noise.accel_noise**2,
     )
-    in_velocity, in_position = _force_weights(dt, seconds, total)
-    of_force = np.zeros((len(seconds), 9, 3))
-    of_force[:, 3:6] = -rotations * in_velocity[:, None, None]
-    of_force[:, 6:9] = -rotations * in_position[:, None, None]
-    covariance = _weighted(of_rate, noise.gyro_noise**2 / dt)
-    covariance += _weighted(of_force, noise.accel_noise**2 / in_velocity)
     covariance += _walk_covariance(noise, total)
     return Preintegrated(
-        total,
-        end,
-        velocity[-1],
-        position[-1],
-        np.concatenate([of_rate.sum(axis=0), of_force.sum(axis=0)], axis=1),
-        covariance,
-        gyro_bias,
-        accel_bias,
+        *(total, rotation, velocity, position, jacobian, covariance, gyro_bias, accel_bias)
     )
 
 
 def rotation_of(interval: Interval, gyro_bias: Floats) -> Floats:
     """(3, 3) start_from_end of an interval, by its rates alone."""
-    rate = 0.5 * (interval.gyro[1:] + interval.gyro[:-1]) - gyro_bias
-    turns = so3.exp(rate * np.diff(interval.seconds)[:, None])
-    return np.asarray(so3.running_products(turns)[-1])
-
-
-def _running_sum(steps: Floats) -> Floats:
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-
-
-def _force_weights(dt: Floats, seconds: Floats, total: float) -> tuple[Floats, Floats]:
-    """Weights (n + 1,) of each force in the final velocity and position."""
-    after = total - seconds[1:]
-    in_velocity, in_position = np.zeros((2, len(seconds)))
-    in_velocity[:-1] += 0.5 * dt
-    in_velocity[1:] += 0.5 * dt
-    in_position[:-1] += dt**2 / 3.0 + 0.5 * dt * after
-    in_position[1:] += dt**2 / 6.0 + 0.5 * dt * after
-    return in_velocity, in_position
-
-
-def _weighted(effects: Floats, variance: Floats) -> Floats:
-    """Sum of the covariances of effects (n, 9, 3) of independent errors."""
-    scaled = effects * variance[:, None, None]
-    return np.asarray(np.einsum("nij,nkj->ik", scaled, effects))
+    rotation: Floats = turned(
+        np.ascontiguousarray(interval.seconds),
+        np.ascontiguousarray(interval.gyro),
+        np.ascontiguousarray(gyro_bias),
+    )
+    return rotation
 
 
 def _walk_covariance(noise: ImuNoise, duration_s: float) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -124,7 +124,7 @@ class SampleReader:
         self._begin = self._end = 0
         self._ends = (0, 0)
         self._interval: Interval | None = None  # between these
-        self._samples: Samples | None = None
+        self._block: _Block | None = None
 
     def between(self, first_ns: int, last_ns: int) -> Interval | None:
         """Samples from the time of an image to a later one; None where samples are missing."""
@@ -137,32 +137,40 @@ class SampleReader:
         return self._interval
 
     def _read(self, first_ns: int, last_ns: int) -> Interval | None:
-        samples = self._block(first_ns, last_ns)
-        stamps = samples.stamps_ns
-        begin = int(np.searchsorted(stamps, first_ns, side="right")) - 1
-        end = int(np.searchsorted(stamps, last_ns, side="left"))
+        block = self._block_of(first_ns, last_ns)
+        stamps = block.stamps_ns
+        begin = int(stamps.searchsorted(first_ns, side="right")) - 1
+        end = int(stamps.searchsorted(last_ns, side="left"))
         if begin < 0 or end >= len(stamps):
             return None
-        if int(np.diff(stamps[begin : end + 1]).max(initial=0)) > _MAX_GAP_S * 1e9:
+        around, values = stamps[begin : end + 1], block.values[begin : end + 1]
+        if int((around[1:] - around[:-1]).max()) > _MAX_GAP_S * 1e9:
             return None
-        inner = slice(begin + 1, end)
-        times = np.concatenate([[first_ns], stamps[inner], [last_ns]])
-        values = np.concatenate([samples.gyro[begin : end + 1], samples.accel[begin : end + 1]], 1)
-        around = stamps[begin : end + 1]
-        ends = [_interpolated(around, values, at) for at in (first_ns, last_ns)]
-        rows = np.concatenate([ends[:1], values[1:-1], ends[1:]])
-        return Interval(1e-9 * (times - first_ns), rows[:, :3], rows[:, 3:])
+        rows = values.copy()
+        rows[0] = _interpolated(around[:2], values[:2], first_ns)
+        rows[-1] = _interpolated(around[-2:], values[-2:], last_ns)
+        seconds: Floats = 1e-9 * (around - first_ns).astype(np.float64)
+        seconds[0], seconds[-1] = 0.0, 1e-9 * (last_ns - first_ns)
+        return Interval(seconds, rows[:, :3], rows[:, 3:])
 
-    def _block(self, first_ns: int, last_ns: int) -> Samples:
-        if self._samples is None or first_ns < self._begin or last_ns > self._end:
+    def _block_of(self, first_ns: int, last_ns: int) -> _Block:
+        if self._block is None or first_ns < self._begin or last_ns > self._end:
             self._begin, self._end = first_ns, max(last_ns, first_ns + _BLOCK_NS)
-            self._samples = self._sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
-        return self._samples
+            read = self._sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
+            values = np.concatenate([read.gyro, read.accel], axis=1)
+            self._block = _Block(read.stamps_ns, values)
+        return self._block
+
+
+class _Block(NamedTuple):
+    """Samples that were read together: times (n,), and rates and forces (n, 6)."""
+
+    stamps_ns: Ints
+    values: Floats
 
 
 def _interpolated(stamps_ns: Ints, values: Floats, at_ns: int) -> Floats:
-    """(6,) values at a time, linear between the samples beside it."""
-    after = int(np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1))
-    begin, end = int(stamps_ns[after - 1]), int(stamps_ns[after])
+    """(6,) values at a time, linear between two samples (2, 6)."""
+    begin, end = stamps_ns.tolist()
     fraction = (at_ns - begin) / (end - begin)
-    return np.asarray(values[after - 1] + fraction * (values[after] - values[after - 1]))
+    return np.asarray(values[0] + fraction * (values[1] - values[0]))

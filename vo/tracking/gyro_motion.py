@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.geometry import so3
+from vo.geometry.transforms import so3_log
 from vo.inertial.preintegration import rotation_of
 from vo.inertial.samples import SampleReader
 from vo.tracking.motion_model import ConstantVelocity
@@ -39,6 +39,7 @@ class GyroMotion:
         self._count = 0
         self._turned = self._missed = 0.0  # sums of squared rates by images, and of differences
         self._predicted: tuple[int, Floats] | None = None
+        self._turned_until: tuple[int, Floats | None] | None = None  # since the newest frame
 
     @property
     def last(self) -> Floats:
@@ -53,7 +54,8 @@ class GyroMotion:
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Begin at a pose of unknown velocity."""
         self._visual.restart(stamp_ns, world_from_cam)
-        self._stamp_ns, self._velocity, self._predicted = stamp_ns, None, None
+        self._stamp_ns, self._velocity = stamp_ns, None
+        self._predicted = self._turned_until = None
 
     def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Add the pose of a newly tracked frame."""
@@ -63,7 +65,7 @@ class GyroMotion:
             self._velocity = (world_from_cam[:3, 3] - before[:3, 3]) / elapsed_s
             self._learn_bias(last_ns, stamp_ns, before[:3, :3].T @ world_from_cam[:3, :3])
         self._visual.update(stamp_ns, world_from_cam)
-        self._stamp_ns, self._predicted = stamp_ns, None
+        self._stamp_ns, self._predicted, self._turned_until = stamp_ns, None, None
 
     def move(self, motion: Floats) -> None:
         """Follow the newest frame, which optimisation has moved by (4, 4) in the world."""
@@ -76,31 +78,33 @@ class GyroMotion:
         """Pose at a later time."""
         if self._predicted is not None and self._predicted[0] == stamp_ns:
             return self._predicted[1]
-        pose = self._visual.predict(stamp_ns)
+        pose = None
         if self.is_trusted and self._velocity is not None and self._stamp_ns is not None:
             turn = self._turn(self._stamp_ns, stamp_ns)
             if turn is not None:
                 pose = self._visual.last.copy()
                 pose[:3, :3] = pose[:3, :3] @ turn
                 pose[:3, 3] += self._velocity * (1e-9 * (stamp_ns - self._stamp_ns))
+        if pose is None:
+            pose = self._visual.predict(stamp_ns)
         self._predicted = stamp_ns, pose
         return pose
 
     def _turn(self, first_ns: int, last_ns: int) -> Floats | None:
-        """(3, 3) first_from_last of the camera; None without samples."""
-        interval = self._reader.between(first_ns, last_ns)
-        if interval is None:
-            return None
-        turn = rotation_of(interval, self._bias)
-        return np.asarray(self._imu_from_cam.T @ turn @ self._imu_from_cam)
+        """(3, 3) first_from_last of the camera since the newest frame; None without samples."""
+        if self._turned_until is None or self._turned_until[0] != last_ns:
+            interval, turn = self._reader.between(first_ns, last_ns), None
+            if interval is not None:
+                turn = self._imu_from_cam.T @ rotation_of(interval, self._bias) @ self._imu_from_cam
+            self._turned_until = last_ns, turn
+        return self._turned_until[1]
 
     def _learn_bias(self, first_ns: int, last_ns: int, visual: Floats) -> None:
         turn = self._turn(first_ns, last_ns)
         if turn is None:
             return
         per_s = 1e9 / (last_ns - first_ns)
-        off = so3.log((visual.T @ turn)[None])[0] * per_s
-        rate = so3.log(visual[None])[0] * per_s
+        off, rate = so3_log(visual.T @ turn) * per_s, so3_log(visual) * per_s
         self._turned = _FORGETTING * self._turned + float(rate @ rate)
         self._missed = _FORGETTING * self._missed + float(off @ off)
         self._count = min(self._count + 1, _MEMORY)

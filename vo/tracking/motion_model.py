@@ -41,7 +41,8 @@ class ConstantVelocity:
     def __init__(self) -> None:
         self._stamp_ns = 0
         self._world_from_cam: Floats = np.eye(4)
-        self._twist_per_s: Floats | None = None
+        # Motion (4, 4) to the newest pose from the one before it, and its time; None if unknown.
+        self._moved: tuple[Floats, float] | None = None
         self._predicted: tuple[int, Floats] | None = None  # newest prediction and its time
 
     @property
@@ -52,14 +53,13 @@ class ConstantVelocity:
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Begin at a pose of unknown velocity."""
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
-        self._twist_per_s = self._predicted = None
+        self._moved = self._predicted = None
 
     def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Add the pose of a newly tracked frame."""
         elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
         if elapsed_s > 0:
-            moved = se3_log(inverse(self._world_from_cam) @ world_from_cam)
-            self._twist_per_s = moved / elapsed_s
+            self._moved = inverse(self._world_from_cam) @ world_from_cam, elapsed_s
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
         self._predicted = None
 
@@ -70,10 +70,12 @@ class ConstantVelocity:
 
     def predict(self, stamp_ns: int) -> Floats:
         """Pose at a later time."""
-        if self._twist_per_s is None:
+        if self._moved is None:
             return self._world_from_cam
         if self._predicted is None or self._predicted[0] != stamp_ns:  # asked for several times
+            moved, before_s = self._moved
             elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
-            pose = np.asarray(self._world_from_cam @ se3_exp(self._twist_per_s * elapsed_s))
+            twist = se3_log(moved) / before_s * elapsed_s
+            pose = np.asarray(self._world_from_cam @ se3_exp(twist))
             self._predicted = stamp_ns, pose
         return self._predicted[1]
