@@ -53,6 +53,18 @@ def test_a_place_seen_again_is_the_first_candidate() -> None:
             assert [c.score for c in candidates[1:]] <= [candidates[0].score] * 4
 
 
+def test_long_stretches_that_look_alike_do_not_hide_the_place() -> None:
+    """Doors and walls of a corridor are the same everywhere, the rest of a place is its own."""
+    walls, *rest = _scenes(104)
+    scenes = [np.concatenate([walls, own]) for own in rest]
+    with KeyframeDatabase(VOCABULARY) as database:
+        for n, scene in enumerate(scenes):
+            database.add(make_place(n, scene, segment=0 if n < 3 else 1 + (n - 3) // 20))
+        found = database.query(_seen_again(scenes[1], 1))
+        assert len(found) == 5 and found[0].key == PlaceKey(0, 1)
+        assert found[0].score > 1.2 * found[1].score
+
+
 def test_neighbours_and_covisible_keyframes_are_no_candidates() -> None:
     scenes = _scenes(1) * 40
     with KeyframeDatabase(VOCABULARY) as database:

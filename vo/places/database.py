@@ -237,7 +237,11 @@ class KeyframeDatabase:
         return np.concatenate([[number], near, direct, further])
 
     def _groups(self, ratio: Floats32) -> list[Candidate]:
-        """The best keyframe of each group of consecutive ones, by the sum of a group's scores."""
+        """The best keyframe of each group of consecutive ones, in order of their scores.
+
+        In DBoW2 the sum of a group's scores counts: where much looks alike, as in a corridor, a
+        whole segment is one group, and the longest comes first.
+        """
         numbers = np.flatnonzero(ratio >= _MIN_RATIO)
         if not len(numbers):
             return []
@@ -245,10 +249,9 @@ class KeyframeDatabase:
         segment = self._segment[numbers]
         ends = (np.diff(rank) > _GROUP_GAP) | (np.diff(segment) != 0)
         groups = np.split(numbers, np.flatnonzero(ends) + 1)
-        sums = [-float(ratio[group].sum(dtype=np.float64)) for group in groups]
         best = [int(group[np.argmax(ratio[group])]) for group in groups]
-        order = sorted(range(len(groups)), key=lambda n: (sums[n], n))[:_MAX_CANDIDATES]
-        return [Candidate(self._keys[best[n]], float(ratio[best[n]])) for n in order]
+        best.sort(key=lambda number: (-float(ratio[number]), number))
+        return [Candidate(self._keys[n], float(ratio[n])) for n in best[:_MAX_CANDIDATES]]
 
     def _remove_redundant(self, number: int) -> tuple[PlaceKey, ...]:
         """Remove keyframes that became redundant with a new one: some of its covisible ones.
