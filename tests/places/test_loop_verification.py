@@ -115,6 +115,21 @@ def test_exact_landmarks_give_the_exact_relation(metric: bool, unit: float) -> N
     assert loop.inliers > 100
 
 
+@pytest.mark.parametrize(("metric", "unit"), [(True, 1.0), (False, 2.5)])
+@pytest.mark.parametrize("aside", [0.0, 0.001])
+def test_a_camera_that_is_back_at_the_very_same_point_knows_the_scale(
+    metric: bool, unit: float, aside: float
+) -> None:
+    shift = np.array([0.0, 0.0, 0.0, aside, 0.0, 0.0, 0.0])
+    for seed in range(3):  # the images are the same at any scale, but the depths are not
+        world = World(seed)
+        visits = _visits(world, world, noise=1.0, unit=unit, metric=metric, shift=shift)
+        loop = LoopVerifier(1.44).verify(*visits, CAMERA)
+        assert isinstance(loop, Loop)
+        assert loop.scale * unit == pytest.approx(1.0, abs=0.01)
+        assert np.linalg.norm(loop.earlier_from_later[:3, 3]) < 0.01
+
+
 @pytest.mark.parametrize("metric", [True, False])
 def test_noise_stays_within_the_covariance(metric: bool) -> None:
     for seed in range(5):

@@ -17,6 +17,7 @@ _HUBER = 2.0
 _ITERATIONS = 10
 _MAX_LOG_SCALE = 5.0  # beyond, the pairs determine no scale
 _CONVERGED = 1e-4  # squared Mahalanobis length of a step
+_DEPTH_SIGMA = 0.05  # of the scale by the depths in both keyframes
 
 
 class LandmarkPairs(NamedTuple):
@@ -186,8 +187,9 @@ def refine_relation(
 ) -> Relation:
     """Minimise Huber-weighted reprojection errors in both images over the relation.
 
-    The uncertainty of each landmark's depth is part of its error. A relation whose scale diverges
-    has no information.
+    The uncertainty of each landmark's depth is part of its error. Two keyframes at one point have
+    the same image at any scale, so the ratio of depths is a weak observation of it. A relation
+    whose scale diverges has no information.
 
     Args:
         start: (4, 4) first guess of earlier_from_later.
@@ -198,6 +200,8 @@ def refine_relation(
     relation, size = start.copy(), 7 if with_scale else 6
     for _ in range(_ITERATIONS):
         normal, right, _ = _normal_equations(relation, pairs, cameras, np.inf)
+        normal[6, 6] += 1.0 / _DEPTH_SIGMA**2
+        right[6] -= _depth_ratio(relation, pairs) / _DEPTH_SIGMA**2
         step = np.zeros(7)
         damped = normal[:size, :size] + 1e-9 * np.diag(np.diag(normal)[:size] + 1e-9)
         step[:size] = np.linalg.solve(damped, right[:size])
@@ -208,7 +212,15 @@ def refine_relation(
         if step[:size] @ damped @ step[:size] < _CONVERGED:
             break
     normal, _, _ = _normal_equations(relation, pairs, cameras, 9.0)
+    normal[6, 6] += 1.0 / _DEPTH_SIGMA**2
     return Relation(relation, normal)
+
+
+def _depth_ratio(relation: Floats, pairs: LandmarkPairs) -> float:
+    """Logarithm of the ratio of distances from the earlier camera, the median of all pairs."""
+    moved = pairs.later @ relation[:3, :3].T + relation[:3, 3]
+    ratio = np.linalg.norm(moved, axis=1) / np.linalg.norm(pairs.earlier, axis=1)
+    return float(np.log(np.median(ratio)))
 
 
 def pair_errors(
