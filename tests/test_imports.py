@@ -30,7 +30,7 @@ OUTER = {
 FLOORS = (
     {"vo.frontend"},
     {"vo.learned"},
-    {"vo.mapping", "vo.features"},
+    {"vo.mapping", "vo.features", "vo.markers"},
     {"vo.places", "vo.inertial"},
     {"vo.tracking", "vo.backend", "vo.refinement"},
     {"vo.trajectory"},
@@ -88,7 +88,7 @@ ALLOWED = {
     "vo.batch": GROUND
     | {"vo", "vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
     "vo.warmup": GROUND | {"vo", "vo.inertial"},
-    "vo.run_scale": GROUND | OUTER | {"vo.trajectory"},
+    "vo.run_scale": GROUND | OUTER | {"vo.markers", "vo.trajectory"},
     "vo.run_session": GROUND
     | OUTER
     | {"vo.trajectory", "vo.odometry", "vo.progress", "vo.interrupts", "vo.run_scale"},

@@ -10,19 +10,20 @@ class ClosedLoop:
     """An accepted loop, and the correction that followed.
 
     Attributes:
-        kind: `loop` within a world, `merge` where it connected two segments, `repair` across frames
-            where odometry was doubted and loops contradict it, `session` to a keyframe of the
-            loaded map.
+        kind: `loop` within a world, `marker` by a marker within a world, `merge` where it connected
+            two segments, `repair` across frames where odometry was doubted and loops contradict it,
+            `session` to a keyframe of the loaded map.
         frame: number of the later keyframe's frame.
         earlier_frame: number of the earlier keyframe's frame, in the recording of its session.
         segment: of the later frame.
         earlier_segment: of the earlier frame.
-        inliers: landmarks that agree.
+        inliers: landmarks that agree; of a marker, keyframes that agree.
         corrected_from: first frame whose causal pose is corrected by it; None at the end of a run.
         correction_m: distance by which the later keyframe was moved in the map frame, in metres, or
             in units of the map; None for what connected two worlds.
         correction_deg: angle by which it was turned; None for what connected two worlds.
         earlier_session: number of the session in the loaded map; None for the run itself.
+        marker: id of the marker that was seen again, None if the place was recognised.
     """
 
     kind: str
@@ -35,11 +36,12 @@ class ClosedLoop:
     correction_m: float | None
     correction_deg: float | None
     earlier_session: int | None = None
+    marker: int | None = None
 
     @property
     def joins(self) -> bool:
         """Whether it joins what only the look of places connects: no odometry speaks for it."""
-        return self.kind != "loop"
+        return self.kind not in ("loop", "marker")
 
     @property
     def repairs(self) -> bool:

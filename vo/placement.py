@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.errors import OutputError
 from vo.inertial_use import InertialUse
 from vo.mapping.local_map import LocalMap
+from vo.markers.marker_problem import MarkerView
 from vo.metric_scale import MetricScale
 from vo.trajectory.store import TrajectoryStore
 from vo.types import Trajectory
@@ -51,6 +52,11 @@ class Placement:
         """What became of the inertial sensor, None without one."""
         return None if self._inertial is None else self._inertial.use
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user about markers that close no loops."""
+        return () if self._memory is None else self._memory.markers.notes
+
     def is_metric(self, segment: int) -> bool:
         """Whether a sensor or the loaded map gives lengths of a segment of one camera the metre."""
         if self._memory is not None and self._memory.is_metric(segment):
@@ -63,6 +69,19 @@ class Placement:
             self._inertial.begin_frame(local_map)
         if self._memory is not None:
             self._memory.begin_frame(index, segment, local_map)
+
+    def see_markers(
+        self, frame_index: int, views: Sequence[MarkerView], repeated: Sequence[int]
+    ) -> None:
+        """After a frame was tracked: the markers that it shows.
+
+        Args:
+            frame_index: number of the frame.
+            views: of markers whose id it shows once.
+            repeated: ids that it shows several times.
+        """
+        if self._memory is not None:
+            self._memory.markers.see(frame_index, views, repeated)
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from vo.markers.marker_problem import MarkerView
 from vo.metric_scale import MetricScale, ScaleFindings, choose_scales
 from vo.recording.recorder import MarkerRecorder, Recorder, ScaledRecorder
 from vo.scaling.creation import ScaleSources
@@ -39,8 +40,17 @@ class RunScale:
         for source in self._sources.all:
             source.observe(estimate, snapshot)
 
-    def apply(self, store: TrajectoryStore, folder: Path) -> None:
+    def newest_markers(self) -> tuple[Sequence[MarkerView], Sequence[int]]:
+        """Markers in the newest frame, and ids that it shows twice; none if it was not searched."""
+        return ((), ()) if self._sources.markers is None else self._sources.markers.newest
+
+    def apply(self, store: TrajectoryStore, folder: Path, known: Sequence[str] = ()) -> None:
         """Measure, convert the path, and write the files of markers and globe.
+
+        Args:
+            store: the path.
+            folder: of the results.
+            known: sentences for the user beside those of the sources.
 
         Raises:
             OutputError: one of them cannot be written.
@@ -53,7 +63,7 @@ class RunScale:
         self.findings = choose_scales(measured)
         if self.by_world:
             store.apply_scales(self.by_world)
-        notes: list[str] = []
+        notes = list(known)
         if self._sources.markers is not None:
             self._sources.markers.write(folder, self.by_world)
             new = self._sources.markers.new_worlds(self.by_world)

@@ -272,7 +272,8 @@ class RunSession:
             )
 
     def _apply_scale(self) -> None:
-        self._scale.apply(self._odometry.trajectory, self._folder.path)
+        notes = self._odometry.placement.notes
+        self._scale.apply(self._odometry.trajectory, self._folder.path, notes)
 
     def _finish_recording(self) -> None:
         placement = self._odometry.placement
@@ -293,6 +294,7 @@ class RunSession:
         with clock.stage("write"):
             self._write(estimate)
         self._scale.observe(estimate, self._odometry.snapshot)
+        self._odometry.placement.see_markers(estimate.frame_index, *self._scale.newest_markers())
         with clock.stage("record"):
             self._recorder.record(estimate, self._odometry.snapshot)
         done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1

@@ -16,8 +16,9 @@ from vo.cli.app import app
 from vo.formats.trajectory import read_tum
 from vo.geometry.similarity import umeyama
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, se3_exp, so3_exp
+from vo.markers.marker_problem import MarkerView
 from vo.markers.plane_pose import plane_pose, square_points
-from vo.markers.scale_fit import MarkerView, ScaleFit, fit_scale
+from vo.markers.scale_fit import ScaleFit, fit_scale
 from vo.sources.registry import open_source
 from vo.types import Camera, Floats, Trajectory
 

@@ -15,21 +15,28 @@ from vo.backend.loop_edges import LoopEdges, agreement, agrees_with_odometry, la
 from vo.geometry import sim3
 from vo.types import Bools, Floats, Ints
 
-# Loops that must agree, of as many later keyframes, before two chains are merged, or the parts
-# beside a doubted motion: there is no odometry between them. A second set that agrees on another
-# relation must be half as large at most.
-_MIN_LOOPS = 3
+# Later keyframes whose loops must agree before two chains are merged, or the parts beside a doubted
+# motion: there is no odometry between them. A second set that agrees on another relation must be
+# half as large at most.
+_MIN_KEYFRAMES = 3
 _MAX_COMPARED = 200  # newest loops between two chains
 
 
 def plausible_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
-    """(L,) loops that odometry, or enough other loops between the same chains, agree with."""
+    """(L,) loops that odometry, or enough other loops between the same chains, agree with.
+
+    A marker of which one loop contradicts odometry was moved, or there are two of its id: then none
+    of its loops is plausible. So it is with those that are doubted from the start.
+    """
     earlier, later = problem.chain[loops.earlier], problem.chain[loops.later]
     inside = np.flatnonzero(earlier == later)
     result = np.zeros(len(loops), dtype=bool)
     result[inside] = agrees_with_odometry(loops.select(inside), motions)
+    contradicted = loops.marker[inside][~result[inside]]
+    doubtful = np.isin(loops.marker, [*contradicted[contradicted >= 0], *problem.doubted])
     comparable = problem.is_metric[loops.earlier] == problem.is_metric[loops.later]
     result |= comparable & (earlier != later)
+    result &= ~doubtful
     for rows in _by_pair_of_parts(problem, loops, result):
         result[rows] = False
         result[_agreeing_pair(loops, rows[-_MAX_COMPARED:], motions)] = True
@@ -40,9 +47,11 @@ def with_contradicted_doubts(problem: GraphProblem, loops: LoopEdges) -> GraphPr
     """The graph, with only those of its doubted motions that loops contradict.
 
     Loops across them must agree as those between chains, on a relation that odometry excludes.
+    Those by markers, which may have been moved, do not count.
     """
     trusted = replace(problem, is_doubted=np.zeros(len(problem.keys), dtype=bool))
     crosses = problem.part[loops.earlier] != problem.part[loops.later]
+    crosses &= loops.marker < 0
     crosses &= problem.chain[loops.earlier] == problem.chain[loops.later]
     if not crosses.any():
         return trusted
@@ -60,13 +69,34 @@ def with_contradicted_doubts(problem: GraphProblem, loops: LoopEdges) -> GraphPr
     return replace(problem, is_doubted=contradicted)
 
 
+def doubted_markers(problem: GraphProblem, loops: LoopEdges, plausible: Bools, kept: Bools) -> Ints:
+    """Ids of which a plausible loop within a chain is not among those kept (L,).
+
+    All ids, if these are half of them or more: then nothing tells which markers were moved.
+    """
+    plausible = plausible & (loops.marker >= 0)
+    inside = problem.chain[loops.earlier] == problem.chain[loops.later]
+    ids, refused = (
+        np.unique(loops.marker[rows]) for rows in (plausible, plausible & inside & ~kept)
+    )
+    return ids if 2 * len(refused) >= len(ids) else refused
+
+
 def without_weak_merges(problem: GraphProblem, loops: LoopEdges, kept: Bools) -> Bools:
     """(L,) the loops kept, without those between parts that too few of them connect."""
     result = kept.copy()
     for rows in _by_pair_of_parts(problem, loops, kept):
-        if len(np.unique(loops.later[rows])) < _MIN_LOOPS:
+        if _keyframes(loops, rows) < _MIN_KEYFRAMES:
             result[rows] = False
     return result
+
+
+def _keyframes(loops: LoopEdges, rows: Ints) -> int:
+    """Number of later keyframes that loops rest on, those of a marker with others of its visit."""
+    later, index = np.unique(loops.later[rows], return_inverse=True)
+    support = np.zeros(len(later), np.int64)
+    np.maximum.at(support, index, loops.support[rows])
+    return int(support.sum())
 
 
 def _by_pair_of_parts(problem: GraphProblem, loops: LoopEdges, chosen: Bools) -> list[Ints]:
@@ -82,14 +112,15 @@ def _by_pair_of_parts(problem: GraphProblem, loops: LoopEdges, chosen: Bools) ->
 
 def _agreeing_pair(loops: LoopEdges, rows: Ints, motions: ChainMotions) -> Ints:
     """The rows that agree with each other; none if they are too few, or if others disagree."""
-    if len(rows) < _MIN_LOOPS:
+    if loops.support[rows].sum() < _MIN_KEYFRAMES:
         return rows[:0]
     agree = agreement(loops.select(rows), motions)
     best = largest_agreeing(agree)
     # Loops that agree with none of the best support another relation, as in a copy of a place.
     others = np.flatnonzero(~agree[:, best].any(axis=1))
     second = largest_agreeing(agree[np.ix_(others, others)]) if len(others) else others
-    if len(np.unique(loops.later[rows[best]])) < _MIN_LOOPS or 2 * len(second) > len(best):
+    first, other = (int(loops.support[rows[each]].sum()) for each in (best, second))
+    if _keyframes(loops, rows[best]) < _MIN_KEYFRAMES or 2 * other > first:
         return rows[:0]
     return rows[best]
 

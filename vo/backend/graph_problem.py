@@ -31,6 +31,7 @@ class GraphProblem:
             unknown; ignored in the first row of a chain, and where keyframes are rigid.
         is_doubted: (n,) whether that motion may be wrong by far more.
         loops: between them.
+        doubted: ids of markers whose loops are false.
     """
 
     keys: Ints
@@ -43,6 +44,7 @@ class GraphProblem:
     covariance: Floats
     is_doubted: Bools
     loops: tuple[Loop, ...]
+    doubted: tuple[int, ...] = ()
 
     @property
     def part(self) -> Ints:

@@ -9,6 +9,7 @@ import numpy as np
 from vo.backend.chain_motion import ChainMotions
 from vo.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.backend.chain_worlds import (
+    doubted_markers,
     place_chains,
     plausible_loops,
     with_contradicted_doubts,
@@ -82,8 +83,30 @@ def _wrong_motions(problem: GraphProblem, loops: LoopEdges) -> tuple[PlaceKey, .
 
 
 def _true_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
-    """(L,) loops that are accepted."""
-    kept = plausible_loops(problem, loops, motions)
+    """(L,) loops that are accepted.
+
+    Loops by the look of places are believed before those by markers, which may have been moved.
+    """
+    plausible = plausible_loops(problem, loops, motions)
+    kept = _consistent_loops(problem, loops, motions, plausible)
+    by_look = plausible & (loops.marker < 0)
+    if (by_look == plausible).all():
+        return kept
+    alone = _consistent_loops(problem, loops, motions, by_look)
+    if (alone & ~kept).any():
+        return alone
+    doubted = doubted_markers(problem, loops, plausible, kept)
+    if len(doubted) == 0:
+        return kept
+    trusted = plausible & ~np.isin(loops.marker, doubted)
+    return _consistent_loops(problem, loops, motions, trusted)
+
+
+def _consistent_loops(
+    problem: GraphProblem, loops: LoopEdges, motions: ChainMotions, plausible: Bools
+) -> Bools:
+    """(L,) plausible loops that agree with each other."""
+    kept = plausible.copy()
     while kept.any():
         chosen = loops.select(kept)
         reduced = reduce_graph(problem, motions, chosen)

@@ -26,12 +26,16 @@ class LoopEdges:
         later: (L,) rows.
         relation: (L, 4, 4) similarities earlier_from_later.
         covariance: (L, 7, 7) in the frame of the later keyframe.
+        support: (L,) later keyframes that each rests on.
+        marker: (L,) ids of markers, -1 for loops by the look of a place.
     """
 
     earlier: Ints
     later: Ints
     relation: Floats
     covariance: Floats
+    support: Ints
+    marker: Ints
 
     def __len__(self) -> int:
         return len(self.earlier)
@@ -43,6 +47,8 @@ class LoopEdges:
             self.later[chosen],
             self.relation[chosen],
             self.covariance[chosen],
+            self.support[chosen],
+            self.marker[chosen],
         )
 
 
@@ -73,6 +79,8 @@ def loop_edges(problem: GraphProblem) -> LoopEdges:
         later,
         relation,
         covariance,
+        np.array([loop.support for loop in loops], dtype=np.int64),
+        np.array([-1 if loop.marker is None else loop.marker for loop in loops], dtype=np.int64),
     )
 
 

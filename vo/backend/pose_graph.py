@@ -112,15 +112,20 @@ class PoseGraph:
             if key in gone:
                 del self._nodes[key]
 
-    def submit(self, inertial: Mapping[PlaceKey, InertialPose] | None = None) -> None:
+    def submit(
+        self,
+        inertial: Mapping[PlaceKey, InertialPose] | None = None,
+        doubted: Sequence[int] = (),
+    ) -> None:
         """Begin to optimise the graph as it is now.
 
         Args:
             inertial: poses of keyframes by an inertial sensor, where it has given them. They take
                 the place of those by odometry, and other keyframes of their segments follow the
                 nearest one before them. Segments in one world by the sensor are one chain.
+            doubted: ids of markers whose loops are false.
         """
-        self._submitted = self._problem(inertial or {})
+        self._submitted = self._problem(inertial or {}, doubted)
         self._is_in_process = self._threads > 1 and len(self._loops) > 0
         if not self._is_in_process:
             return
@@ -156,7 +161,9 @@ class PoseGraph:
     def _ordered(self) -> list[_Node]:
         return sorted(self._nodes.values(), key=_order)
 
-    def _problem(self, inertial: Mapping[PlaceKey, InertialPose]) -> GraphProblem:
+    def _problem(
+        self, inertial: Mapping[PlaceKey, InertialPose], doubted: Sequence[int]
+    ) -> GraphProblem:
         nodes = self._ordered()
         if inertial:
             nodes = self._by_inertial_poses(nodes, inertial)
@@ -171,6 +178,7 @@ class PoseGraph:
             covariance=np.array([node.covariance for node in nodes]).reshape(-1, 6, 6),
             is_doubted=np.array([node.is_doubted for node in nodes], dtype=bool),
             loops=tuple(self._loops),
+            doubted=tuple(doubted),
         )
 
     def _by_inertial_poses(

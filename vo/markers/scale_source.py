@@ -15,9 +15,10 @@ from vo.markers.detection import DictionarySearch, MarkerDetector
 from vo.markers.dictionaries import AUTO, dictionary_name, smallest_containing
 from vo.markers.map_fit import fit_map
 from vo.markers.marker_map import MarkerMap
+from vo.markers.marker_problem import MarkerView
 from vo.markers.plane_pose import plane_pose, square_points
 from vo.markers.records import DetectedMarker
-from vo.markers.scale_fit import MarkerView, ScaleFit, fit_scale
+from vo.markers.scale_fit import ScaleFit, fit_scale
 from vo.markers.world_frames import (
     FoundMarker,
     NewWorlds,
@@ -40,6 +41,9 @@ _METRIC_SIGMA = 0.003  # relative, of a path in metres
 class MarkerSource:
     """Finds markers during a run, and the scale of each world by them at its end.
 
+    Attributes:
+        newest: markers that the newest frame shows once, and ids that it shows several times.
+
     Args:
         markers: side of the black squares in metres, or a map; of a map, other markers are left
             out, and its frame becomes that of the worlds that show it.
@@ -60,6 +64,7 @@ class MarkerSource:
         is_metric: bool,
         origin: int | None = None,
     ) -> None:
+        self.newest: tuple[list[MarkerView], list[int]] = [], []
         name = dictionary_name(dictionary)
         self._map = markers if isinstance(markers, MarkerMap) else None
         if isinstance(markers, MarkerMap):
@@ -83,6 +88,7 @@ class MarkerSource:
 
     def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
         """Search a frame, if it is a keyframe or some time after the last one searched."""
+        self.newest = [], []
         since = self._searched_ns
         is_due = since is None or estimate.stamp_ns - since >= _MIN_GAP_NS
         if not (is_due or estimate.is_keyframe):
@@ -100,10 +106,13 @@ class MarkerSource:
         frame = estimate.frame_index
         self._outlines += [MarkerOutline(frame, each.id, each.corners) for each in detected]
         ids = [marker.id for marker in detected]
-        self._repeated |= {number for number in ids if ids.count(number) > 1}
+        repeated = sorted({number for number in ids if ids.count(number) > 1})
+        self._repeated.update(repeated)
+        before = len(self._views)
         for marker in detected:
             if ids.count(marker.id) == 1:
                 self._add(estimate, view, camera, marker)
+        self.newest = self._views[before:], repeated
 
     def measure(self, path: PlacedFrames) -> ScaleFindings:
         """The scales of all worlds with a marker that was seen from enough sides."""
@@ -197,6 +206,7 @@ class MarkerSource:
                 solutions,
                 rotation,
                 length_m,
+                pose.is_ambiguous,
             )
         )
 

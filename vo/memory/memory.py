@@ -17,8 +17,9 @@ from vo.memory.early_search import EarlySearch
 from vo.memory.inertial_poses import InertialPoses
 from vo.memory.loop_bundle import LoopBundle
 from vo.memory.map_worlds import WorldsInMap
+from vo.memory.marker_loops import MarkerLoops
 from vo.memory.place_maker import PlaceMaker
-from vo.memory.placed_worlds import of_worlds, scaled_worlds, with_adjusted
+from vo.memory.placed_worlds import in_metres, of_worlds, with_adjusted
 from vo.memory.recognition import Recognised, Recogniser
 from vo.memory.reports import LoopEnds, closed_loop, correction_of, relocalisation
 from vo.metric_scale import MetricScale
@@ -31,7 +32,7 @@ from vo.types import Bytes, Floats
 # so that the path does not depend on the speed of the optimizer.
 _LATENCY = 3
 _FRAME_LATENCY = 5  # ... or so many frames, while the camera is in a segment of its own
-_MIN_JOINING = 3  # loops from one segment to others, fewer of which the graph never accepts
+_MIN_JOINING = 3  # keyframes of one segment with loops to others, fewer of which never join them
 _SPACING = 10  # minimum of stored keyframes from one graph to the next
 _SPACING_RATIO = 0.05  # of all stored keyframes, if that is more: large graphs take longer
 
@@ -46,6 +47,7 @@ class Memory:
 
     Attributes:
         stopwatch: measures the stage `memory`.
+        markers: connects keyframes that see the same marker.
 
     Args:
         maker: makes places.
@@ -76,6 +78,7 @@ class Memory:
         self._graph = graph
         self._trajectory = trajectory
         self._worlds = worlds
+        self.markers = MarkerLoops(trajectory.cam0_from_rectified, is_metric=maker.is_metric)
         self._inertial = inertial
         self._bundle = bundle
         self._adjusted: list[PlacedKeyframes] = []  # worlds after the adjustment
@@ -127,7 +130,8 @@ class Memory:
         place = self._maker.make(keyframe, landmarks, image)
         if self._bundle is not None:
             self._bundle.add(place.key, keyframe, landmarks)
-        is_known = any(loop.later == place.key for loop in self._loops)
+        self._add_loops(self.markers.add(place))
+        is_known = any(loop.later == place.key and loop.marker is None for loop in self._loops)
         self._future = self._recogniser.add(place, searches=not is_known)
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
@@ -166,19 +170,23 @@ class Memory:
         gone = tuple(key for key, frame in self._frames.items() if frame.index >= frame_index)
         for key in gone:
             del self._frames[key]
-        kept = [n for n, loop in enumerate(self._loops) if loop.later in self._frames]
+        self._keep_loops([n for n, loop in enumerate(self._loops) if loop.later in self._frames])
+        self._relocalisations = [r for r in self._relocalisations if r.frame < frame_index]
+        self._found = None
+        self._recogniser.remove(gone)
+        self.markers.forget_from(frame_index)
+        if self._bundle is not None:
+            self._bundle.remove_from(frame_index)
+        self._graph.remove_keyframes(gone)
+
+    def _keep_loops(self, kept: Sequence[int]) -> None:
+        """Forget all loops but those of increasing indices."""
         self._placed_loops = sum(n < self._placed_loops for n in kept)
         self._closed = {i: self._closed[n] for i, n in enumerate(kept) if n in self._closed}
         self._applied = {i for i, n in enumerate(kept) if n in self._applied}
         self._unmarked = [i for i, n in enumerate(kept) if n in self._unmarked]
         self._loops = [self._loops[n] for n in kept]
-        self._relocalisations = [r for r in self._relocalisations if r.frame < frame_index]
-        self._found = None
-        self._recogniser.remove(gone)
-        if self._bundle is not None:
-            self._bundle.remove_from(frame_index)
         self._graph.keep_loops(kept)
-        self._graph.remove_keyframes(gone)
 
     @timed("memory")
     def finish(self, local_map: LocalMap) -> None:
@@ -186,9 +194,11 @@ class Memory:
         local_map.hand_over([self])
         self._is_finished = True
         self._apply_recognised()
+        self._add_loops(self.markers.finish())
         if self._submitted is not None:
             self._apply_placed()
-        if self._placed_loops < len(self._loops) or self._awaits_graph():
+        is_doubted = any(loop.marker in self.markers.repeated for loop in self._loops)
+        if self._placed_loops < len(self._loops) or self._awaits_graph() or is_doubted:
             self._submit()
             self._apply_placed()
         self._unmarked.clear()
@@ -218,16 +228,19 @@ class Memory:
         Raises:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
-        self._graph.submit(self._inertial_poses())
+        self._graph.submit(self._inertial_poses(), self.markers.repeated)
         placed = self._graph.result()
         if self._inertial is not None:
             placed = self._inertial.placement.to_metres(placed, self._maker.session)
         placed = with_adjusted(placed, self._adjusted)
-        factors = self._factors(placed.keys, scales)
-        placed = scaled_worlds(placed, factors)
-        metric = {int(placed.world[row]) for row in (*factors, *self._metric_rows(placed.keys))}
+        world_of = self._trajectory.store.world
+        known = ((n, self._frames[k]) for n, k in enumerate(placed.keys) if k in self._frames)
+        worlds = {n: world_of(frame.segment) for n, frame in known}
+        by_sensor = () if self._inertial is None else self._inertial.placement.metric_worlds
+        placed, metric = in_metres(placed, worlds, scales, by_sensor)
         metric |= self._worlds.metric_of(placed)
-        accepted = [self._loops[n] for n in sorted(self._closed)]
+        # A map knows keyframes by their looks, and not those that only a marker connects.
+        accepted = [self._loops[n] for n in sorted(self._closed) if self._loops[n].marker is None]
         self._recogniser.save_map(path, source, placed, accepted, tuple(sorted(metric)))
 
     def close(self) -> None:
@@ -235,16 +248,6 @@ class Memory:
         self._is_finished = True
         self._recogniser.close()
         self._graph.close()
-
-    def _factors(
-        self, keys: Sequence[PlaceKey], scales: Mapping[int, MetricScale]
-    ) -> dict[int, float]:
-        """Scales by the row of a keyframe of the run, where its world has one."""
-        world_of = self._trajectory.store.world
-        worlds = (
-            (n, world_of(self._frames[k].segment)) for n, k in enumerate(keys) if k in self._frames
-        )
-        return {n: scales[world].value for n, world in worlds if world in scales}
 
     def _adjust(self, bundle: LoopBundle) -> None:
         """Adjust the worlds with loops once more, by all observations, unless some are wrong."""
@@ -258,17 +261,6 @@ class Memory:
             if placed is not None:
                 self._trajectory.place(placed, session)
                 self._adjusted.append(placed)
-
-    def _metric_rows(self, keys: Sequence[PlaceKey]) -> list[int]:
-        """Rows of the keyframes of the run whose worlds an inertial sensor has given the metre."""
-        if self._inertial is None:
-            return []
-        metric, world_of = self._inertial.placement.metric_worlds, self._trajectory.store.world
-        return [
-            n
-            for n, key in enumerate(keys)
-            if key in self._frames and world_of(self._frames[key].segment) in metric
-        ]
 
     def _apply_recognised(self) -> None:
         """Wait for the results of all searches."""
@@ -289,10 +281,14 @@ class Memory:
         place = recognised.place
         self._frames[place.key] = place.frame
         self._graph.add_keyframe(place)
-        for loop in recognised.loops:
+        self._add_loops(recognised.loops)
+        removed = (key for key in recognised.removed if not self.markers.needs(key))
+        self._graph.remove_keyframes(tuple(removed))
+
+    def _add_loops(self, loops: Sequence[Loop]) -> None:
+        for loop in loops:
             self._graph.add_loop(loop)
             self._loops.append(loop)
-        self._graph.remove_keyframes(recognised.removed)
 
     def _has_new_loops(self) -> bool:
         """Whether there are loops that no graph had, or enough of them to connect the segment."""
@@ -301,7 +297,7 @@ class Memory:
         return any(not (joins and self._is_joining(loop)) for loop in new)
 
     def _joins_enough(self) -> bool:
-        return sum(map(self._is_joining, self._loops)) >= _MIN_JOINING
+        return sum(loop.support for loop in self._loops if self._is_joining(loop)) >= _MIN_JOINING
 
     def _is_joining(self, loop: Loop) -> bool:
         """Whether a loop is from the segment of the newest frame to another one."""
@@ -312,7 +308,7 @@ class Memory:
 
     def _submit(self) -> None:
         stored = self._stored
-        self._graph.submit(self._inertial_poses())
+        self._graph.submit(self._inertial_poses(), self.markers.repeated)
         self._submitted, self._due = len(self._loops), stored + _LATENCY
         self._due_frame = None
         if self._is_apart(self._segment):
@@ -326,8 +322,10 @@ class Memory:
         loops = self._loops[: self._submitted]
         self._wrong = placed.wrong
         self._placed_loops, self._submitted, self._due_frame = self._submitted, None, None
-        rejected = {(loop.earlier, loop.later) for loop in placed.rejected}
-        accepted = [n for n, loop in enumerate(loops) if (loop.earlier, loop.later) not in rejected]
+        rejected = {(loop.earlier, loop.later, loop.marker) for loop in placed.rejected}
+        ends = [(loop.earlier, loop.later, loop.marker) for loop in loops]
+        accepted = [n for n, each in enumerate(ends) if each not in rejected]
+        self.markers.refuse(placed.rejected)
         touched = sorted({*accepted, *self._closed})
         if self._inertial is not None:  # all worlds that were placed once
             self._applied.update(accepted)

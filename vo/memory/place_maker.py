@@ -26,6 +26,7 @@ class PlaceMaker:
 
     Attributes:
         session: number of the session.
+        is_metric: whether lengths are metres.
 
     Args:
         session: number of the session.
@@ -46,7 +47,7 @@ class PlaceMaker:
         self.session = session
         self._describer = describer
         self._scale_factor = scale_factor
-        self._is_metric = is_metric
+        self.is_metric = is_metric
         self._last: Keyframe | None = None  # the one before
 
     def make(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> Place:
@@ -81,7 +82,7 @@ class PlaceMaker:
         return Place(
             key=PlaceKey(self.session, keyframe.id),
             frame=keyframe.frame,
-            is_metric=self._is_metric,
+            is_metric=self.is_metric,
             odom_from_cam=keyframe.world_from_cam.copy(),
             covariance=motion_covariance(before, keyframe),
             descriptor=keypoints.descriptor,

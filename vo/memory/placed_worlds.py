@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from vo.metric_scale import MetricScale
 from vo.places.records import Loop, PlacedKeyframes
 from vo.trajectory.map_frame import scaled_covariance
 
@@ -35,6 +36,26 @@ def with_adjusted(placed: PlacedKeyframes, adjusted: Sequence[PlacedKeyframes]) 
             if key in row:
                 world_from_cam[row[key]], scale[row[key]] = each.world_from_cam[n], each.scale[n]
     return replace(placed, world_from_cam=world_from_cam, scale=scale)
+
+
+def in_metres(
+    placed: PlacedKeyframes,
+    worlds: Mapping[int, int],
+    scales: Mapping[int, MetricScale],
+    metric: Collection[int],
+) -> tuple[PlacedKeyframes, set[int]]:
+    """Placed keyframes, converted where there is a scale; the numbers of the worlds in metres.
+
+    Args:
+        placed: all of them.
+        worlds: the run's number of its worlds, by rows of its keyframes.
+        scales: by the run's number of the world.
+        metric: those of worlds that are in metres already.
+    """
+    factors = {n: scales[world].value for n, world in worlds.items() if world in scales}
+    placed = scaled_worlds(placed, factors)
+    rows = (*factors, *(n for n, world in worlds.items() if world in metric))
+    return placed, {int(placed.world[row]) for row in rows}
 
 
 def scaled_worlds(placed: PlacedKeyframes, factor_of: Mapping[int, float]) -> PlacedKeyframes:

@@ -49,7 +49,7 @@ def closed_loop(
         correction: of the later keyframe; None where the loop connects two worlds.
         wrong: keyframes whose motion since the one before the loops have shown to be wrong.
     """
-    kind = "loop"
+    kind = "loop" if loop.marker is None else "marker"
     if correction is None:
         kind = "merge"
     elif any(loop.earlier < key <= loop.later for key in wrong):
@@ -65,6 +65,7 @@ def closed_loop(
         correction_m=None if correction is None else correction[0],
         correction_deg=None if correction is None else correction[1],
         earlier_session=ends.session,
+        marker=loop.marker,
     )
 
 

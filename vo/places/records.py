@@ -125,7 +125,8 @@ class Loop:
             are metric.
         covariance: (7, 7) of rotation, translation and logarithm of the scale, in the later
             camera's frame; the last row and column are 0 if both are metric.
-        inliers: landmarks that agree.
+        inliers: landmarks that agree; of a marker, keyframes that agree.
+        marker: id of the marker by which both are related, None if it is the look of the place.
     """
 
     earlier: PlaceKey
@@ -134,6 +135,12 @@ class Loop:
     scale: float
     covariance: Floats
     inliers: int
+    marker: int | None = None
+
+    @property
+    def support(self) -> int:
+        """Keyframes whose views of their own it rests on."""
+        return 1 if self.marker is None else self.inliers
 
 
 @dataclass(frozen=True, eq=False)

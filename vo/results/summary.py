@@ -318,8 +318,9 @@ def _scale_fields(found: ScaleFindings) -> dict[str, Any]:
 
 def _loop_fields(loop: ClosedLoop | Relocalisation) -> dict[str, Any]:
     fields = asdict(loop)
-    if loop.earlier_session is None:
-        del fields["earlier_session"]
+    for name in ("earlier_session", "marker"):
+        if fields.get(name, 0) is None:
+            del fields[name]
     for name in ("correction_m", "correction_deg"):
         fields[name] = None if fields[name] is None else round(fields[name], 4)
     return fields

@@ -78,7 +78,12 @@ def _world_warnings(summary: Summary) -> list[str]:
             "tracking was wrong in frames in which little of the map agreed, as loops show: the "
             "path follows the loops, and is inaccurate there; compare with a run without --loops"
         )
-    if any(loop.joins and not loop.repairs for loop in summary.loops):
+    if any(loop.marker is not None and loop.joins and not loop.repairs for loop in summary.loops):
+        warnings.append(
+            "parts of the path are joined by markers that were seen in both: no other marker may "
+            "have their ids, and they must not have been moved"
+        )
+    if any(loop.marker is None and loop.joins and not loop.repairs for loop in summary.loops):
         warnings.append(
             "parts of the path are joined only by what places look like; those that look alike, "
             "such as corridors, can be joined wrongly: compare with a run without --loops and --map"

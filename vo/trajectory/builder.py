@@ -28,6 +28,7 @@ class TrajectoryBuilder:
 
     Attributes:
         store: the trajectory so far.
+        cam0_from_rectified: (4, 4).
 
     Args:
         cam0_from_rectified: (4, 4).
@@ -36,7 +37,7 @@ class TrajectoryBuilder:
     def __init__(self, cam0_from_rectified: Floats) -> None:
         self.store = TrajectoryStore()
         self._reached = Table(_REACHED)
-        self._cam0_from_rectified = cam0_from_rectified
+        self.cam0_from_rectified = cam0_from_rectified
         self._rectified_from_cam0 = inverse(cam0_from_rectified)
         self._adjoint = adjoint(cam0_from_rectified)
 
@@ -112,7 +113,7 @@ class TrajectoryBuilder:
 
     def world_from_rectified(self, world_from_cam0: Floats) -> Floats:
         """The inverse of `world_from_cam0`."""
-        return np.asarray(self._rectified_from_cam0 @ world_from_cam0 @ self._cam0_from_rectified)
+        return np.asarray(self._rectified_from_cam0 @ world_from_cam0 @ self.cam0_from_rectified)
 
     def placed(self, world: int, session: int) -> PlacedKeyframes:
         """The keyframes of a world of the run, as for `place`."""
@@ -130,5 +131,5 @@ class TrajectoryBuilder:
     def world_from_cam0(self, world_from_rectified: Floats) -> Floats:
         """Poses (..., 4, 4) of the recorded cam0."""
         return np.asarray(
-            self._cam0_from_rectified @ world_from_rectified @ self._rectified_from_cam0
+            self.cam0_from_rectified @ world_from_rectified @ self._rectified_from_cam0
         )
