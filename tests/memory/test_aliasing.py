@@ -18,6 +18,7 @@ from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapFile
 from vo.places.records import Place, PlacedKeyframes, PlaceKey
+from vo.places.screening import Screening
 from vo.places.vocabulary_file import built_in_vocabulary
 from vo.types import Camera, Descriptors
 
@@ -80,7 +81,9 @@ def _placed(places: Sequence[Place], camera: Camera) -> tuple[PlacedKeyframes, i
     scale_factor = load_config("default").features.scale_factor
     graph, count = PoseGraph(), 0
     with KeyframeDatabase(built_in_vocabulary()) as database:
-        recogniser = Recogniser(database, LoopVerifier(scale_factor), camera, threads=1)
+        screening = Screening(database.vocabulary, scale_factor)
+        verifier = LoopVerifier(scale_factor)
+        recogniser = Recogniser(database, screening, verifier, camera, threads=1)
         for place in places:
             recognised = recogniser.add(place).result()
             graph.add_keyframe(place)

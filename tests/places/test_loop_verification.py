@@ -1,4 +1,4 @@
-"""Verification of loops on simulated landmarks."""
+"""Screening and verification of loops on simulated landmarks."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from vo.mapping.keyframe import FrameId
 from vo.places.loop_verification import LoopVerifier
 from vo.places.records import PATCH_PX, Loop, Place, PlaceKey, PlaceLandmarks
 from vo.places.rejection import Rejection, RejectionReason
+from vo.places.screening import Screening
+from vo.places.vocabulary_file import built_in_vocabulary
 from vo.types import Bytes, Camera, Floats
 
 CAMERA = Camera(640, 480, 400.0, 400.0, 320.0, 240.0)
@@ -235,3 +237,24 @@ def test_the_same_bits_come_out_again() -> None:
     assert isinstance(second, Loop)
     np.testing.assert_array_equal(first.earlier_from_later, second.earlier_from_later)
     np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(("metric", "unit"), [(True, 1.0), (False, 2.5)])
+def test_the_same_place_passes_the_screening(metric: bool, unit: float, seed: int) -> None:
+    world = World(seed)
+    later, earlier = _visits(world, world, noise=1.0, metric=metric, unit=unit)
+    assert Screening(built_in_vocabulary(), 1.44).passes(later[0], earlier[0], CAMERA)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("metric", [True, False])
+@pytest.mark.parametrize("same_features", [False, True])
+def test_another_place_does_not_pass_the_screening(
+    same_features: bool, metric: bool, seed: int
+) -> None:
+    world, other = World(seed), World(seed + 1)
+    if same_features:
+        other.descriptor = world.descriptor
+    later, earlier = _visits(world, other, noise=1.0, metric=metric)
+    assert not Screening(built_in_vocabulary(), 1.44).passes(later[0], earlier[0], CAMERA)

@@ -196,6 +196,50 @@ def best_of_all(query_words, train_words, max_distance, ratio):  # type: ignore[
 
 
 @compiled
+def best_in_groups(  # type: ignore[no-untyped-def]
+    query_words, query_group, train_words, train_group, max_distance, ratio
+):
+    """Search in the group (a number from 0) of each query only; else as `best_of_all`."""
+    n, m, groups = len(query_words), len(train_words), 1
+    for i in range(n):
+        groups = max(groups, query_group[i] + 1)
+    for j in range(m):
+        groups = max(groups, train_group[j] + 1)
+    start = np.zeros(groups + 1, dtype=np.int64)
+    for j in range(m):
+        start[train_group[j] + 1] += 1
+    for group in range(groups):
+        start[group + 1] += start[group]
+    order, filled = np.empty(m, dtype=np.int64), start.copy()
+    for j in range(m):
+        order[filled[train_group[j]]] = j
+        filled[train_group[j]] += 1
+    matched = np.full(n, -1, dtype=np.int64)
+    back_best = np.full(m, 512, dtype=np.int64)
+    back = np.full(m, -1, dtype=np.int64)
+    for i in range(n):
+        best, second, winner = 512, 512, -1
+        for k in range(start[query_group[i]], start[query_group[i] + 1]):
+            j = order[k]
+            d = int(hamming(query_words[i], train_words[j]))
+            if d < back_best[j]:
+                back_best[j] = d
+                back[j] = i
+            if d < best:
+                second = best
+                best = d
+                winner = j
+            elif d < second:
+                second = d
+        if best <= max_distance and best < ratio * second:
+            matched[i] = winner
+    for i in range(n):
+        if matched[i] >= 0 and back[matched[i]] != i:
+            matched[i] = -1
+    return matched
+
+
+@compiled
 def best_near_segments(  # type: ignore[no-untyped-def]
     query, start, end, train, tolerance, margin, grid, max_distance, ratio
 ):

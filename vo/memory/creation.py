@@ -19,6 +19,7 @@ from vo.memory.place_maker import PlaceMaker
 from vo.memory.recognition import Recogniser
 from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
+from vo.places.screening import Screening
 from vo.places.vocabulary import DESCRIPTOR_BYTES
 from vo.places.vocabulary_file import built_in_vocabulary, read_vocabulary
 from vo.stopwatch import Stopwatch
@@ -74,7 +75,10 @@ def make_memory(
     adjusts = config.memory.adjust and not rig.is_stereo and inertial is None
     describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
     maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo, describer=describer)
-    recogniser = Recogniser(database, verifier, camera, threads, loaded, localizes=localizes)
+    screening = Screening(vocabulary, scale_factor, seed=config.seed)
+    recogniser = Recogniser(
+        database, screening, verifier, camera, threads, loaded, localizes=localizes
+    )
     return Memory(
         maker,
         recogniser,

@@ -19,6 +19,7 @@ from vo.places.encoding import encode_place
 from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapFile, MapHeader, write_map
 from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.screening import Screening
 from vo.places.vocabulary import Vocabulary
 
 
@@ -101,8 +102,9 @@ def _search(database: KeyframeDatabase, loaded: LoadedMap, places: list[Place]) 
     """Loops from keyframes to those of the first map."""
     config = Config()
     scale_factor, sigma_px = config.features.scale_factor, config.patches.sigma_px
+    screening = Screening(database.vocabulary, scale_factor, seed=config.seed)
     verifier = LoopVerifier(scale_factor, sigma_px=sigma_px, seed=config.seed)
-    recogniser = Recogniser(database, verifier, loaded.camera, 1, loaded, localizes=True)
+    recogniser = Recogniser(database, screening, verifier, loaded.camera, 1, loaded, localizes=True)
     recent: deque[Place] = deque(maxlen=SUCCESSION)
     found: list[Loop] = []
     for place in places:

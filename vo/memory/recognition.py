@@ -14,6 +14,7 @@ from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapHeader, write_map
 from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.screening import Screening
 from vo.scheduling import give_way
 from vo.types import Camera
 
@@ -48,7 +49,8 @@ class Recogniser:
 
     Args:
         database: of stored keyframes.
-        verifier: decides on candidates.
+        screening: chooses the candidates that are verified.
+        verifier: decides on them.
         camera: ideal (rectified) camera of the keyframes.
         threads: with one, all work is done at once.
         loaded: map whose keyframes are in the database, or None.
@@ -58,6 +60,7 @@ class Recogniser:
     def __init__(
         self,
         database: KeyframeDatabase,
+        screening: Screening,
         verifier: LoopVerifier,
         camera: Camera,
         threads: int,
@@ -66,6 +69,7 @@ class Recogniser:
         localizes: bool = False,
     ) -> None:
         self._database = database
+        self._screening = screening
         self._verifier = verifier
         self._camera = camera
         self._loaded = loaded
@@ -173,6 +177,10 @@ class Recogniser:
         """
         for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
             earlier = self._database.get(candidate.key)
+            if not self._screening.passes(
+                later[0], earlier, self._camera, self._camera_of(earlier)
+            ):
+                continue
             loop = self._verified(later, earlier)
             if loop is None:
                 continue
@@ -204,8 +212,11 @@ class Recogniser:
             place = self._database.get(key)
             if place.frame.segment == earlier.frame.segment:
                 beside.append(place)
-        loaded = self._loaded
-        is_loaded = loaded is not None and earlier.key in loaded.frames
-        camera = loaded.camera if loaded is not None and is_loaded else None
+        camera = self._camera_of(earlier)
         result = self._verifier.verify(later, beside, self._camera, camera)
         return result if isinstance(result, Loop) else None
+
+    def _camera_of(self, place: Place) -> Camera | None:
+        """That of the loaded map for one of its keyframes."""
+        is_loaded = self._loaded is not None and place.key in self._loaded.frames
+        return self._loaded.camera if self._loaded is not None and is_loaded else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,12 +10,14 @@ import numpy as np
 
 from vo.config import MatchingConfig
 from vo.frontend.contracts import Circles, FeatureSet
-from vo.frontend.matching import HammingMatcher
+from vo.frontend.hamming_kernels import best_in_groups
+from vo.frontend.matching import HammingMatcher, agree_in_rotation, as_words
 from vo.geometry import sim3
 from vo.geometry.projection import Intrinsics
 from vo.mapping.octaves import predicted_octave
-from vo.places.merged_landmarks import MergedLandmarks, in_view, observed_xy
+from vo.places.merged_landmarks import MergedLandmarks, in_view, merge_landmarks, observed_xy
 from vo.places.patch_comparison import patch_correlation
+from vo.places.records import Place
 from vo.places.relation import LandmarkPairs, pair_errors
 from vo.types import Bools, Camera, Floats, Ints
 
@@ -46,6 +49,18 @@ class KeyframePair:
         """Those of the earlier and the later camera."""
         first, second = (Intrinsics(c.fx, c.fy, c.cx, c.cy) for c in self.cameras)
         return first, second
+
+
+def keyframe_pair(
+    later: Place, earlier: Sequence[Place], camera: Camera, earlier_camera: Camera | None = None
+) -> KeyframePair:
+    """A keyframe, and an earlier one with neighbours of it; arguments as of `LoopVerifier`."""
+    return KeyframePair(
+        merge_landmarks(earlier),
+        merge_landmarks([later]),
+        (earlier_camera or camera, camera),
+        with_scale=not (later.is_metric and earlier[0].is_metric),
+    )
 
 
 class FoundLandmarks(NamedTuple):
@@ -81,15 +96,36 @@ class LandmarkSearch:
         sigma_px: standard deviation of an observation, pixels.
     """
 
-    def __init__(self, scale_factor: float, sigma_px: float) -> None:
+    def __init__(self, scale_factor: float, sigma_px: float = 0.5) -> None:
         self._scale_factor = scale_factor
         self._sigma_px = sigma_px
-        self._matcher = HammingMatcher(MatchingConfig())
+        self._config = MatchingConfig()
+        self._matcher = HammingMatcher(self._config)
 
     def by_descriptor(self, pair: KeyframePair, count: int) -> LandmarkPairs:
         """The first `count` earlier landmarks matched with the later ones, without a relation."""
         matches = self._matcher.match(_features(pair.earlier, count), _features(pair.later))
         return self._pairs(pair, matches.query, matches.train)
+
+    def by_node(self, pair: KeyframePair, earlier: Ints, later: Ints) -> LandmarkPairs:
+        """Landmarks matched within the same node of the vocabulary, without a relation.
+
+        Args:
+            pair: the keyframes.
+            earlier: (M,) nodes of the earlier landmarks.
+            later: (N,) nodes of the later ones.
+        """
+        matched = best_in_groups(
+            as_words(pair.earlier.descriptor),
+            earlier,
+            as_words(pair.later.descriptor),
+            later,
+            self._config.max_hamming,
+            self._config.ratio,
+        )
+        rows = np.flatnonzero(matched >= 0)
+        kept = agree_in_rotation(pair.earlier.angle[rows], pair.later.angle[matched[rows]])
+        return self._pairs(pair, rows[kept], matched[rows[kept]])
 
     def by_relation(self, pair: KeyframePair, earlier_from_later: Floats) -> FoundLandmarks:
         """Earlier landmarks found in the later image near where a relation predicts them."""

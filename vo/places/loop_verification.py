@@ -15,6 +15,7 @@ from vo.places.landmark_search import (
     KeyframePair,
     LandmarkSearch,
     agreeing,
+    keyframe_pair,
 )
 from vo.places.merged_landmarks import in_view, merge_landmarks
 from vo.places.records import Loop, Place
@@ -25,7 +26,6 @@ from vo.types import Camera, Floats
 _MIN_LANDMARKS = 30
 _MIN_MATCHES = 15
 _MAX_COMPARED = 600  # landmarks of neighbours, by descriptor, where the keyframe has fewer
-_SAMPLE_RATIO, _MIN_SAMPLE_PX = 0.01, 4.0  # threshold of samples, ratio of the image width
 _MIN_SAMPLED = 12  # pairs that agree with a sampled relation
 _MAX_SQUARED = 9.2  # squared errors that one true pair in 100 exceeds
 _MIN_INLIERS = 25
@@ -79,12 +79,7 @@ class LoopVerifier:
             camera: ideal (rectified) camera of the later keyframes.
             earlier_camera: that of the earlier ones, if it is another one.
         """
-        pair = KeyframePair(
-            merge_landmarks(earlier),
-            merge_landmarks(later[:1]),
-            (earlier_camera or camera, camera),
-            with_scale=not (later[0].is_metric and earlier[0].is_metric),
-        )
+        pair = keyframe_pair(later[0], earlier, camera, earlier_camera)
         guess = self._guess(pair)
         if isinstance(guess, Rejection):
             return guess
@@ -121,9 +116,12 @@ class LoopVerifier:
         count = len(pairs.earlier)
         if count < _MIN_MATCHES:
             return Rejection(RejectionReason.FEW_MATCHES, count, _MIN_MATCHES)
-        threshold_px = max(_SAMPLE_RATIO * pair.cameras[1].width, _MIN_SAMPLE_PX)
         relation, agrees = sample_relation(
-            pairs, pair.intrinsics, threshold_px, with_scale=pair.with_scale, seed=self._seed
+            pairs,
+            pair.intrinsics,
+            pair.cameras[1].width,
+            with_scale=pair.with_scale,
+            seed=self._seed,
         )
         if agrees.sum() < _MIN_SAMPLED:
             return Rejection(RejectionReason.NO_RELATION, int(agrees.sum()), _MIN_SAMPLED)

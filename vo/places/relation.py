@@ -11,7 +11,7 @@ from vo.geometry import sim3
 from vo.geometry.projection import MIN_DEPTH, Intrinsics, project, to_camera
 from vo.types import Bools, Floats
 
-_SAMPLES = 500
+_SAMPLE_RATIO, _MIN_SAMPLE_PX = 0.01, 4.0  # threshold of samples, ratio of the image width
 _MIN_AREA = 1e-3  # of the triangle of a sample, relative to its longest side squared
 _HUBER = 2.0
 _ITERATIONS = 10
@@ -61,29 +61,32 @@ class Relation(NamedTuple):
 def sample_relation(
     pairs: LandmarkPairs,
     cameras: tuple[Intrinsics, Intrinsics],
-    threshold_px: float,
+    width: int,
     *,
     with_scale: bool,
     seed: int,
+    samples: int = 500,
 ) -> tuple[Floats, Bools]:
     """The relation, of random triples of pairs, that most pairs agree with in both images.
 
     Args:
         pairs: the pairs, some of which are wrong.
         cameras: of the earlier and the later keyframe.
-        threshold_px: maximum error in each image.
+        width: of the later image, of which 1 % is the maximum error, but at least 4 pixels.
         with_scale: whether the scales may differ.
         seed: of the samples.
+        samples: number of triples.
 
     Returns:
         earlier_from_later (4, 4), and the pairs (N,) that agree.
     """
     count = len(pairs.earlier)
+    threshold_px = max(_SAMPLE_RATIO * width, _MIN_SAMPLE_PX)
     rng = np.random.default_rng(seed)
     triples = (
-        np.argsort(rng.random((_SAMPLES, count)), axis=1)[:, :3]
+        np.argsort(rng.random((samples, count)), axis=1)[:, :3]
         if count < 64
-        else rng.integers(0, count, (_SAMPLES, 3))
+        else rng.integers(0, count, (samples, 3))
     )
     relations = _of_triples(pairs.earlier[triples], pairs.later[triples], with_scale)
     if len(relations) == 0:

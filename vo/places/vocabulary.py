@@ -81,15 +81,21 @@ class Vocabulary:
 
     def words_of(self, descriptor: Descriptors) -> Words:
         """The word of each of (N, 32) descriptors."""
-        words: Words = _words(packed(descriptor), *self._tree)
-        return words
+        return self._tree[3][self.nodes_of(descriptor, len(self.children))]
+
+    def nodes_of(self, descriptor: Descriptors, depth: int) -> Ints:
+        """The node below the root, of that depth or a word, that each of (N, 32) reaches."""
+        node, first, children, _ = self._tree
+        nodes: Ints = _nodes(packed(descriptor), node, first, children, depth)
+        return nodes
 
     def bag(self, descriptor: Descriptors) -> Bag:
         """Bag of words of (N, 32) descriptors; empty without descriptors."""
         if not len(descriptor):
             return Bag(np.zeros(0, np.int32), np.zeros(0, np.float32))
-        word, count = np.unique(self.words_of(descriptor), return_counts=True)
-        weight = count.astype(np.float32) * self.idf[word]
+        count = np.bincount(self.words_of(descriptor), minlength=self.words)
+        word = np.flatnonzero(count).astype(np.int32)  # faster than to sort the words
+        weight = count[word].astype(np.float32) * self.idf[word]
         kept = np.flatnonzero(weight > 0)
         word, weight = word[kept], weight[kept]
         return Bag(word, weight / max(weight.sum(dtype=np.float32), np.float32(1e-30)))
@@ -208,12 +214,12 @@ def _first_centres(members: Packed, branches: int, random: np.random.Generator) 
 
 
 @compiled
-def _words(descriptor, node, first, children, word):  # type: ignore[no-untyped-def]
-    """Leaf that each descriptor reaches. Node 0 of `first`, `children` and `word` is the root."""
-    result = np.empty(len(descriptor), dtype=np.int32)
+def _nodes(descriptor, node, first, children, depth):  # type: ignore[no-untyped-def]
+    """Node that each descriptor reaches after `depth` steps at most; 0 is the root."""
+    result = np.empty(len(descriptor), dtype=np.int64)
     for i in range(len(descriptor)):
-        at = 0
-        while children[at] > 0:
+        at, steps = 0, 0
+        while children[at] > 0 and steps < depth:
             begin = first[at]
             best, least = begin, hamming(descriptor[i], node[begin])
             for child in range(begin + 1, begin + children[at]):
@@ -221,7 +227,8 @@ def _words(descriptor, node, first, children, word):  # type: ignore[no-untyped-
                 if distance < least:
                     best, least = child, distance
             at = best + 1
-        result[i] = word[at]
+            steps += 1
+        result[i] = at
     return result
 
 
