@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.compiling.function import compiled
-from vo.types import Bools, Ints
+from vo.types import Bools, Floats, Ints
 
 _Ints32 = NDArray[np.int32]
 _MAX_ID = 2**31 - 2
@@ -40,6 +40,8 @@ class Covisibility:
         self._ids: list[_Ints32] = []
         self._kept = np.zeros(_FIRST_SIZE, np.bool_)
         self._last: dict[int, _Ints32] = {}  # by session: latest observation of each landmark
+        self._visit: dict[int, _Ints32] = {}  # ... and number of the latest visit of its chain
+        self._visits = 0
         self._before = np.full(_FIRST_SIZE, _NONE, np.int32)
         self._owner = np.zeros(_FIRST_SIZE, np.int32)
         self._observations = 0
@@ -84,25 +86,43 @@ class Covisibility:
         return Shared(numbers, counts[numbers].astype(np.int64))
 
     def shared_with_any(self, numbers: Ints) -> Ints:
-        """Increasing numbers of the keyframes with a landmark of one of several, these included."""
+        """Increasing numbers of the keyframes with a landmark of one of several, these included.
+
+        Args:
+            numbers: of keyframes of one session.
+        """
         found = np.zeros(len(self._ids), np.bool_)
-        for number in numbers.tolist():
-            last = self._last[self._session[number]]
-            _mark_shared(self._ids[number], last, self._before, self._owner, self._kept, found)
+        if len(numbers):
+            session, self._visits = self._session[numbers[0]], (self._visits + 1) % _MAX_ID
+            ids = np.concatenate([self._ids[number] for number in numbers.tolist()])
+            chains = self._last[session], self._before, self._owner, self._kept
+            _mark_shared(ids, *chains, self._visit[session], self._visits, found)
         return np.flatnonzero(found)
 
-    def observers(self, number: int) -> Ints:
-        """(n,) by how many other keyframes each landmark of a keyframe is observed."""
-        last = self._last[self._session[number]]
-        arrays = last, self._before, self._owner, self._kept
-        counts: Ints = _count_observers(self._ids[number], *arrays)
-        return counts - 1
+    def seen_ratios(self, numbers: Ints, observers: int) -> Floats:
+        """(n,) ratio of the landmarks of n keyframes that so many other keyframes observe.
+
+        Args:
+            numbers: of keyframes of one session, with landmarks.
+            observers: how many.
+        """
+        if not len(numbers):
+            return np.empty(0)
+        ids = [self._ids[number] for number in numbers.tolist()]
+        last = self._last[self._session[numbers[0]]]
+        chains = last, self._before, self._owner, self._kept
+        is_seen = _is_seen(np.concatenate(ids), *chains, observers + 1)  # one is the keyframe
+        size = np.array([len(each) for each in ids])
+        ratios: Floats = np.add.reduceat(is_seen, np.cumsum(size) - size, dtype=np.int64) / size
+        return ratios
 
     def _append(self, number: int) -> None:
         ids, session = self._ids[number], self._session[number]
         end = self._observations + len(ids)
-        last = self._last.get(session, np.full(_FIRST_SIZE, _NONE, np.int32))
-        self._last[session] = grown(last, int(ids[-1]) + 1 if len(ids) else 0, _NONE)
+        size = int(ids[-1]) + 1 if len(ids) else 0
+        for chains in (self._last, self._visit):
+            first = chains.get(session, np.full(_FIRST_SIZE, _NONE, np.int32))
+            chains[session] = grown(first, size, _NONE)
         self._before = grown(self._before, end, _NONE)
         self._owner = grown(self._owner, end, 0)
         rows = slice(self._observations, end)
@@ -139,9 +159,12 @@ def _count_shared(ids, last, before, owner, kept, counts):  # type: ignore[no-un
 
 
 @compiled
-def _mark_shared(ids, last, before, owner, kept, found):  # type: ignore[no-untyped-def]
-    """Mark the keyframes that observe one of some landmarks."""
+def _mark_shared(ids, last, before, owner, kept, visit, number, found):  # type: ignore[no-untyped-def]
+    """Mark the keyframes that observe one of some landmarks; each chain is visited once."""
     for n in range(len(ids)):
+        if visit[ids[n]] == number:
+            continue
+        visit[ids[n]] = number
         at = last[ids[n]]
         while at >= 0:
             if kept[owner[at]]:
@@ -150,13 +173,14 @@ def _mark_shared(ids, last, before, owner, kept, found):  # type: ignore[no-unty
 
 
 @compiled
-def _count_observers(ids, last, before, owner, kept):  # type: ignore[no-untyped-def]
-    """Number of kept observations of each landmark."""
-    result = np.zeros(len(ids), dtype=np.int64)
+def _is_seen(ids, last, before, owner, kept, least):  # type: ignore[no-untyped-def]
+    """(n,) whether landmarks have so many kept observations at least."""
+    result = np.zeros(len(ids), dtype=np.bool_)
     for n in range(len(ids)):
-        at = last[ids[n]]
-        while at >= 0:
+        count, at = 0, last[ids[n]]
+        while at >= 0 and count < least:
             if kept[owner[at]]:
-                result[n] += 1
+                count += 1
             at = before[at]
+        result[n] = count >= least
     return result

@@ -258,13 +258,19 @@ class KeyframeDatabase:
 
         The first and the last of a segment stay, as do protected ones.
         """
-        removed = []
-        for other in self._covisibility.shared(number).number.tolist():
-            key = self._keys[other]
-            if key in self._protected:
+        removed: list[PlaceKey] = []
+        others = self._covisibility.shared(number).number
+        others = others[self._covisibility.seen_ratios(others, _OBSERVERS) >= _REDUNDANT]
+        for n in range(len(others)):
+            key = self._keys[others[n]]
+            if key in self._protected or len(self._neighbours(int(others[n]), 1)) != 2:
                 continue
-            is_seen = self._covisibility.observers(other) >= _OBSERVERS
-            if is_seen.mean() >= _REDUNDANT and len(self._neighbours(other, 1)) == 2:
-                self.remove(key)
-                removed.append(key)
+            # Without the keyframes that were removed just now, landmarks have fewer observers.
+            if (
+                removed
+                and self._covisibility.seen_ratios(others[n : n + 1], _OBSERVERS)[0] < _REDUNDANT
+            ):
+                continue
+            self.remove(key)
+            removed.append(key)
         return tuple(removed)
