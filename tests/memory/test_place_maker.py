@@ -15,8 +15,9 @@ from vo.geometry.transforms import make_transform as transform_of
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.keyframe_store import StoredLandmarks
-from vo.memory.place_maker import PlaceMaker, patches
+from vo.memory.place_maker import PlaceMaker
 from vo.odometry import Odometry
+from vo.places.patch_sampling import sampled_patches
 from vo.places.records import PATCH_PX, Place, PlaceKey
 from vo.sources.registry import open_source
 from vo.stages import Components
@@ -96,7 +97,7 @@ def test_patches_are_of_the_pyramid_level_of_their_feature() -> None:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (60, 80), dtype=np.uint8)
     xy = np.array([[30.0, 20.0], [40.0, 30.0], [0.0, 0.0]])
-    found = patches(image, xy, np.array([0, 1, 0], np.int32), 2.0)
+    found = sampled_patches(image, xy, np.array([0, 1, 0], np.int32), 2.0)
     np.testing.assert_array_equal(found[0], image[14:27, 24:37])
     half = image.reshape(30, 2, 40, 2).mean(axis=(1, 3))
     # Pixel (40, 30) has its centre at (19.75, 14.75) of the image of half the size.

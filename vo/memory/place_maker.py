@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.keyframe import Keyframe
@@ -14,9 +11,10 @@ from vo.mapping.keyframe_motion import motion_covariance
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
 from vo.mapping.map_features import PointDescriber
-from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
+from vo.places.patch_sampling import sampled_patches
+from vo.places.records import Place, PlaceKey, PlaceLandmarks
 from vo.places.vocabulary import DESCRIPTOR_BYTES
-from vo.types import Bytes, Floats, Ints, Keypoints
+from vo.types import Bytes, Ints, Keypoints
 
 _THUMBNAIL_HEIGHT = 120  # of images by which places are compared
 
@@ -94,7 +92,7 @@ class PlaceMaker:
                 descriptor=landmarks.descriptor,
                 octave=landmarks.octave,
                 angle=landmarks.angle,
-                patch=patches(
+                patch=sampled_patches(
                     image, keyframe.image_xy[order], landmarks.octave, self._scale_factor
                 ),
             ),
@@ -125,37 +123,3 @@ class PlaceMaker:
             descriptor=given.descriptor, octave=given.octave, angle=given.angle
         )
         return keypoints, described
-
-
-def patches(image: Bytes, xy: Floats, octave: NDArray[np.int32], scale_factor: float) -> Bytes:
-    """(n, PATCH_PX, PATCH_PX) around pixels (n, 2) of an image, at their pyramid levels (n,)."""
-    result = np.zeros((len(xy), PATCH_PX, PATCH_PX), np.uint8)
-    offset = np.arange(PATCH_PX, dtype=np.float32) - PATCH_PX // 2
-    height, width = image.shape
-    reduced, size = image, (width, height)
-    for level in range(int(octave.max(initial=-1)) + 1):
-        if level > 0:  # of the level before, as for the features: much faster than of the image
-            size = tuple(math.ceil(side / scale_factor**level) for side in (width, height))
-            reduced = cv2.resize(reduced, size, interpolation=cv2.INTER_LINEAR)
-        rows = np.flatnonzero(octave == level)
-        if not len(rows):
-            continue
-        ratio = np.array([size[0] / width, size[1] / height])
-        centre = ((xy[rows] + 0.5) * ratio - 0.5).astype(np.float32)
-        u, v = (
-            np.ascontiguousarray(np.broadcast_to(at, (len(rows), PATCH_PX, PATCH_PX)))
-            for at in (
-                centre[:, 0, None, None] + offset[None, None, :],
-                centre[:, 1, None, None] + offset[None, :, None],
-            )
-        )
-        flat = (len(rows), PATCH_PX * PATCH_PX)
-        sampled = cv2.remap(
-            reduced,
-            u.reshape(flat),
-            v.reshape(flat),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        result[rows] = sampled.reshape(-1, PATCH_PX, PATCH_PX)
-    return result
