@@ -71,3 +71,14 @@ def test_unsupported_suffix_and_missing_folder(tmp_path: Path, make_walk: MakeWa
         save_plot(tmp_path / "plot.gif", evaluate(true, true), true)
     with pytest.raises(OutputError, match="cannot be written"):
         save_plot(tmp_path / "none" / "plot.png", evaluate(true, true), true)
+
+
+def test_no_line_is_drawn_where_poses_are_missing(make_walk: MakeWalk) -> None:
+    true = make_walk()
+    kept = np.r_[0 : len(true) // 3, len(true) // 2 : len(true)]
+    part = Trajectory(true.stamps_ns[kept], true.world_from_cam[kept])
+    path, position, _ = draw(evaluate(part, true), true).axes
+    for axes in (path, position):
+        drawn = next(line for line in axes.get_lines() if line.get_color() == "#0072B2")
+        assert np.flatnonzero(np.isnan(drawn.get_ydata())).tolist() == [len(true) // 3]
+        assert len(drawn.get_ydata()) == len(part) + 1

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette, safe for colour-blind readers.
 _TRUTH, _ESTIMATE, _ROTATION, _FAINT = "#333333", "#0072B2", "#D55E00", "#BBBBBB"
 _SUFFIXES = (".png", ".pdf", ".svg")
+_GAP = 5.0  # time between two poses, relative to the median, over which no line is drawn
 _ALIGNED = {
     "none": "not aligned",
     "se3": "aligned in SE(3)",
@@ -84,8 +85,9 @@ def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figu
 
 
 def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> None:
-    truth = evaluation.matched.reference[:, :3, 3]
-    estimate = evaluation.aligned[:, :3, 3]
+    seconds = evaluation.matched.seconds
+    truth = with_gaps(evaluation.matched.reference[:, :3, 3], seconds)
+    estimate = with_gaps(evaluation.aligned[:, :3, 3], seconds)
     across, up = axes_from_above(evaluation.matched.reference)
     whole = reference.positions
     axes.plot(whole[:, across], whole[:, up], color=_FAINT, lw=0.8, zorder=1)
@@ -102,7 +104,7 @@ def _draw_path(axes: Axes, evaluation: Evaluation, reference: Trajectory) -> Non
     axes.set_title("path from above", loc="left", fontsize=10)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
-    axes.legend(frameon=False, fontsize=9)
+    axes.legend(frameon=False, fontsize=9, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.04))
     _tidy(axes)
 
 
@@ -110,8 +112,9 @@ def _draw_errors(
     axes: Axes, seconds: Floats, errors: Floats, name: str, unit: str, colour: str
 ) -> None:
     rmse = float(np.sqrt(np.mean(errors**2)))
-    axes.plot(seconds, errors, color=colour, lw=1.4)
-    axes.fill_between(seconds, errors, color=colour, alpha=0.12, lw=0)
+    drawn, at = with_gaps(errors, seconds), with_gaps(seconds, seconds)
+    axes.plot(at, drawn, color=colour, lw=1.4)
+    axes.fill_between(at, drawn, color=colour, alpha=0.12, lw=0)
     axes.axhline(rmse, color=_TRUTH, lw=0.9, ls=":")
     numbers = f"rmse {rmse:.3g} {unit} (dotted), max {errors.max():.3g} {unit}"
     axes.set_title(f"{name}: {numbers}", loc="left", fontsize=10)
@@ -119,6 +122,13 @@ def _draw_errors(
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     _tidy(axes)
+
+
+def with_gaps(values: Floats, seconds: Floats) -> Floats:
+    """Values (N, ...) at increasing times (N,), with a row of NaN where poses are missing."""
+    steps = np.diff(seconds)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    return np.insert(values, gaps, np.nan, axis=0)
 
 
 def _tidy(axes: Axes) -> None:
