@@ -51,11 +51,7 @@ def make_memory(
         ConfigError: places cannot be recognised by these descriptors.
         InputError: the vocabulary or the map cannot be read.
     """
-    if descriptors.width != DESCRIPTOR_BYTES or descriptors.dtype != "uint8":
-        raise ConfigError(
-            f"memory.loops recognises places by binary descriptors of {8 * DESCRIPTOR_BYTES} bits, "
-            f"such as orb; those of {config.features.detector} are others: leave it out"
-        )
+    _check_descriptors(descriptors, config.features.detector)
     file = config.memory.vocabulary
     vocabulary = read_vocabulary(Path(file)) if file else built_in_vocabulary()
     scale_factor = config.features.scale_factor
@@ -89,3 +85,11 @@ def make_memory(
         inertial,
         LoopBundle(rig.intrinsics, config.smoothing) if adjusts else None,
     )
+
+
+def _check_descriptors(descriptors: DescriptorFormat, detector: str) -> None:
+    if descriptors.width != DESCRIPTOR_BYTES or descriptors.dtype != "uint8":
+        raise ConfigError(
+            f"memory.loops recognises places by binary descriptors of {8 * DESCRIPTOR_BYTES} bits, "
+            f"such as orb; those of {detector} are others: leave it out"
+        )
