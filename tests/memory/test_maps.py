@@ -183,7 +183,8 @@ def test_two_maps_of_a_place_are_merged_into_one_world(
     assert "keyframes recognised in both maps" in done.stdout
     contents = vo.maps.info(both)
     assert contents["sessions"] == [str(first / "room"), str(second)]
-    assert contents["worlds"] == [{"world": 0, "keyframes": contents["keyframes"]}]
+    only = {"world": 0, "keyframes": contents["keyframes"], "length_unit": "m"}
+    assert contents["worlds"] == [only]
     truth, world_from_map = read_tum(second / "groundtruth.tum"), _world_from_map(first / "room")
     with MapFile(first / "room.map") as old, vo.maps.load(both) as merged:
         poses = dict(zip(merged.placed.keys, merged.placed.world_from_cam, strict=True))

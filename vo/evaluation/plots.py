@@ -127,7 +127,7 @@ def _draw_errors(
 def with_gaps(values: Floats, seconds: Floats) -> Floats:
     """Values (N, ...) at increasing times (N,), with a row of NaN where poses are missing."""
     steps = np.diff(seconds)
-    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else steps.astype(int)
     return np.insert(values, gaps, np.nan, axis=0)
 
 
