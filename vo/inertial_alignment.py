@@ -16,7 +16,12 @@ from vo.geometry.rectification import RectifiedRig
 from vo.geometry.transforms import adjoint, inverse
 from vo.inertial.chain import InertialChain, Node, Placed, certain
 from vo.inertial.initialisation import WRONG, tilt_sigma
-from vo.inertial.prediction import InertialPredictor, KnownMotion, known_motion
+from vo.inertial.prediction import (
+    InertialPredictor,
+    KnownMotion,
+    known_motion,
+    without_inertial,
+)
 from vo.inertial.samples import RetimedSensor, SampleReader
 from vo.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
 from vo.inertial.time_offset import OffsetSearch
@@ -142,6 +147,7 @@ class InertialAlignment:
         self._chain.remove_from(frame_index)
         self._gaps.forget_from(frame_index)
         self._predictor.known = None
+        self._predictor.in_windows.clear()
         self.placement.forget_from(frame_index)
 
     @timed("inertial")
@@ -188,16 +194,16 @@ class InertialAlignment:
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None
         for keyframe in keyframes:
-            self._chain.set(
-                Node(
-                    keyframe.id,
-                    keyframe.frame.index,
-                    keyframe.frame.stamp_ns,
-                    keyframe.frame.segment,
-                    keyframe.world_from_cam.copy(),
-                    None if before is None else motion_covariance(before, keyframe),
-                )
-            )
+            covariance = None
+            if before is not None:
+                covariance = motion_covariance(before, keyframe)
+                counted = self._predictor.in_windows.get((before.id, keyframe.id))
+                # The samples are a measurement of the chain, too.
+                if counted is not None and before.id in keyframe.cross_covariance:
+                    covariance = without_inertial(covariance, counted.covariance)
+            frame, pose = keyframe.frame, keyframe.world_from_cam.copy()
+            place = keyframe.id, frame.index, frame.stamp_ns, frame.segment
+            self._chain.set(Node(*place, pose, covariance))
             before = keyframe
 
     def _measure_offset(self) -> bool:

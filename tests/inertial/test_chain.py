@@ -230,3 +230,27 @@ def _finished(chain: InertialChain, nodes: list[Node]) -> Placed:
 def test_reason_is_known_before_first_states() -> None:
     chain = _chain(sensor())
     assert chain.reason is NotYet.FEW_KEYFRAMES and chain.finish() is None
+
+
+def _dense_chain(count: int) -> tuple[InertialChain, list[int]]:
+    """A chain with a keyframe every 0.2 s; the keyframes after which it has states."""
+    stamps = keyframe_stamps(count, 0.2)
+    poses = visual_poses(world_from_cam(stamps), _SCALE)
+    chain, known = _chain(sensor(seconds=15.0)), []
+    for k in range(count):
+        covariance = step_covariance(1, _SCALE)[0]
+        chain.set(Node(k, k, int(stamps[k]), 0, poses[k], covariance))
+        if chain.update() is not None:
+            known.append(k)
+    return chain, known
+
+
+def test_first_states_are_searched_once_a_second_while_more_motion_is_needed() -> None:
+    """The search takes longer than everything else in the chain."""
+    chain, known = _dense_chain(17)
+    # Searched after keyframes 3, 8 and 13, next after 18; 16 would be enough.
+    assert known == [] and chain.reason is NotYet.NO_MOTION
+    assert chain.update() is None
+    chain.restart()  # by another time offset: at once
+    assert chain.update() is not None and chain.initialised_frame == 16
+    assert _dense_chain(20)[1] == [18, 19]

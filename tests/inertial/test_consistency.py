@@ -24,8 +24,13 @@ from inertial_flight import (
     world_from_cam,
 )
 
-from vo.geometry.transforms import inverse, se3_exp
+from vo.geometry.transforms import inverse, se3_exp, se3_log
 from vo.inertial.chain import InertialChain, Node, placed_at_origin
+from vo.inertial.prediction import (
+    InertialPredictor,
+    known_motion,
+    without_inertial,
+)
 from vo.inertial.samples import SampleReader
 from vo.inertial.states import States
 from vo.types import Floats, ImuNoise, Ints
@@ -36,6 +41,9 @@ _RATE_HZ = 200
 _TURN, _MOVE, _DRIFT = 1e-3, 3e-3, 0.0015
 _SCALE = 0.5
 _WALKING = ImuNoise(NOISE.gyro_noise, 2e-5, NOISE.accel_noise, 1e-3)
+
+_AFTER_GAP = _KEYFRAMES - 3
+_WEAK_TURN, _WEAK_MOVE = 0.01, 0.02  # of the motion through a gap
 
 _PARTS: dict[str, slice] = {
     "pose": slice(0, 6),
@@ -85,21 +93,62 @@ def _true_states(stamps: Ints, biases: Floats, scale: Floats) -> States:
     return placed_at_origin(states, IMU_FROM_CAM)
 
 
+def _window_motion(
+    chain: InertialChain, reader: SampleReader, stamps: Ints, scale: float, *, counts_twice: bool
+) -> tuple[Floats, Floats]:
+    """Motion to the keyframe after a gap, and its covariance, of a window that uses the sensor.
+
+    Images alone determine it badly.
+
+    Args:
+        chain: knows the states before the gap.
+        reader: gives the samples.
+        stamps: (2,) of the keyframes beside the gap.
+        scale: metres of one unit of the map.
+        counts_twice: whether the part by the sensor stays in.
+    """
+    assert chain.newest is not None
+    estimate, times = chain.newest.estimate, stamps.tolist()
+    known = known_motion(times[0], estimate.states.rows(slice(-1, None)), estimate.covariance[-1])
+    inertial = InertialPredictor(reader, _WALKING, IMU_FROM_CAM).motion(known, *times)
+    assert inertial is not None
+    rng = np.random.default_rng(times[0] + round(1e6 * scale))
+    sigma = np.array([_WEAK_TURN] * 3 + [_WEAK_MOVE / scale] * 3)
+    truth = world_from_cam(stamps)
+    seen = inverse(truth[0]) @ truth[1]
+    seen[:3, 3] /= scale
+    seen = seen @ se3_exp(sigma * rng.standard_normal(6))
+    information = np.diag(sigma**-2.0), np.linalg.inv(inertial.covariance)
+    covariance = np.linalg.inv(information[0] + information[1])
+    off = se3_log(inverse(seen) @ inertial.first_from_last)
+    motion = seen @ se3_exp(covariance @ information[1] @ off)
+    alone = without_inertial(covariance, inertial.covariance)
+    return motion, covariance if counts_twice else alone
+
+
 @cache
-def _errors(seed: int, stated: float = 1.0) -> tuple[Floats, Floats]:
+def _errors(
+    seed: int, stated: float = 1.0, counts_twice: bool | None = None
+) -> tuple[Floats, Floats]:
     """Errors (n, 16) of the states of a run, and their covariances (n, 16, 16).
 
     Args:
         seed: of all noise.
         stated: stated covariance of the motions by images, relative to the true one.
+        counts_twice: as in `_window_motion`; None without a gap.
     """
     rng = np.random.default_rng(seed)
     stamps = keyframe_stamps(_KEYFRAMES)
     sensor, biases = _sensor(rng)
     poses, scale = _visual(stamps, rng)
-    chain = InertialChain(SampleReader(sensor), _WALKING, IMU_FROM_CAM, is_metric=False)
+    reader = SampleReader(sensor)
+    chain = InertialChain(reader, _WALKING, IMU_FROM_CAM, is_metric=False)
     for k in range(_KEYFRAMES):
         covariance = stated * _covariance(float(scale[k - 1])) if k else None
+        if counts_twice is not None and k == _AFTER_GAP:
+            times, at = stamps[k - 1 : k + 1], float(scale[k - 1])
+            motion, covariance = _window_motion(chain, reader, times, at, counts_twice=counts_twice)
+            poses[k:] = poses[k - 1] @ motion @ inverse(poses[k]) @ poses[k:]
         chain.set(Node(k, k, int(stamps[k]), 0, poses[k], covariance))
         chain.update()
     placed = chain.finish()
@@ -108,12 +157,12 @@ def _errors(seed: int, stated: float = 1.0) -> tuple[Floats, Floats]:
     return estimate.states.since(_true_states(stamps, biases, scale)), estimate.covariance
 
 
-def _nees(part: str, row: int, stated: float = 1.0) -> float:
+def _nees(part: str, row: int, stated: float = 1.0, *, counts_twice: bool | None = None) -> float:
     """Mean over the runs."""
     columns = _PARTS[part]
     total = 0.0
     for seed in range(_RUNS):
-        errors, covariances = _errors(seed, stated)
+        errors, covariances = _errors(seed, stated, counts_twice)
         error, covariance = errors[row, columns], covariances[row][columns, columns]
         total += float(error @ np.linalg.solve(covariance, error))
     return total / _RUNS
@@ -138,3 +187,11 @@ def test_stated_covariances_are_those_of_the_errors(part: str) -> None:
 
 def test_motions_by_images_with_too_small_covariances_are_not_consistent() -> None:
     assert _nees("pose", _KEYFRAMES - 1, stated=0.1) > 1.5 * _band(6)[1]
+
+
+@pytest.mark.parametrize("part", ["pose", "velocity", "gyro_bias"])
+def test_samples_that_a_window_has_used_are_counted_once(part: str) -> None:
+    once = _nees(part, _AFTER_GAP, counts_twice=False)
+    low, high = _band(_PARTS[part].stop - _PARTS[part].start)
+    assert low < once < high
+    assert once < 0.95 * _nees(part, _AFTER_GAP, counts_twice=True)

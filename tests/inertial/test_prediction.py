@@ -15,7 +15,13 @@ from inertial_flight import (
 )
 
 from vo.geometry.transforms import inverse, se3_log
-from vo.inertial.prediction import InertialPredictor, KnownMotion, RelativeMotion, known_motion
+from vo.inertial.prediction import (
+    InertialPredictor,
+    KnownMotion,
+    RelativeMotion,
+    known_motion,
+    without_inertial,
+)
 from vo.inertial.samples import SampleReader
 from vo.inertial.states import WIDTH, States
 from vo.types import Floats
@@ -74,3 +80,28 @@ def test_nothing_is_predicted_from_the_future_or_for_long() -> None:
     assert predictor.motion(known, _KNOWN - 1, _LAST) is None
     assert predictor.motion(known, _FIRST, _FIRST + 3_100_000_000) is None
     assert predictor.motion(known, _FIRST, START_NS + 20_000_000_000) is None  # no samples
+
+
+def _covariances() -> tuple[Floats, Floats]:
+    """Covariances of a motion by images, and of an inertial one."""
+    inertial = _predictor().motion(_known(), _FIRST, _LAST)
+    assert inertial is not None
+    scale = np.repeat([0.001, 0.02], 3)[:, None]
+    root = np.random.default_rng(5).normal(size=(6, 6)) * scale
+    return root @ root.T, inertial.covariance
+
+
+def test_inertial_information_is_taken_out_of_a_motion_again() -> None:
+    visual, inertial = _covariances()
+    both = np.linalg.inv(np.linalg.inv(visual) + np.linalg.inv(inertial))
+    assert np.linalg.det(both) < 0.5 * np.linalg.det(visual)
+    units = np.sqrt(np.outer(np.diag(visual), np.diag(visual)))
+    np.testing.assert_allclose(without_inertial(both, inertial) / units, visual / units, atol=1e-6)
+
+
+def test_a_motion_that_is_inertial_alone_keeps_a_hundredth_of_its_information() -> None:
+    inertial = _covariances()[1]
+    np.testing.assert_allclose(without_inertial(inertial, inertial), 100.0 * inertial, rtol=1e-6)
+    np.testing.assert_allclose(
+        without_inertial(2.0 * inertial, inertial), 200.0 * inertial, rtol=1e-6
+    )

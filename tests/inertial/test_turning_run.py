@@ -29,6 +29,7 @@ def test_a_camera_that_only_turns_has_orientations_and_no_path(tmp_path: Path) -
     summary = json.loads((output / "summary.json").read_text("utf-8"))
     assert summary["verdict"] == "no path" and not summary["trusted"]
     assert summary["tracked"] == 0 and summary["inertial_orientations"] == 60
+    assert summary["keyframes"] == 0
     assert any("without a position" in warning for warning in summary["warnings"])
     rows = np.loadtxt(output / "poses.csv", delimiter=",", skiprows=1)
     assert rows[:, 0].tolist() == list(range(60)) and (rows[:, 4] == 3).all()

@@ -32,6 +32,8 @@ class _Gaps(Protocol):
 
 
 class _Predictor(Protocol):
+    in_windows: dict[tuple[int, int], RelativeMotion | None]
+
     def motion(
         self, known: KnownMotion | None, first_ns: int, last_ns: int
     ) -> RelativeMotion | None: ...
@@ -74,12 +76,11 @@ class GapFactors:
 
     Args:
         motion: knows the gaps of the local map.
-        predictor: gives the motion through them.
+        predictor: gives the motion through them, and is told which motions are in windows.
     """
 
     def __init__(self, motion: _Gaps, predictor: _Predictor) -> None:
         self._motion, self._predictor = motion, predictor
-        self._measured: dict[tuple[int, int], RelativeMotion | None] = {}
 
     def factors(self, keyframes: Sequence[Keyframe]) -> list[WindowFactor]:
         """Factors between keyframes before and after a gap."""
@@ -103,8 +104,7 @@ class GapFactors:
         between = [g for g in gaps if times[0] <= g.first_ns and g.last_ns <= times[1]]
         if not between:
             return None
-        key = first.id, second.id
-        if key not in self._measured:
-            known = between[0].known
-            self._measured[key] = self._predictor.motion(known, *times)
-        return self._measured[key]
+        key, measured = (first.id, second.id), self._predictor.in_windows
+        if key not in measured:
+            measured[key] = self._predictor.motion(between[0].known, *times)
+        return measured[key]

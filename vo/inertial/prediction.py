@@ -21,6 +21,7 @@ from vo.inertial.states import (
 from vo.inertial.turning import TurnLog
 from vo.types import Floats, ImuNoise
 
+_MAX_SHARE = 0.99  # of the information on a motion that an inertial one can have
 _MAX_S = 3.0  # since the keyframe whose motion is known, and again of what is predicted
 # Columns of the errors of a known motion.
 _V, _G, _BIASES, _SCALE = slice(0, 3), slice(3, 6), slice(6, 12), 12
@@ -89,6 +90,8 @@ class InertialPredictor:
         noise: of the sensor.
         imu_from_cam: (4, 4) of the rectified camera.
         turns: rotations between images that make no map yet.
+        in_windows: motions that are factors of the windows, by the ids of both keyframes; None
+            where the motion was unknown.
 
     Args:
         reader: gives the samples.
@@ -100,6 +103,7 @@ class InertialPredictor:
         self.known: KnownMotion | None = None
         self.noise, self.imu_from_cam = noise, imu_from_cam
         self.turns = TurnLog()
+        self.in_windows: dict[tuple[int, int], RelativeMotion | None] = {}
         self._reader = reader
 
     def has_samples(self, first_ns: int, last_ns: int) -> bool:
@@ -152,6 +156,24 @@ class InertialPredictor:
         of_scale = np.concatenate([np.zeros(3), motion[:3, :3].T @ motion[:3, 3]])
         covariance += known.covariance[_SCALE, _SCALE] * np.outer(of_scale, of_scale)
         return RelativeMotion(motion, 0.5 * (covariance + covariance.T))
+
+
+def without_inertial(covariance: Floats, inertial: Floats) -> Floats:
+    """Covariance (6, 6) of a motion by images alone, of one that an inertial motion is a part of.
+
+    The information of independent measurements adds, so it is subtracted here. Along directions
+    in which images have less than 1 % of the information they keep 1 %. The motion itself cannot
+    be taken apart in this way: an error of either covariance would move it by many times its own.
+
+    Args:
+        covariance: (6, 6) of the motion.
+        inertial: (6, 6) of its inertial part, in the same frame.
+    """
+    root = np.linalg.cholesky(covariance)
+    shares = root.T @ np.linalg.solve(inertial, root)
+    share, axes = np.linalg.eigh(0.5 * (shares + shares.T))
+    axes = root @ axes
+    return np.asarray(axes / (1.0 - share.clip(0.0, _MAX_SHARE)) @ axes.T)
 
 
 def _after(known: KnownMotion, step: Preintegrated, stamp_ns: int) -> KnownMotion:

@@ -249,6 +249,7 @@ def summarise(state: RunState) -> Summary:
     inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
     turned = 0 if path.inertial is None else int(np.count_nonzero(path.inertial == -2))
     segments = _segments(path)
+    tracked = len(path.frame_index) - interpolated - inertial
     # The disparities of a depth camera are relative to a virtual right camera.
     disparity_px = statistics.median_disparity_px if facts.mode == "stereo" else None
     return Summary(
@@ -256,7 +257,7 @@ def summarise(state: RunState) -> Summary:
         error=state.error,
         facts=facts,
         frames=len(path.frame_index) + sum(count.values()),
-        tracked=len(path.frame_index) - interpolated - inertial,
+        tracked=tracked,
         interpolated=interpolated,
         inertial_poses=inertial - turned,
         inertial_orientations=turned,
@@ -267,7 +268,8 @@ def summarise(state: RunState) -> Summary:
         unpaired=state.unpaired,
         without_pose=tuple(ranges),
         segments=tuple(segments),
-        keyframes=state.keyframes,
+        # Orientations alone are stored relative to an origin, which is no keyframe.
+        keyframes=state.keyframes if tracked else 0,
         landmarks=statistics.landmarks,
         path_m=round(sum(s.path_m for s in segments), 6),
         wall_s=round(state.wall_s, 3),
