@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette, safe for colour-blind readers.
 _TRUTH, _ESTIMATE, _ROTATION, _FAINT = "#333333", "#0072B2", "#D55E00", "#BBBBBB"
 _SUFFIXES = (".png", ".pdf", ".svg")
-_GAP = 5.0  # time between two poses, relative to the median, over which no line is drawn
+_GAP = 3.0  # time between two poses, relative to the median, over which no line is drawn
 _ALIGNED = {
     "none": "not aligned",
     "se3": "aligned in SE(3)",
