@@ -17,7 +17,7 @@ from marker_views import Placed, developed, looking_at, random_background, rende
 
 from vo.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.markers.detection import MarkerDetector, Refinement
-from vo.markers.dictionaries import CANDIDATES
+from vo.markers.dictionaries import CANDIDATES, dictionary_name
 from vo.markers.search import MarkerFinder
 from vo.types import Camera, Floats
 
@@ -106,7 +106,8 @@ def main() -> None:
     parser.add_argument("--dictionaries", default=",".join(CANDIDATES))
     arguments = parser.parse_args()
     if arguments.images is not None:
-        count_false(arguments.images, arguments.limit, arguments.dictionaries.split(","))
+        names = [dictionary_name(name) for name in arguments.dictionaries.split(",")]
+        count_false(arguments.images, arguments.limit, names)
         return
     kinds = [Refinement.LINES, Refinement.SUBPIX, Refinement.APRILTAG]
     lines = [HEADING]

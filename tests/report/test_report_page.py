@@ -341,3 +341,20 @@ def test_units_fit_the_size_of_quantities() -> None:
     assert [duration(v) for v in (5.0, 300.0, 7200.0)] == ["5.00 s", "5.00 min", "2.00 h"]
     assert [percentage(p, 2000) for p in (2000, 1999, 0)] == ["100 %", "99.9 %", "0 %"]
     assert np.isclose(float(number(3.14159)), 3.14)
+
+
+def test_markers_are_drawn_and_listed(own_run: Path, tmp_path: Path) -> None:
+    header = "segment,id,tx,ty,tz,qx,qy,qz,qw,sigma_m,views,first_frame,last_frame,error"
+    rows = ["0,7,1.25,0.5,2.125,0,0,0,1,0.0042,9,1,12,1.5", "0,23,-1,0,3,0,0,0,1,0.01,3,4,6,0.9"]
+    (own_run / "markers.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    page = page_of(tmp_path, own_run, "--no-images")
+    (figure,) = re.findall(r'<figure id="plot-markers">.*?</figure>', page.source, re.DOTALL)
+    assert ">7<" in figure and ">23<" in figure
+    assert "error (sigma) 7 0 1.250 0.500 2.125 4.20 9 1 to 12 1.50" in page.text
+    assert "23 0 -1.000 0.000 3.000 10.0 3 4 to 6 0.900" in page.text
+    (own_run / "markers.csv").write_text("\n".join([header, "0,7,x", ""]), encoding="utf-8")
+    assert "markers.csv is damaged" in make(own_run, expect=1)
+
+
+def test_a_run_without_markers_has_no_section_of_them(own_run: Path, tmp_path: Path) -> None:
+    assert "Markers" not in page_of(tmp_path, own_run, "--no-images").text

@@ -46,9 +46,11 @@ def _run_sections(entry: Entry, plots: Sequence[Plot], is_comparison: bool) -> M
     own = [plot for plot in plots if plot.run == entry.number]
     name = f", {entry.name}" if is_comparison else ""
     loops = [plot for plot in own if plot.name.startswith("loops")]
-    others = [plot for plot in own if plot not in loops]
+    markers = [plot for plot in own if plot.name.startswith("markers")]
+    others = [plot for plot in own if plot not in (*loops, *markers)]
     return join(
         sections.plot_section(f"Loops{name}", loops),
+        sections.plot_section(f"Markers{name}", markers),
         sections.plot_section(f"Tracking and time{name}", others),
         sections.image_section(entry, f"Images{name}"),
     )
@@ -63,6 +65,7 @@ def _details(entries: Sequence[Entry]) -> list[Markup]:
             sections.segments,
             sections.loops,
             sections.relocalisations,
+            sections.markers,
         )
     ]
     return [*each, sections.provenance(entries)]

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,30 @@ class Sigmas:
     rotation_deg: Floats
 
 
+class MappedMarker(NamedTuple):
+    """A row of `markers.csv`; lengths in metres, in the world of the path.
+
+    Attributes:
+        segment: number of the world.
+        id: of the marker.
+        position: of its middle.
+        sigma_m: standard deviation of the position.
+        views: number of frames that show it.
+        first_frame: number of the first of them.
+        last_frame: number of the last one.
+        error: RMS distance of its corners from their prediction, in standard deviations.
+    """
+
+    segment: int
+    id: int
+    position: tuple[float, float, float]
+    sigma_m: float
+    views: int
+    first_frame: int
+    last_frame: int
+    error: float
+
+
 @dataclass(frozen=True, eq=False)
 class RunRecord:
     """Results of a run.
@@ -68,6 +92,7 @@ class RunRecord:
         odometry: the path before loops, empty without any.
         frames: None if `frames.csv` is missing.
         sigmas: None without covariances.
+        markers: where they are, empty without any.
     """
 
     path: Path
@@ -79,6 +104,7 @@ class RunRecord:
     odometry: Trajectory
     frames: FrameTable | None
     sigmas: Sigmas | None
+    markers: tuple[MappedMarker, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -116,6 +142,7 @@ def read_run(folder: Path) -> RunRecord:
         _trajectory(folder / "odometry.tum"),
         _frames(folder / "frames.csv"),
         _sigmas(folder / "covariance.csv"),
+        _markers(folder / "markers.csv"),
     )
 
 
@@ -201,6 +228,29 @@ def _frames(path: Path) -> FrameTable | None:
         return FrameTable(**counts, state=state, total_ms=times.pop("total"), stage_ms=times)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+
+
+def _markers(path: Path) -> tuple[MappedMarker, ...]:
+    try:
+        found = tuple(
+            MappedMarker(
+                int(row["segment"]),
+                int(row["id"]),
+                (float(row["tx"]), float(row["ty"]), float(row["tz"])),
+                float(row["sigma_m"]),
+                views=int(row["views"]),
+                first_frame=int(row["first_frame"]),
+                last_frame=int(row["last_frame"]),
+                error=float(row["error"]),
+            )
+            for row in _rows(path)
+        )
+        numbers = [(*each.position, each.sigma_m, each.error) for each in found]
+        if not np.isfinite(numbers).all():
+            raise ValueError("a position is no finite number")
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+    return found
 
 
 def _sigmas(path: Path) -> Sigmas | None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import cv2
 
@@ -157,7 +158,7 @@ def loops(entry: Entry) -> Markup:
     if not found:
         return Markup()
     rows = [
-        [str(each["frame"]), str(each["earlier_frame"]), each["kind"], str(each["inliers"])]
+        [str(each["frame"]), str(each["earlier_frame"]), _kind(each), str(each["inliers"])]
         + [_moved(each["correction_m"]), _moved(each["correction_deg"])]
         for each in found
     ]
@@ -179,6 +180,28 @@ def relocalisations(entry: Entry) -> Markup:
     heading = ["frame", "segment", "seen before in", "keyframes", "inliers"]
     inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
     return element("details", element("summary", f"Relocalisations, {entry.name}"), inside)
+
+
+def _kind(loop: Mapping[str, Any]) -> str:
+    """Kind of a loop, with the id of its marker."""
+    number = loop.get("marker")
+    return str(loop["kind"]) if number is None else f"{loop['kind']} ({number})"
+
+
+def markers(entry: Entry) -> Markup:
+    """Markers and where they are, if there are any."""
+    found = entry.run.markers
+    if not found:
+        return Markup()
+    rows = [
+        [str(each.id), str(each.segment), *(f"{value:.3f}" for value in each.position)]
+        + [number(1000.0 * each.sigma_m), str(each.views)]
+        + [_range(each.first_frame, each.last_frame), number(each.error)]
+        for each in found
+    ]
+    heading = ["id", "segment", "x (m)", "y (m)", "z (m)", "sigma (mm)", "views", "frames"]
+    inside = table([*heading, "error (sigma)"], rows)
+    return element("details", element("summary", f"Markers, {entry.name}"), inside)
 
 
 def _moved(value: float | None) -> str:

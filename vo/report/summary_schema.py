@@ -42,6 +42,7 @@ _SCHEMA: dict[str, Any] = {
         {
             **dict.fromkeys(("frame", "earlier_frame", "inliers"), _WHOLE),
             "kind": _TEXT,
+            "marker?": _WHOLE,
             **dict.fromkeys(("correction_m", "correction_deg"), _NUMBER + _OPTIONAL),
         }
     ],

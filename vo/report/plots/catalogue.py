@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.report.entry import Entry
-from vo.report.plots import errors, loops, paths, style, times, tracking
+from vo.report.plots import errors, loops, markers, paths, style, times, tracking
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,6 +58,7 @@ _LOOPS = (
 )
 _SINGLE_RUN = (
     _LOOPS,
+    ("markers", "The markers and the path from above.", markers.draw_markers),
     (
         "counts",
         "Matched landmarks, and inliers among them, over time.",
