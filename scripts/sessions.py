@@ -2,6 +2,8 @@
 
 Both recordings are rendered once, into --cache. The path of the first session is aligned with its
 true one, in mono with a scale; the second session has the same alignment, without a fit of its own.
+So its errors contain those of the map. Errors relative to the map are those of the position from
+that of the nearest frame of the first session. Inertial sensors are not used.
 """
 
 from __future__ import annotations
@@ -18,12 +20,24 @@ import numpy as np
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe
 from vo.formats.trajectory import read_tum
-from vo.geometry.similarity import Similarity, umeyama
+from vo.geometry.similarity import umeyama
 from vo.types import Floats, Ints
 
 ROOT = Path(__file__).resolve().parent.parent
-COURSE = ("scale=0.5", "motion=loop", "format=euroc", "world=room", "camera=pinhole")
-TIMES = ("seconds=40", "fps=10", "seed=1")
+COURSES = {
+    "room": (
+        *("scale=0.5", "motion=loop", "format=euroc", "world=room", "camera=pinhole"),
+        *("seconds=40", "fps=10", "seed=1"),
+    ),
+    "street": (
+        *("scale=0.4", "motion=car", "format=euroc", "world=street", "camera=kitti"),
+        *("seconds=20", "fps=10", "seed=5"),
+    ),
+}
+HEADING = (
+    *("course", "mode", "frames", "in the map from frame", "localised", "the map, m"),
+    *("median, m", "largest, m", "relative to the map, m", "`causal.tum`, m", "relative, m"),
+)
 
 
 def main() -> None:
@@ -32,49 +46,61 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--cache", type=Path, default=ROOT / "out" / "loops")
+    parser.add_argument("--courses", default="room,street")
     parser.add_argument("--modes", default="stereo,mono")
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
-    first, second = (
-        cached_sequence(
-            load_recipe(None, [*COURSE, *TIMES, f"session={n}"]), arguments.cache, f"session_{n}"
+    print("| " + " | ".join(HEADING) + " |")
+    print("|" + " --- |" * 2 + " ---: |" * (len(HEADING) - 2))
+    for course in arguments.courses.split(","):
+        first, second = (
+            cached_sequence(
+                load_recipe(None, [*COURSES[course], f"session={n}"]),
+                arguments.cache,
+                f"{course}_session_{n}",
+            )
+            for n in range(2)
         )
-        for n in range(2)
-    )
-    heading = ["mode", "frames", "in the map from frame", "localised", "median, m", "largest, m"]
-    print("| " + " | ".join([*heading, "causal median, m"]) + " |")
-    print("|" + " --- |" + " ---: |" * len(heading))
-    for mode in arguments.modes.split(","):
-        print("| " + " | ".join(_measure(first, second, mode)) + " |", flush=True)
+        for mode in arguments.modes.split(","):
+            row = [course, mode, *_measure(first, second, mode)]
+            print("| " + " | ".join(row) + " |", flush=True)
 
 
 def _measure(first: Path, second: Path, mode: str) -> list[str]:
     with TemporaryDirectory() as folder:
-        one, two, file = Path(folder, "1"), Path(folder, "2"), Path(folder, "room.map")
+        one, two, file = Path(folder, "1"), Path(folder, "2"), Path(folder, "course.map")
         _run(first, one, mode, "--loops", "--save-map", str(file))
         _run(second, two, mode, "--map", str(file), "--localize")
         path, true, _ = _pair(one / "trajectory.tum", first)
         world_from_map = umeyama(path, true, with_scale=mode == "mono")
+        in_map = world_from_map.transform_points(path), true
         summary = json.loads((two / "summary.json").read_text())
         met = summary["map"]["met"]
         localised = sum(s["frames"] for s in summary["segments"] if s["segment"] in met)
         start = min((r["frame"] for r in summary["relocalisations"]), default=0)
-        errors, _ = _errors(two / "trajectory.tum", second, world_from_map)
-        causal, frame = _errors(two / "causal.tum", second, world_from_map)
+        positions, true, _ = _pair(two / "trajectory.tum", second)
+        found = world_from_map.transform_points(positions), true
+        positions, true, frame = _pair(two / "causal.tum", second)
+        causal = (
+            world_from_map.transform_points(positions)[frame >= start],
+            true[frame >= start],
+        )
         return [
-            mode,
             str(summary["frames"]),
             str(start),
             f"{localised / summary['frames']:.0%}",
-            f"{np.median(errors):.4f}",
-            f"{errors.max():.4f}",
-            f"{np.median(causal[frame >= start]):.4f}",
+            f"{np.median(_errors(in_map)):.4f}",
+            f"{np.median(_errors(found)):.4f}",
+            f"{_errors(found).max():.4f}",
+            f"{np.median(_errors_from(in_map, found)):.4f}",
+            f"{np.median(_errors(causal)):.4f}",
+            f"{np.median(_errors_from(in_map, causal)):.4f}",
         ]
 
 
 def _run(recording: Path, output: Path, mode: str, *options: str) -> None:
     command = [sys.executable, "-m", "vo", "run", str(recording), "-o", str(output), "-q"]
-    subprocess.run([*command, "--mode", mode, *options], check=True, cwd=ROOT)
+    subprocess.run([*command, "--mode", mode, "--no-imu", *options], check=True, cwd=ROOT)
 
 
 def _pair(file: Path, recording: Path) -> tuple[Floats, Floats, Ints]:
@@ -84,11 +110,16 @@ def _pair(file: Path, recording: Path) -> tuple[Floats, Floats, Ints]:
     return path.positions, truth.positions[rows], rows
 
 
-def _errors(file: Path, recording: Path, world_from_map: Similarity) -> tuple[Floats, Ints]:
-    """Errors (n,) of positions in metres, and numbers of the frames."""
-    path, true, frame = _pair(file, recording)
-    moved = world_from_map.transform_points(path)
-    return np.asarray(np.linalg.norm(moved - true, axis=1)), frame
+def _errors(path: tuple[Floats, Floats]) -> Floats:
+    """Errors (n,) in metres of positions (n, 3), given with the true ones."""
+    return np.asarray(np.linalg.norm(path[0] - path[1], axis=1))
+
+
+def _errors_from(in_map: tuple[Floats, Floats], path: tuple[Floats, Floats]) -> Floats:
+    """Errors (n,) of positions relative to those of the nearest frames of the first session."""
+    apart = np.linalg.norm(path[1][:, None] - in_map[1][None], axis=2)
+    nearest = np.argmin(apart, axis=1)
+    return _errors((path[0] - in_map[0][nearest], path[1] - in_map[1][nearest]))
 
 
 if __name__ == "__main__":
