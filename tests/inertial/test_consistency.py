@@ -40,6 +40,7 @@ _RATE_HZ = 200
 # Errors of a motion by images: standard deviations in rad and m, and of the logarithm of the scale.
 _TURN, _MOVE, _DRIFT = 1e-3, 3e-3, 0.0015
 _SCALE = 0.5
+_COMMON = 0.02  # standard deviation of the scale that all motions have in common
 _WALKING = ImuNoise(NOISE.gyro_noise, 2e-5, NOISE.accel_noise, 1e-3)
 
 _AFTER_GAP = _KEYFRAMES - 3
@@ -81,8 +82,11 @@ def _visual(stamps: Ints, rng: np.random.Generator) -> tuple[Floats, Floats]:
     return np.stack(poses), scale
 
 
-def _covariance(scale: float) -> Floats:
-    return np.diag([_TURN**2] * 3 + [(_MOVE / scale) ** 2] * 3)
+def _covariance(motion: Floats, scale: float, common: float) -> Floats:
+    """(6, 6) as the windows of one camera state it: with the common error of the scale."""
+    along = np.concatenate([np.zeros(3), motion[:3, :3].T @ motion[:3, 3]])
+    own = np.diag([_TURN**2] * 3 + [(_MOVE / scale) ** 2] * 3)
+    return np.asarray(own + common**2 * np.outer(along, along))
 
 
 def _true_states(stamps: Ints, biases: Floats, scale: Floats) -> States:
@@ -128,7 +132,10 @@ def _window_motion(
 
 @cache
 def _errors(
-    seed: int, stated: float = 1.0, counts_twice: bool | None = None
+    seed: int,
+    stated: float = 1.0,
+    counts_twice: bool | None = None,
+    common: float = _COMMON,
 ) -> tuple[Floats, Floats]:
     """Errors (n, 16) of the states of a run, and their covariances (n, 16, 16).
 
@@ -136,6 +143,7 @@ def _errors(
         seed: of all noise.
         stated: stated covariance of the motions by images, relative to the true one.
         counts_twice: as in `_window_motion`; None without a gap.
+        common: stated standard deviation of the scale that all of them have in common.
     """
     rng = np.random.default_rng(seed)
     stamps = keyframe_stamps(_KEYFRAMES)
@@ -144,7 +152,10 @@ def _errors(
     reader = SampleReader(sensor)
     chain = InertialChain(reader, _WALKING, IMU_FROM_CAM, is_metric=False)
     for k in range(_KEYFRAMES):
-        covariance = stated * _covariance(float(scale[k - 1])) if k else None
+        covariance = None
+        if k:
+            motion = inverse(poses[k - 1]) @ poses[k]
+            covariance = stated * _covariance(motion, float(scale[k - 1]), common)
         if counts_twice is not None and k == _AFTER_GAP:
             times, at = stamps[k - 1 : k + 1], float(scale[k - 1])
             motion, covariance = _window_motion(chain, reader, times, at, counts_twice=counts_twice)
@@ -162,7 +173,9 @@ def _nees(part: str, row: int, stated: float = 1.0, *, counts_twice: bool | None
     columns = _PARTS[part]
     total = 0.0
     for seed in range(_RUNS):
-        errors, covariances = _errors(seed, stated, counts_twice)
+        # A window that uses the sensor knows the scale.
+        common = _COMMON if counts_twice is None else 0.0
+        errors, covariances = _errors(seed, stated, counts_twice, common)
         error, covariance = errors[row, columns], covariances[row][columns, columns]
         total += float(error @ np.linalg.solve(covariance, error))
     return total / _RUNS
@@ -195,3 +208,12 @@ def test_samples_that_a_window_has_used_are_counted_once(part: str) -> None:
     low, high = _band(_PARTS[part].stop - _PARTS[part].start)
     assert low < once < high
     assert once < 0.95 * _nees(part, _AFTER_GAP, counts_twice=True)
+
+
+def test_common_error_of_the_scale_changes_no_state() -> None:
+    errors, covariances = _errors(0)
+    expected, expected_covariances = _errors(0, common=0.0)
+    sigma = np.sqrt(np.diagonal(expected_covariances, axis1=1, axis2=2))
+    assert np.abs((errors - expected) / sigma).max() < 0.05
+    found = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    np.testing.assert_allclose(found, sigma, rtol=0.02)

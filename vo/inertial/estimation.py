@@ -14,6 +14,7 @@ import numpy as np
 
 from vo.inertial.chain_solver import Equations, empty_equations, solve_chain
 from vo.inertial.factors import Linearised, inertial_residuals, visual_residuals
+from vo.inertial.scale_drift import without_scale
 from vo.inertial.states import (
     ACCEL_BIAS,
     GYRO_BIAS,
@@ -167,7 +168,12 @@ class _Problem:
             )
         walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
         self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
-        self._visual_covariance = _visual_covariance(steps)
+        covariance, drift = steps.covariance, np.zeros(len(steps.covariance))
+        if not steps.is_metric:
+            covariance, drift = without_scale(steps)
+        covariance = _visual_covariance(steps, covariance)[self._seen]
+        self._visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
+        self._sigma_scale = np.sqrt(_STEP_LOG_SCALE**2 + drift)
 
     def normal_equations(self, states: States) -> Equations:
         """Normal equations of a step from these states."""
@@ -185,7 +191,7 @@ class _Problem:
         self._add_walks(equations, states)
         if len(self._seen):
             visual = self._visual(states)
-            information = self._visual_information(states)
+            information = self._visual_information
             squared = np.maximum(_squared(visual.residual, information), 0.0)
             total += float(np.sum(squared))
             count += visual.residual.size
@@ -205,12 +211,6 @@ class _Problem:
         visual, place = self._steps.visual[self._seen], self._steps.imu_from_cam
         return visual_residuals(*self._ends(states, self._seen), visual, place)
 
-    def _visual_information(self, states: States) -> Floats:
-        scale = np.exp(states.log_scale[self._seen])
-        factor = np.concatenate([np.ones((len(scale), 3)), np.repeat(scale[:, None], 3, 1)], axis=1)
-        covariance = self._visual_covariance[self._seen]
-        return np.linalg.inv(covariance * factor[:, :, None] * factor[:, None, :])
-
     def _add_walks(self, equations: Equations, states: States) -> None:
         """Biases walk; where samples are missing, the velocity may have any value."""
         change = np.diff(np.concatenate([states.gyro_bias, states.accel_bias], axis=1), axis=0)
@@ -224,7 +224,7 @@ class _Problem:
     def _add_scale(self, equations: Equations, states: States) -> None:
         """The scale drifts slowly within a segment; another segment has a scale of its own."""
         change = np.diff(states.log_scale)
-        sigma = np.full(len(change), _STEP_LOG_SCALE)
+        sigma = self._sigma_scale.copy()
         sigma[~self._steps.is_visual] = _LOG_SCALE
         if self._steps.is_metric:
             sigma[:] = _FIXED_LOG_SCALE
@@ -256,9 +256,9 @@ def _add_change(
     equations.gradient_before[after[:2]] += weight * change
 
 
-def _visual_covariance(steps: Steps) -> Floats:
+def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:
     """Covariances with the drift that the windows do not contain."""
-    covariance = steps.covariance.copy()
+    covariance = covariance.copy()
     length = np.linalg.norm(steps.visual[:, :3, 3], axis=1)
     shortest = 1e-6 * max(float(length.max(initial=0.0)), 1e-6)
     for axis in range(3):

@@ -82,7 +82,10 @@ def inertial_residuals(
 def visual_residuals(
     before: States, after: States, visual: Floats, imu_from_cam: Floats
 ) -> Linearised:
-    """Residuals (n, 6) of the motions of the camera, as tangents on the right, in metres.
+    """Residuals (n, 6) of the motions of the camera, as tangents on the right, in map units.
+
+    The motions by images have errors, so that their length does not appear in any derivative:
+    multiplied by the scale, as the residual in metres would have it, they make the scale too small.
 
     Args:
         before: n states.
@@ -97,19 +100,20 @@ def visual_residuals(
     turned = so3.log(back @ relative)
     way = after.position - before.position
     way = way + (after.rotation - before.rotation) @ lever
-    scaled = np.exp(before.log_scale)[:, None] * visual[:, :3, 3]
-    residual = np.concatenate([turned, _rotated(back, _rotated(to_before, way) - scaled)], axis=1)
+    units = np.exp(-before.log_scale)  # of the map, of one metre
+    moved = units[:, None] * _rotated(to_before, way)
+    residual = np.concatenate([turned, _rotated(back, moved - visual[:, :3, 3])], axis=1)
     first, second = np.zeros((2, len(visual), 6, WIDTH))
     unturned = so3.inverse_right_jacobian(turned)
     first[:, 0:3, ROTATION] = -unturned @ np.swapaxes(cam_after, 1, 2) @ before.rotation
     second[:, 0:3, ROTATION] = unturned @ to_imu.T
     in_imu = _rotated(np.swapaxes(before.rotation, 1, 2), way)
     of_arm = skew(np.broadcast_to(lever, way.shape))
-    first[:, 3:6, ROTATION] = back @ to_imu.T @ (skew(in_imu) + of_arm)
-    to_after = back @ to_before
+    first[:, 3:6, ROTATION] = units[:, None, None] * (back @ to_imu.T @ (skew(in_imu) + of_arm))
+    to_after = units[:, None, None] * (back @ to_before)
     second[:, 3:6, ROTATION] = -to_after @ after.rotation @ of_arm
     first[:, 3:6, POSITION], second[:, 3:6, POSITION] = -to_after, to_after
-    first[:, 3:6, LOG_SCALE] = -_rotated(back, scaled)
+    first[:, 3:6, LOG_SCALE] = -_rotated(back, moved)
     return Linearised(residual, first, second)
 
 
