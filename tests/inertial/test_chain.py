@@ -22,6 +22,9 @@ from vo.geometry.transforms import inverse
 from vo.inertial.chain import InertialChain, Node, Placed, certain
 from vo.inertial.initialisation import NotYet
 from vo.inertial.samples import RetimedSensor, SampleReader
+from vo.inertial.states import ACCEL_BIAS as ACCEL_COLUMNS
+from vo.inertial.states import GYRO_BIAS as GYRO_COLUMNS
+from vo.inertial.states import ROTATION
 from vo.types import Floats
 
 _SCALE = 0.5
@@ -254,3 +257,37 @@ def test_first_states_are_searched_once_a_second_while_more_motion_is_needed() -
     chain.restart()  # by another time offset: at once
     assert chain.update() is not None and chain.initialised_frame == 16
     assert _dense_chain(20)[1] == [18, 19]
+
+
+def test_a_new_world_begins_with_the_biases_of_the_one_before() -> None:
+    count, first, gap = 44, 24, 8
+    truth = world_from_cam(keyframe_stamps(count))
+    source = sensor(noise=1.0, seconds=25.0)
+    poses = np.concatenate(
+        [
+            visual_poses(truth[:first], _SCALE, noise=1.0),
+            visual_poses(truth[first:], 1.0, noise=1.0),
+        ]
+    )
+    nodes = _nodes(count, poses, [0] * first + [1] * (count - first))
+    later = nodes[first + gap : first + gap + 9]  # 4 s
+
+    def added(chain: InertialChain, rows: list[Node]) -> Placed:
+        for node in rows:
+            chain.set(node)
+            chain.update()
+        placed = chain.finish()
+        assert placed is not None and placed.world == 1
+        return placed
+
+    alone = added(_chain(source), later)
+    after = added(_chain(source), [*nodes[:first], *later])
+    assert [n.keyframe for n in after.nodes] == [n.keyframe for n in alone.nodes]
+    for columns, least in ((GYRO_COLUMNS, 1.5), (ACCEL_COLUMNS, 2.0), (ROTATION, 1.5)):
+        sigma = [
+            np.sqrt(np.trace(p.estimate.covariance[-1][columns, columns])) for p in (alone, after)
+        ]
+        assert sigma[0] > least * sigma[1]
+    error = after.estimate.states.gyro_bias[-1] - GYRO_BIAS
+    stated = np.sqrt(np.diag(after.estimate.covariance[-1])[GYRO_COLUMNS])
+    assert np.abs(error / stated).max() < 3.0

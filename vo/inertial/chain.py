@@ -9,7 +9,7 @@ import numpy as np
 
 from vo.geometry import so3
 from vo.geometry.transforms import inverse
-from vo.inertial.estimation import Estimate, Prior, estimate_states, first_prior
+from vo.inertial.estimation import Estimate, KnownBiases, Prior, estimate_states, first_prior
 from vo.inertial.initialisation import Keyframes, NotYet, initial_estimate, upright
 from vo.inertial.preintegration import Interval, Preintegrated, preintegrate
 from vo.inertial.samples import SampleReader
@@ -94,6 +94,7 @@ class InertialChain:
         self._begin = 0  # row of the first node of the estimate
         self._estimate: Estimate | None = None
         self._prior: Prior | None = None  # of the first node of the estimate
+        self._biases: KnownBiases | None = None  # at the end of the world before
 
     @property
     def is_initialised(self) -> bool:
@@ -132,13 +133,13 @@ class InertialChain:
         """Forget a frame and all after it, which are tracked anew; states are found anew, too."""
         kept = sum(node.frame_index < frame_index for node in self._nodes)
         del self._nodes[kept:], self._intervals[kept:], self._measured[kept:]
-        self._estimate = self._prior = self._tried_ns = None
+        self._estimate = self._prior = self._tried_ns = self._biases = None
         self._origin = self._begin = 0
 
     def restart(self) -> None:
         """Search first states anew, with the samples by the newest time offset."""
         self.read_again()
-        self._estimate = self._prior = self.initialised_frame = None
+        self._estimate = self._prior = self.initialised_frame = self._biases = None
         self._origin = self._begin = 0
 
     def read_again(self) -> None:
@@ -182,7 +183,7 @@ class InertialChain:
         for row in range(self._origin + 1, count):
             self._preintegrate(row, biases.gyro_bias[-1], biases.accel_bias[-1])
         states = placed_at_origin(self._whole_history(count), self._imu_from_cam)
-        prior = first_prior(states.rows(slice(0, 1)), is_metric=self._is_metric)
+        prior = self._first_prior(states)
         estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
         return self._placed(self._origin, estimate)
 
@@ -202,6 +203,7 @@ class InertialChain:
             self._is_metric,
             self._imu_from_cam,
             self._noise,
+            self._biases_at(begin),
         )
         found = initial_estimate(keyframes)
         if isinstance(found, NotYet):
@@ -212,10 +214,21 @@ class InertialChain:
             self.initialised_frame = nodes[-1].frame_index
         self._origin = self._begin = begin
         self._estimate = found
-        self._prior = first_prior(found.states.rows(slice(0, 1)), is_metric=self._is_metric)
+        self._prior = self._first_prior(found.states)
         for row in range(begin + 1, count):
             self._preintegrate(row, found.states.gyro_bias[-1], found.states.accel_bias[-1])
         return self.newest
+
+    def _biases_at(self, row: int) -> KnownBiases | None:
+        """What the world before says of the biases at a keyframe."""
+        if self._biases is None:
+            return None
+        return self._biases.at(self._nodes[row].stamp_ns, self._noise)
+
+    def _first_prior(self, states: States) -> Prior:
+        """What is known of the first of the states of the world."""
+        first, biases = states.rows(slice(0, 1)), self._biases_at(self._origin)
+        return first_prior(first, is_metric=self._is_metric, biases=biases)
 
     def _unbroken_begin(self) -> int:
         """Row of the first of the newest keyframes of one segment without missing samples."""
@@ -235,6 +248,9 @@ class InertialChain:
         while self._estimate is not None and count < len(self._nodes):
             states = self._predicted(count, self._estimate.states)
             if states is None:  # neither images nor samples lead here: a new world begins
+                self._biases = estimate.last_biases(
+                    self._nodes[self._begin + estimate.states.number - 1].stamp_ns
+                )
                 self._estimate = self._prior = None
                 self.reason = NotYet.FEW_KEYFRAMES
                 return

@@ -56,6 +56,28 @@ class Prior(NamedTuple):
     gradient: Floats
 
 
+class KnownBiases(NamedTuple):
+    """Biases of a sensor at some time, by what was measured before.
+
+    Attributes:
+        stamp_ns: the time.
+        gyro: (3,) rad/s.
+        accel: (3,) m/s².
+        covariance: (6, 6) of both.
+    """
+
+    stamp_ns: int
+    gyro: Floats
+    accel: Floats
+    covariance: Floats
+
+    def at(self, stamp_ns: int, noise: ImuNoise) -> KnownBiases:
+        """The same at a later time: biases walk."""
+        walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
+        grown = np.diag(1e-9 * (stamp_ns - self.stamp_ns) * walk**2)
+        return self._replace(stamp_ns=stamp_ns, covariance=self.covariance + grown)
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """States, and what is known of their errors.
@@ -82,9 +104,23 @@ class Estimate:
             self.states.rows(slice(row, row + 1)), self.reduced[row], self.reduced_gradient[row]
         )
 
+    def last_biases(self, stamp_ns: int) -> KnownBiases:
+        """Biases of the last state, whose time is given."""
+        both = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)
+        covariance = self.covariance[-1][both, both]
+        return KnownBiases(
+            stamp_ns, self.states.gyro_bias[-1], self.states.accel_bias[-1], covariance
+        )
 
-def first_prior(state: States, *, is_metric: bool) -> Prior:
-    """What is known of the first state (1) of a world: its place and heading are chosen."""
+
+def first_prior(state: States, *, is_metric: bool, biases: KnownBiases | None = None) -> Prior:
+    """What is known of the first state (1) of a world: its place and heading are chosen.
+
+    Args:
+        state: at which that is a quadratic cost.
+        is_metric: whether the unit of the map is the metre.
+        biases: at its time, None if nothing is known of them.
+    """
     sigma = np.empty(WIDTH)
     sigma[ROTATION], sigma[POSITION], sigma[VELOCITY] = np.pi, _FIXED_M, _VELOCITY_M_S
     sigma[GYRO_BIAS], sigma[ACCEL_BIAS] = _GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2
@@ -92,12 +128,16 @@ def first_prior(state: States, *, is_metric: bool) -> Prior:
     information = np.diag(sigma**-2.0)
     up = state.rotation[0].T[:, 2]  # the world's z axis in the sensor's frame
     information[ROTATION, ROTATION] += np.outer(up, up) / _FIXED_RAD**2
-    about_zero = state._replace(
+    about = state._replace(
         gyro_bias=np.zeros((1, 3)),
         accel_bias=np.zeros((1, 3)),
         log_scale=np.zeros(1) if is_metric else state.log_scale,
     )
-    return Prior(about_zero, information, np.zeros(WIDTH))
+    if biases is not None:
+        both = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)
+        information[both, both] = np.linalg.inv(biases.covariance)
+        about = about._replace(gyro_bias=biases.gyro[None], accel_bias=biases.accel[None])
+    return Prior(about, information, np.zeros(WIDTH))
 
 
 def estimate_states(

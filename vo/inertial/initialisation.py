@@ -14,7 +14,7 @@ import numpy as np
 
 from vo.geometry import so3
 from vo.geometry.transforms import inverse
-from vo.inertial.estimation import Estimate, estimate_states, first_prior
+from vo.inertial.estimation import Estimate, KnownBiases, estimate_states, first_prior
 from vo.inertial.preintegration import Interval, Preintegrated, preintegrate
 from vo.inertial.states import GRAVITY_M_S2, LOG_SCALE, States, Steps
 from vo.types import Floats, ImuNoise
@@ -54,6 +54,7 @@ class Keyframes:
         is_metric: whether the unit is the metre.
         imu_from_cam: (4, 4).
         noise: of the sensor.
+        biases: at the first keyframe, None if nothing is known of them.
     """
 
     world_from_cam: Floats
@@ -62,6 +63,7 @@ class Keyframes:
     is_metric: bool
     imu_from_cam: Floats
     noise: ImuNoise
+    biases: KnownBiases | None = None
 
     def steps(self, gyro_bias: Floats, accel_bias: Floats) -> Steps:
         """Measurements between the keyframes, with preintegration at given biases."""
@@ -95,7 +97,8 @@ def initial_estimate(keyframes: Keyframes) -> Estimate | NotYet:
     if isinstance(linear, NotYet):
         return linear
     try:
-        prior = first_prior(linear.rows(slice(0, 1)), is_metric=keyframes.is_metric)
+        first = linear.rows(slice(0, 1))
+        prior = first_prior(first, is_metric=keyframes.is_metric, biases=keyframes.biases)
         estimate = estimate_states(linear, steps, prior, keyframes.noise)
     except np.linalg.LinAlgError:
         return NotYet.NO_MOTION
@@ -201,7 +204,11 @@ def _linear_states(
         right[row] = first @ measured.position + (arm[k + 1] - arm[k])
         matrix[row] *= weight_position
         right[row] *= weight_position[:, 0]
-    matrix[rows : rows + 3, 4:7] = np.eye(3) / _ACCEL_BIAS_M_S2
+    sigma, biases = np.full(3, _ACCEL_BIAS_M_S2), keyframes.biases
+    if biases is not None:
+        sigma = np.sqrt(np.diag(biases.covariance)[3:])
+        right[rows : rows + 3] = biases.accel / sigma
+    matrix[rows : rows + 3, 4:7] = np.diag(1.0 / sigma)
     if keyframes.is_metric:
         matrix[rows + 3, 0] = right[rows + 3] = 1e6
     solution = np.linalg.lstsq(matrix, right, rcond=None)[0]
