@@ -22,7 +22,7 @@ from vo.types import Floats, ImuNoise
 _ACCEL_BIAS_M_S2 = 0.3  # standard deviation before anything is known
 _MAX_GRAVITY_ERROR = 0.1  # of the magnitude, in the linear solution
 _MAX_SIGMA_LOG_SCALE = 0.02
-_MAX_SIGMA_TILT_RAD = 0.02
+_MAX_SIGMA_TILT_RAD = 0.03
 _MAX_MISFIT = 3.0
 _MAX_ROTATION_RAD = 0.03  # median difference of the rotations by images and by the gyroscope
 _MAX_GYRO_BIAS_RAD_S = 0.5
