@@ -6,6 +6,8 @@ import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from vo.errors import VoError
 from vo.formats.calibration import Calibration
 from vo.formats.calibration.checks import make_transform
@@ -15,7 +17,7 @@ from vo.formats.calibration.kalibr_imu import NOISE_KEYS
 from vo.formats.stamp_units import MAX_STAMP_NS, parse_ns
 from vo.geometry.transforms import inverse
 from vo.sources.imu import FileImu, ImuSamples, imu_of, make_samples
-from vo.sources.listing import read_lines
+from vo.sources.listing import Line, read_lines
 from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)
@@ -67,8 +69,29 @@ def _imu(
 
 def _read(table: Path) -> ImuSamples:
     """Read lines of a stamp in ns, angular rates in rad/s and accelerations in m/s²."""
-    stamps, values = [], []
     lines = read_lines(table)
+    read = _all_at_once(lines) or _one_by_one(lines)
+    for count, reason in ((read.unreadable, "cannot be read"), (read.repeated, "repeat a stamp")):
+        if count:
+            _log.warning("%s: %d of %d lines %s and are skipped", table, count, len(lines), reason)
+    return read
+
+
+def _all_at_once(lines: list[Line]) -> ImuSamples | None:
+    """Samples of lines that are all well-formed, in half the time; None if some are not."""
+    texts = [text for _, text in lines]
+    try:
+        stamps = [parse_ns(text.partition(",")[0].strip()) for text in texts]
+        columns = range(1, 1 + _COLUMNS)
+        values = np.loadtxt(texts, delimiter=",", comments=None, usecols=columns, ndmin=2)
+    except ValueError:
+        return None
+    return make_samples(stamps, values, 0) if max(stamps) <= MAX_STAMP_NS else None
+
+
+def _one_by_one(lines: list[Line]) -> ImuSamples:
+    """Samples of the lines that are well-formed."""
+    stamps, values = [], []
     for _, text in lines:
         fields = text.split(",")
         try:
@@ -79,11 +102,7 @@ def _read(table: Path) -> ImuSamples:
         if len(row) == _COLUMNS and stamp <= MAX_STAMP_NS:
             stamps.append(stamp)
             values.append(row)
-    read = make_samples(stamps, values, len(lines) - len(stamps))
-    for count, reason in ((read.unreadable, "cannot be read"), (read.repeated, "repeat a stamp")):
-        if count:
-            _log.warning("%s: %d of %d lines %s and are skipped", table, count, len(lines), reason)
-    return read
+    return make_samples(stamps, values, len(lines) - len(stamps))
 
 
 def _body_from_imu(sensor: Path) -> Floats | None:

@@ -183,7 +183,9 @@ def time_slice(stamps_ns: Ints, first_ns: int | None, last_ns: int | None) -> sl
     return slice(start, end)
 
 
-def make_samples(stamps_ns: list[int], values: list[list[float]], unreadable: int) -> ImuSamples:
+def make_samples(
+    stamps_ns: list[int], values: list[list[float]] | Floats, unreadable: int
+) -> ImuSamples:
     """Sort samples by stamp, and drop those that are not finite or repeat a stamp.
 
     Args:
