@@ -28,7 +28,7 @@ _CONVERGED = 1e-6  # length of a step
 _DRIFT_RATIO, _DRIFT_OF_DEPTH, _DRIFT_RAD = 0.01, 1e-4, 1e-4
 _MIN_DRIFT, _MAX_DRIFT = 0.5, 30.0
 _UNSEEN_DRIFT = 1.4  # residuals show less of it than there is: simulated paths
-_MAX_DRIFT_FRAMES = 60  # for which it is estimated; others are left out
+_MAX_DRIFT_FRAMES = 120  # for which it is estimated; others are left out
 _MAX_ANGLE = np.deg2rad(25.0)  # of a view's marker from the others, to be used at the start
 
 
@@ -183,7 +183,10 @@ class MarkerProblem:
         return np.asarray(best, np.float64)
 
     def solve(self, state: MarkerState) -> Solution | None:
-        """Robust least squares by Levenberg and Marquardt."""
+        """Robust least squares by Levenberg and Marquardt, and a step with the drift of the path.
+
+        The linear problem of the result, and so its covariance, is that before this step.
+        """
         found = self._linearise(state)
         damping = 1e-4
         for _ in range(_MAX_ITERATIONS):
@@ -205,7 +208,23 @@ class MarkerProblem:
             state, found, damping = moved, trial, max(0.1 * damping, 1e-9)
             if np.linalg.norm(step) < _CONVERGED:
                 break
-        return None if found is None else (state, found)
+        return None if found is None else (self._with_drift(state, found), found)
+
+    def _with_drift(self, state: MarkerState, found: LinearProblem) -> MarkerState:
+        """The state by generalised least squares: errors of views that follow a drift are alike.
+
+        The same state with more frames than those for which the drift is estimated.
+        """
+        jacobian, residual, walk, size = self._walk(state, found)
+        if len(residual) < len(found.residual):
+            return state
+        walk = size * walk
+        inner = np.linalg.inv(np.eye(walk.shape[1]) + walk.T @ walk)
+        weighted = jacobian - walk @ (inner @ (walk.T @ jacobian))  # by (I + walk walk^T)^-1
+        normal = weighted.T @ jacobian
+        step = -np.linalg.lstsq(normal, weighted.T @ residual, rcond=None)[0]
+        moved = _moved(state, np.asarray(step, np.float64))
+        return state if self._linearise(moved) is None else moved
 
     def _linearise(self, state: MarkerState) -> LinearProblem | None:
         """The problem around a state; None if a marker is behind a camera."""
@@ -263,7 +282,15 @@ class MarkerProblem:
         return np.asarray(inverse_normal + self._drift(state, found))
 
     def _drift(self, state: MarkerState, found: LinearProblem) -> Floats:
-        """Covariance of the parameters by a random walk of the poses of the path.
+        """Covariance of the parameters by a random walk of the poses of the path."""
+        jacobian, _, walk, size = self._walk(state, found)
+        moved = size * (np.linalg.pinv(jacobian) @ walk)
+        return np.asarray(moved @ moved.T)
+
+    def _walk(
+        self, state: MarkerState, found: LinearProblem
+    ) -> tuple[Floats, Floats, Floats, float]:
+        """Jacobian and residuals of some views, their derivatives by a random walk, and its size.
 
         A drift along the path looks like another scale, so that residuals cannot show all of it.
         The sum of their squares shows its size: it exceeds that of the corners alone by as much as
@@ -283,12 +310,11 @@ class MarkerProblem:
         known = np.arange(8 * len(frames), len(found.residual))  # the unit, which does not drift
         lines, walk = np.append(lines, known), np.pad(walk, ((0, len(known)), (0, 0)))
         jacobian, residual = found.jacobian[lines], found.residual[lines]
-        gain = np.linalg.pinv(jacobian)
-        left = walk - jacobian @ (gain @ walk)
+        left = walk - jacobian @ (np.linalg.pinv(jacobian) @ walk)
         excess = float(residual @ residual) - max(len(residual) - jacobian.shape[1], 0)
         size = np.sqrt(max(excess, 0.0) / max(float(np.sum(left**2)), 1e-12))
-        moved = (gain @ walk) * float(np.clip(_UNSEEN_DRIFT * size, _MIN_DRIFT, _MAX_DRIFT))
-        return np.asarray(moved @ moved.T)
+        size = float(np.clip(_UNSEEN_DRIFT * size, _MIN_DRIFT, _MAX_DRIFT))
+        return jacobian, residual, walk, size
 
     def _step_sizes(self, state: MarkerState, rows: Ints, order: Ints, count: int) -> Floats:
         """(F, 6) standard deviations of the drift from the frame before, rotation first."""
