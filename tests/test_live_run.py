@@ -225,7 +225,8 @@ def test_the_first_ctrl_c_finishes_a_live_run(walk: Walk, tmp_path: Path) -> Non
     before = signal.getsignal(signal.SIGINT)
     with served("http", walk.left, RATE_HZ) as server:
         summary = run(server.url, tmp_path, config=FAST, calibration=walk.mono, progress=Press())
-    assert (summary.status, summary.frames) == ("finished", 8)
+    assert summary.status == "finished"
+    assert 8 <= summary.frames <= 10  # those that were received before are tracked
     assert signal.getsignal(signal.SIGINT) is before
 
 
