@@ -58,7 +58,7 @@ def _odometry(truth: Floats, rng: np.random.Generator, *, noise: float, is_metri
 
 
 def _marker(truth: Floats, at: int, aside_m: float = 0.0) -> Floats:
-    """world_from_marker of one that hangs 2.5 m ahead of a keyframe, and to its right."""
+    """world_from_marker of a marker 2.5 m ahead of a keyframe and to its right."""
     facing = so3_exp(np.array([np.pi, 0.0, 0.0])) @ so3_exp(np.array([0.2, 0.3, 0.1]))
     return truth[at] @ make_transform(facing, np.array([0.3 + aside_m, -0.3, 2.5]))
 

@@ -158,20 +158,27 @@ def test_runs_of_different_recordings_have_separate_path_figures(
     assert "another/recording" in page.text
 
 
-def test_each_segment_is_aligned_separately(own_run: Path, tmp_path: Path) -> None:
-    stamps = read_tum(own_run / "trajectory.tum").stamps_ns
-    segments = [
+def segment_records(
+    run: Path, spans: list[tuple[int, int]], frames: list[int]
+) -> list[dict[str, int | float]]:
+    """Segments of `summary.json` with given first and last frames and numbers of frames."""
+    stamps = read_tum(run / "trajectory.tum").stamps_ns
+    return [
         {
             "segment": number,
             "first_frame": first,
             "last_frame": last,
             "first_stamp_ns": int(stamps[first]),
             "last_stamp_ns": int(stamps[last]),
-            "frames": last - first + 1,
+            "frames": frames[number],
             "path_m": 0.4,
         }
-        for number, (first, last) in enumerate([(0, 7), (8, 13)])
+        for number, (first, last) in enumerate(spans)
     ]
+
+
+def test_each_segment_is_aligned_separately(own_run: Path, tmp_path: Path) -> None:
+    segments = segment_records(own_run, [(0, 7), (8, 13)], frames=[8, 6])
     change_summary(own_run, segments=segments)
     table = own_run / "poses.csv"
     head, *rows = [line.split(",") for line in table.read_text().splitlines()]
@@ -186,19 +193,7 @@ def test_each_segment_is_aligned_separately(own_run: Path, tmp_path: Path) -> No
 
 
 def test_segments_of_a_world_may_have_another_one_in_between(own_run: Path) -> None:
-    stamps = read_tum(own_run / "trajectory.tum").stamps_ns
-    segments = [
-        {
-            "segment": number,
-            "first_frame": first,
-            "last_frame": last,
-            "first_stamp_ns": int(stamps[first]),
-            "last_stamp_ns": int(stamps[last]),
-            "frames": 7,
-            "path_m": 0.4,
-        }
-        for number, (first, last) in enumerate([(0, 9), (4, 13)])
-    ]
+    segments = segment_records(own_run, [(0, 9), (4, 13)], frames=[7, 7])
     change_summary(own_run, segments=segments)
     numbers = [0] * 4 + [1] * 3 + [0] * 3 + [1] * 4
     table = own_run / "poses.csv"
@@ -208,6 +203,7 @@ def test_segments_of_a_world_may_have_another_one_in_between(own_run: Path) -> N
         [*row[:column], str(n), *row[column + 1 :]] for row, n in zip(rows, numbers, strict=True)
     ]
     table.write_text("".join(f"{','.join(row)}\n" for row in [head, *rows]))
+    stamps = read_tum(own_run / "trajectory.tum").stamps_ns
     assert read_run(own_run).segment_of(stamps).tolist() == numbers
 
 

@@ -72,7 +72,7 @@ def with_contradicted_doubts(problem: GraphProblem, loops: LoopEdges) -> GraphPr
 def doubted_markers(problem: GraphProblem, loops: LoopEdges, plausible: Bools, kept: Bools) -> Ints:
     """Ids of which a plausible loop within a chain is not among those kept (L,).
 
-    All ids, if these are half of them or more: then nothing tells which markers were moved.
+    All ids if these are half of them or more, as it is then unknown which markers were moved.
     """
     plausible = plausible & (loops.marker >= 0)
     inside = problem.chain[loops.earlier] == problem.chain[loops.later]

@@ -76,7 +76,7 @@ class GapFactors:
 
     Args:
         motion: knows the gaps of the local map.
-        predictor: gives the motion through them, and is told which motions are in windows.
+        predictor: predicts the motion through the gaps; it gets the motions that windows contain.
     """
 
     def __init__(self, motion: _Gaps, predictor: _Predictor) -> None:

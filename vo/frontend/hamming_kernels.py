@@ -168,31 +168,9 @@ def best_in_circles(query, radius_px, train, grid, max_distance, ratio):  # type
 @compiled
 def best_of_all(query_words, train_words, max_distance, ratio):  # type: ignore[no-untyped-def]
     """Search everywhere, in all octaves; the query must be the nearest of its train feature too."""
-    n, m = len(query_words), len(train_words)
-    matched = np.full(n, -1, dtype=np.int64)
-    distance = np.full(n, 512, dtype=np.int64)
-    back_best = np.full(m, 512, dtype=np.int64)
-    back = np.full(m, -1, dtype=np.int64)
-    for i in range(n):
-        best, second, winner = 512, 512, -1
-        for j in range(m):
-            d = int(hamming(query_words[i], train_words[j]))
-            if d < back_best[j]:
-                back_best[j] = d
-                back[j] = i
-            if d < best:
-                second = best
-                best = d
-                winner = j
-            elif d < second:
-                second = d
-        if best <= max_distance and best < ratio * second:
-            matched[i] = winner
-            distance[i] = best
-    for i in range(n):
-        if matched[i] >= 0 and back[matched[i]] != i:
-            matched[i] = -1
-    return matched, distance
+    query_group = np.zeros(len(query_words), dtype=np.int64)
+    train_group = np.zeros(len(train_words), dtype=np.int64)
+    return best_in_groups(query_words, query_group, train_words, train_group, max_distance, ratio)
 
 
 @compiled
@@ -210,33 +188,36 @@ def best_in_groups(  # type: ignore[no-untyped-def]
         start[train_group[j] + 1] += 1
     for group in range(groups):
         start[group + 1] += start[group]
-    order, filled = np.empty(m, dtype=np.int64), start.copy()
-    for j in range(m):
+    order, words, filled = np.empty(m, dtype=np.int64), np.empty_like(train_words), start.copy()
+    for j in range(m):  # sorted by group
         order[filled[train_group[j]]] = j
+        words[filled[train_group[j]]] = train_words[j]
         filled[train_group[j]] += 1
     matched = np.full(n, -1, dtype=np.int64)
+    distance = np.full(n, 512, dtype=np.int64)
     back_best = np.full(m, 512, dtype=np.int64)
     back = np.full(m, -1, dtype=np.int64)
     for i in range(n):
         best, second, winner = 512, 512, -1
-        for k in range(start[query_group[i]], start[query_group[i] + 1]):
-            j = order[k]
-            d = int(hamming(query_words[i], train_words[j]))
+        first, last = start[query_group[i]], start[query_group[i] + 1]
+        for j in range(np.uint64(first), np.uint64(last)):  # unsigned: no test for negative rows
+            d = int(hamming(query_words[i], words[j]))
             if d < back_best[j]:
                 back_best[j] = d
                 back[j] = i
             if d < best:
                 second = best
                 best = d
-                winner = j
+                winner = int(j)
             elif d < second:
                 second = d
         if best <= max_distance and best < ratio * second:
             matched[i] = winner
+            distance[i] = best
     for i in range(n):
-        if matched[i] >= 0 and back[matched[i]] != i:
-            matched[i] = -1
-    return matched
+        if matched[i] >= 0:
+            matched[i] = order[matched[i]] if back[matched[i]] == i else -1
+    return matched, distance
 
 
 @compiled

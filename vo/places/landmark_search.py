@@ -115,7 +115,7 @@ class LandmarkSearch:
             earlier: (M,) nodes of the earlier landmarks.
             later: (N,) nodes of the later ones.
         """
-        matched = best_in_groups(
+        matched, _ = best_in_groups(
             as_words(pair.earlier.descriptor),
             earlier,
             as_words(pair.later.descriptor),
