@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 from vo.types import Estimate, PlacedFrames, Snapshot
 
 _MAX_DISAGREEMENT = 3.0  # of two sources, in standard deviations
+_MAX_LENGTH_ERROR = 0.01  # of a path in metres, which is not reported
 
 
 class MetricScale(NamedTuple):
@@ -109,6 +110,23 @@ def choose_scales(findings: Sequence[ScaleFindings]) -> ScaleFindings:
         chosen.append(best)
         notes += [_contradiction(best, other) for other in others if _contradict(best, other)]
     return ScaleFindings(tuple(chosen), tuple(notes))
+
+
+def without_metric(findings: ScaleFindings, metric: Collection[int]) -> ScaleFindings:
+    """Findings without the scales of worlds that are in metres already, as by a loaded map.
+
+    A difference of more than 1 % and three standard deviations is reported.
+    """
+    kept = tuple(scale for scale in findings.scales if scale.segment not in metric)
+    notes = list(findings.notes)
+    for scale in findings.scales:
+        limit = max(_MAX_LENGTH_ERROR, _MAX_DISAGREEMENT * scale.relative_sigma)
+        if scale.segment in metric and abs(math.log(scale.value)) > limit:
+            notes.append(
+                f"in segment {scale.segment} all lengths would be {scale.value - 1.0:+.1%} longer "
+                f"by {scale.source} than by the loaded map, whose metres are kept"
+            )
+    return replace(findings, scales=kept, notes=tuple(notes))
 
 
 def has_all_scales(segments: Sequence[int], scales: Collection[int]) -> bool:

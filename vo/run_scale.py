@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from vo.markers.marker_problem import MarkerView
-from vo.metric_scale import MetricScale, ScaleFindings, choose_scales
+from vo.metric_scale import MetricScale, ScaleFindings, choose_scales, without_metric
 from vo.recording.recorder import MarkerRecorder, Recorder, ScaledRecorder
 from vo.scaling.creation import ScaleSources
 from vo.scaling.georeference import write_georeference
@@ -44,13 +44,20 @@ class RunScale:
         """Markers in the newest frame, and ids that it shows twice; none if it was not searched."""
         return ((), ()) if self._sources.markers is None else self._sources.markers.newest
 
-    def apply(self, store: TrajectoryStore, folder: Path, known: Sequence[str] = ()) -> None:
+    def apply(
+        self,
+        store: TrajectoryStore,
+        folder: Path,
+        known: Sequence[str] = (),
+        metric: Collection[int] = (),
+    ) -> None:
         """Measure, convert the path, and write the files of markers and globe.
 
         Args:
             store: the path.
             folder: of the results.
             known: sentences for the user beside those of the sources.
+            metric: numbers of the worlds that are in metres by a loaded map, and keep them.
 
         Raises:
             OutputError: one of them cannot be written.
@@ -60,7 +67,7 @@ class RunScale:
         path = store.path()
         self._unscaled = path.trajectory
         measured = [source.measure(path) for source in self._sources.all]
-        self.findings = choose_scales(measured)
+        self.findings = without_metric(choose_scales(measured), metric)
         if self.by_world:
             store.apply_scales(self.by_world)
         notes = list(known)

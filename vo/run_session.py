@@ -272,8 +272,9 @@ class RunSession:
             )
 
     def _apply_scale(self) -> None:
-        notes = self._odometry.placement.notes
-        self._scale.apply(self._odometry.trajectory, self._folder.path, notes)
+        placement = self._odometry.placement
+        metric = () if placement.map_use is None else placement.map_use.metric_worlds
+        self._scale.apply(self._odometry.trajectory, self._folder.path, placement.notes, metric)
 
     def _finish_recording(self) -> None:
         placement = self._odometry.placement

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
-from room_course import END, run_rounds
+from marker_views import Placed, render
+from room_course import BLACK, CHANGED, END, LENGTH_M, run_rounds
 
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from data_synth.writers import euroc
+from vo.formats.trajectory import read_tum
+from vo.geometry.transforms import inverse, make_transform
+from vo.sources.registry import open_source
 from vo.types import Trajectory
 
 
@@ -44,3 +51,30 @@ def closed(rounds: Path) -> Path:
     outputs = {"save_map": saved, "rrd": rounds.parent / "room.rrd", "rrd_images": "none"}
     run_rounds(rounds, output, "memory.loops=true", **outputs)
     return output
+
+
+@pytest.fixture(scope="session")
+def changed_room(rounds: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The rounds, with a marker; the camera is covered, and then sees everything in negative."""
+    folder = tmp_path_factory.mktemp("changed") / "room"
+    shutil.copytree(rounds, folder)
+    camera = open_source(rounds, mode="mono").rig.cam0
+    truth = read_tum(rounds / "groundtruth.tum")
+    angle = 0.75 * np.pi
+    side = np.array([np.cos(angle), np.sin(angle), 0.0])
+    facing = np.column_stack([[-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0], -side])
+    facing[:, 0] = np.cross(facing[:, 1], facing[:, 2])
+    world_from_marker = make_transform(facing, 2.2 * side + [0.0, 0.0, 1.55])
+    files = sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))
+    for n, (path, world_from_cam) in enumerate(zip(files, truth.world_from_cam, strict=True)):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        image = image if n < BLACK else 255 - image if n >= CHANGED else np.zeros_like(image)
+        pose = inverse(world_from_cam) @ world_from_marker
+        is_seen = pose[2, 3] > 0.4 and pose[:3, 2] @ pose[:3, 3] < -0.05
+        if is_seen and not BLACK <= n < CHANGED:
+            levels = render(camera, Placed("4X4_50", 7, LENGTH_M, pose), image)
+            blurred = cv2.GaussianBlur(levels, (0, 0), 0.5)
+            image = np.clip(np.rint(blurred), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(path), image)
+    return folder

@@ -21,7 +21,7 @@ from vo.places import map_file
 from vo.places.encoding import encode_place
 from vo.places.map_contents import map_contents
 from vo.places.map_file import MapFile, MapHeader, write_map
-from vo.places.records import Loop, Place, PlacedKeyframes
+from vo.places.records import Loop, MarkerVisit, Place, PlacedKeyframes
 from vo.types import Camera
 
 RANDOM = np.random.default_rng(4)
@@ -29,6 +29,7 @@ PLACES = [make_place(n, random_descriptors(RANDOM, 40)) for n in range(3)]
 KEYS = tuple(place.key for place in PLACES)
 HEADER = MapHeader(Camera(320, 240, 200.0, 201.0, 160.5, 120.5), "00e2", ("street",))
 LOOP = Loop(KEYS[0], KEYS[2], np.eye(4), 1.0, np.eye(7), 42)
+MARKER = MarkerVisit(KEYS[1], 7, "4X4_1000", 0.16, np.eye(4), 1e-4 * np.eye(7), 5)
 
 
 def _placed(**changes: Any) -> PlacedKeyframes:
@@ -44,10 +45,11 @@ def _write(
     placed: PlacedKeyframes | None = None,
     loop: Loop = LOOP,
     header: MapHeader = HEADER,
+    marker: MarkerVisit = MARKER,
 ) -> None:
     places = PLACES[0], second, PLACES[2]
     encoded = [(key, encode_place(place)) for key, place in zip(KEYS, places, strict=True)]
-    write_map(path, header, encoded, placed or _placed(), [loop])
+    write_map(path, header, encoded, placed or _placed(), [loop], [marker])
 
 
 def _read(path: Path) -> None:
@@ -107,6 +109,14 @@ INDICES: dict[str, Callable[[dict[str, Any]], Any] | bytes] = {
     "part beyond the file": lambda index: index["keyframes"][1].__setitem__(3, 2**40),
     "half a row": lambda index: index["placements"].__setitem__(1, 300),
     "no loops": lambda index: index.update(loops=None),
+    "markers as text": lambda index: index.update(markers="7"),
+    "no rows of markers": lambda index: index["markers"].pop("rows"),
+    "half a row of a marker": lambda index: index["markers"]["rows"].__setitem__(1, 300),
+    "rows of markers beyond the file": lambda index: index["markers"]["rows"].__setitem__(0, 2**40),
+    "negative version of markers": lambda index: index["markers"].update(version=-1),
+    "unknown dictionary": lambda index: index["markers"].update(dictionaries=["9X9_50"]),
+    "dictionary as number": lambda index: index["markers"].update(dictionaries=[1]),
+    "no dictionaries": lambda index: index["markers"].update(dictionaries=[]),
 }
 
 
@@ -152,6 +162,46 @@ def test_an_impossible_placement_is_one_error(changes: dict[str, Any], tmp_path:
 def test_an_impossible_loop_is_one_error(changes: dict[str, Any], tmp_path: Path) -> None:
     _write(tmp_path / "a.map", loop=replace(LOOP, **changes))
     _is_damaged(tmp_path / "a.map")
+
+
+LARGE, SKEWED = 1e-4 * np.eye(7), 1e-4 * np.eye(7)
+LARGE[0, 0], SKEWED[0, 1] = 1e300, 1e-4
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"key": KEYS[0]._replace(keyframe=77)},
+        {"id": -1},
+        {"id": 1000},
+        {"length_m": 0.0},
+        {"length_m": -0.16},
+        {"length_m": 160.0},
+        {"length_m": float("nan")},
+        {"cam_from_marker": np.full((4, 4), np.nan)},
+        {"cam_from_marker": np.diag([1.0, 1.0, -1.0, 1.0])},
+        {"cam_from_marker": FAR},
+        {"cam_from_marker": np.diag([1e-12, 1e-12, 1e-12, 1.0])},
+        {"covariance": np.full((7, 7), np.nan)},
+        {"covariance": -np.eye(7)},
+        {"covariance": LARGE},
+        {"covariance": SKEWED},
+        {"keyframes": 0},
+        {"keyframes": 2**40},
+    ],
+    ids=str,
+)
+def test_an_impossible_marker_is_one_error(changes: dict[str, Any], tmp_path: Path) -> None:
+    with np.errstate(invalid="ignore"):
+        _write(tmp_path / "a.map", marker=MARKER._replace(**changes))
+    _is_damaged(tmp_path / "a.map")
+
+
+def test_markers_of_a_newer_version_are_one_error(tmp_path: Path) -> None:
+    _write(tmp_path / "a.map")
+    _forge(tmp_path / "a.map", lambda index: index["markers"].update(version=2))
+    with pytest.raises(SourceError, match=r"has markers of version 2, this vo reads 1; update vo"):
+        _read(tmp_path / "a.map")
 
 
 MARKS = PLACES[1].landmarks

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,11 @@ import pytest
 from place_samples import make_place, random_descriptors
 
 from vo.errors import OutputError, SourceError
+from vo.geometry.sim3 import similarity
 from vo.geometry.transforms import se3_exp
 from vo.places.encoding import decode_place, encode_place
 from vo.places.map_file import MapFile, MapHeader, write_map
-from vo.places.records import Loop, PlacedKeyframes
+from vo.places.records import Loop, MarkerVisit, PlacedKeyframes
 from vo.types import Camera
 
 RANDOM = np.random.default_rng(3)
@@ -31,11 +33,15 @@ PLACED = PlacedKeyframes(
     (),
 )
 LOOP = Loop(KEYS[0], KEYS[5], POSES[2], 0.7, np.eye(7), 42)
+MARKERS = [
+    MarkerVisit(KEYS[5], 7, "APRILTAG_36H11", 0.16, similarity(POSES[3], 0.7), np.eye(7), 5),
+    MarkerVisit(KEYS[1], 0, "4X4_1000", 0.3, POSES[4], np.zeros((7, 7)), 3),
+]
 
 
-def _write(path: Path) -> Path:
+def _write(path: Path, markers: Sequence[MarkerVisit] = ()) -> Path:
     encoded = [(p.key, encode_place(p)) for p in PLACES]
-    write_map(path, HEADER, encoded, PLACED, [LOOP])
+    write_map(path, HEADER, encoded, PLACED, [LOOP], markers)
     return path
 
 
@@ -52,8 +58,24 @@ def test_everything_is_read_back_exactly(tmp_path: Path) -> None:
             assert np.array_equal(read.place(place.key).landmarks.xyz, place.landmarks.xyz)
 
 
+def test_markers_are_read_back_and_a_map_without_them_has_no_section(tmp_path: Path) -> None:
+    with MapFile(_write(tmp_path / "a.map", MARKERS)) as read:
+        for marker, expected in zip(read.markers, MARKERS, strict=True):
+            numbers = [
+                each._replace(cam_from_marker=0, covariance=0) for each in (marker, expected)
+            ]
+            assert numbers[0] == numbers[1]
+            np.testing.assert_allclose(marker.cam_from_marker, expected.cam_from_marker, atol=1e-15)
+            assert np.array_equal(marker.covariance, expected.covariance)
+    path = _write(tmp_path / "b.map")
+    assert b'"markers"' not in path.read_bytes()
+    with MapFile(path) as read:
+        assert read.markers == ()
+
+
 def test_the_same_map_has_the_same_bytes(tmp_path: Path) -> None:
-    assert _write(tmp_path / "a").read_bytes() == _write(tmp_path / "b").read_bytes()
+    first, second = (_write(tmp_path / name, MARKERS).read_bytes() for name in "ab")
+    assert first == second
 
 
 def test_an_empty_map_is_a_map(tmp_path: Path) -> None:
@@ -70,7 +92,7 @@ def _read_all(path: Path) -> None:
 
 
 def test_a_cut_file_is_one_error(tmp_path: Path) -> None:
-    data = _write(tmp_path / "a").read_bytes()
+    data = _write(tmp_path / "a", MARKERS).read_bytes()
     for size in [*range(0, 70), *range(70, len(data), 997), len(data) - 1]:
         (tmp_path / "cut").write_bytes(data[:size])
         with pytest.raises(SourceError, match="damaged or cut off|is no map"):
@@ -78,7 +100,7 @@ def test_a_cut_file_is_one_error(tmp_path: Path) -> None:
 
 
 def test_a_flipped_byte_is_found_wherever_it_is(tmp_path: Path) -> None:
-    data = bytearray(_write(tmp_path / "a").read_bytes())
+    data = bytearray(_write(tmp_path / "a", MARKERS).read_bytes())
     for at in [*range(0, 12), *range(16, len(data), 499), *range(len(data) - 56, len(data))]:
         data[at] ^= 0x10
         (tmp_path / "flipped").write_bytes(data)

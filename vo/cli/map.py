@@ -24,8 +24,8 @@ Action = Annotated[
     MapAction,
     typer.Argument(
         metavar="ACTION",
-        help="info: check a map and list what is in it; export: write its points as PLY; "
-        "merge: write two maps that share a place as one.",
+        help="info: check a map and list what is in it; export: write its points and markers as "
+        "PLY; merge: write two maps that share a place as one.",
     ),
 ]
 Files = Annotated[
@@ -135,6 +135,12 @@ def _print(result: dict[str, Any]) -> None:
     echo(f"sessions: {', '.join(result['sessions'])}")
     for row in result["worlds"]:
         echo(f"world {row['world']}: {row['keyframes']} keyframes, lengths in {row['length_unit']}")
+    for row in result["markers"]:
+        where = " ".join(f"{value:.3f}" for value in row["position"])
+        echo(
+            f"marker {row['id']} of {row['dictionary']}, {row['length_m']:g} m: at {where} "
+            f"in world {row['world']}"
+        )
     echo(f"loops: {result['loops']}")
     echo(f"observations of landmarks: {result['observations']}")
     echo(f"camera: {result['camera']}, vocabulary {result['vocabulary']}")

@@ -59,6 +59,15 @@ def marker_count(name: str) -> int:
     return len(dictionary(name).bytesList)
 
 
+def is_same_kind(first: str, second: str) -> bool:
+    """Whether both dictionaries begin with the same markers, as `4X4_50` and `4X4_1000` do."""
+    stems = set()
+    for name in (first, second):
+        stem, _, size = name.rpartition("_")
+        stems.add(stem if size.isdigit() and int(size) in _SIZES else name)
+    return len(stems) == 1
+
+
 def smallest_containing(name: str, ids: Sequence[int] | Ints) -> str:
     """The smallest dictionary that begins like `name` and has all ids: `4X4_50` of `4X4_1000`."""
     stem, _, size = name.rpartition("_")

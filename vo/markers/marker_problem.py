@@ -45,6 +45,7 @@ class MarkerView(NamedTuple):
         camera_from_cam0: (4, 4) rotation from the recorded camera to that of the rays.
         length_m: side of the marker.
         is_ambiguous: whether the corners hardly tell which of two solutions is the right one.
+        dictionary: that the marker was found in.
     """
 
     frame_index: int
@@ -56,6 +57,7 @@ class MarkerView(NamedTuple):
     camera_from_cam0: Floats
     length_m: float
     is_ambiguous: bool = False
+    dictionary: str = ""
 
 
 class MarkerState(NamedTuple):

@@ -190,6 +190,7 @@ class MarkerSource:
             return
         points = square_points(length_m)
         pose = plane_pose(camera, points, marker.corners, marker.sigma_px)
+        assert self._detector is not None
         if pose is None:
             return
         solutions = (pose.cam_from_marker, *([] if pose.other is None else [pose.other]))
@@ -207,6 +208,7 @@ class MarkerSource:
                 rotation,
                 length_m,
                 pose.is_ambiguous,
+                self._detector.name,
             )
         )
 

@@ -12,7 +12,7 @@ from vo.errors import ConfigError
 from vo.mapping.keyframe import FrameId
 from vo.places.database import KeyframeDatabase
 from vo.places.map_file import MapFile
-from vo.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.places.records import Loop, MarkerVisit, PlacedKeyframes, PlaceKey
 from vo.types import Camera
 
 
@@ -28,6 +28,7 @@ class LoadedMap:
         loops: between its keyframes.
         frames: which frame each keyframe is.
         metric_worlds: numbers of the worlds of one camera whose lengths are metres.
+        markers: relative to its keyframes.
     """
 
     camera: Camera
@@ -37,6 +38,7 @@ class LoadedMap:
     loops: tuple[Loop, ...]
     frames: dict[PlaceKey, FrameId]
     metric_worlds: tuple[int, ...]
+    markers: tuple[MarkerVisit, ...]
 
 
 def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> LoadedMap:
@@ -80,6 +82,7 @@ def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> Load
             file.loops,
             frames,
             header.metric_worlds,
+            file.markers,
         )
 
 

@@ -68,7 +68,9 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         header = MapHeader(loaded.camera, vocabulary.id, names, tuple(sorted(metric)))
         both = with_covariance_of(both, _joined(loaded.placed, placed))
         own = [_of_later_session(loop, sessions) for loop in added.loops]
-        write_map(output, header, keyframes, both, [*loaded.loops, *own, *kept])
+        markers = [each._replace(key=_moved(each.key, sessions)) for each in added.markers]
+        markers = [*loaded.markers, *markers]
+        write_map(output, header, keyframes, both, [*loaded.loops, *own, *kept], markers)
         return len(kept)
 
 

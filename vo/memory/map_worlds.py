@@ -9,7 +9,7 @@ import numpy as np
 from vo.closed_loops import MapUse
 from vo.mapping.keyframe import FrameId
 from vo.memory.loaded_map import LoadedMap
-from vo.places.records import PlacedKeyframes, PlaceKey
+from vo.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
 
 
 class WorldsInMap:
@@ -39,6 +39,13 @@ class WorldsInMap:
         if self._loaded is None:
             return None
         return MapUse(self._file, self._loaded.sessions, self.met, self.metric)
+
+    @property
+    def markers(self) -> list[tuple[MarkerVisit, FrameId]]:
+        """Markers of the map, and the frames of the keyframes that they are relative to."""
+        if self._loaded is None:
+            return []
+        return [(each, self._loaded.frames[each.key]) for each in self._loaded.markers]
 
     def frame(self, key: PlaceKey) -> FrameId | None:
         """The frame of a keyframe of the map, None for another one."""

@@ -78,7 +78,9 @@ class Memory:
         self._graph = graph
         self._trajectory = trajectory
         self._worlds = worlds
-        self.markers = MarkerLoops(trajectory.cam0_from_rectified, is_metric=maker.is_metric)
+        self.markers = MarkerLoops(
+            trajectory.cam0_from_rectified, worlds.markers, is_metric=maker.is_metric
+        )
         self._inertial = inertial
         self._bundle = bundle
         self._adjusted: list[PlacedKeyframes] = []  # worlds after the adjustment
@@ -241,7 +243,8 @@ class Memory:
         metric |= self._worlds.metric_of(placed)
         # A map knows keyframes by their looks, and not those that only a marker connects.
         accepted = [self._loops[n] for n in sorted(self._closed) if self._loops[n].marker is None]
-        self._recogniser.save_map(path, source, placed, accepted, tuple(sorted(metric)))
+        metric_worlds, markers = tuple(sorted(metric)), self.markers.known
+        self._recogniser.save_map(path, source, placed, accepted, metric_worlds, markers)
 
     def close(self) -> None:
         """End threads and processes."""

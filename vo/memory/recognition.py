@@ -13,7 +13,8 @@ from vo.memory.loaded_map import LoadedMap, with_covariance_of
 from vo.places.database import KeyframeDatabase
 from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapHeader, write_map
-from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.map_markers import at_keyframes
+from vo.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
 from vo.places.screening import Screening
 from vo.scheduling import give_way
 from vo.types import Camera
@@ -126,6 +127,7 @@ class Recogniser:
         placed: PlacedKeyframes,
         loops: Sequence[Loop],
         metric_worlds: tuple[int, ...],
+        markers: Sequence[MarkerVisit],
     ) -> None:
         """Write all stored keyframes that are placed; none may be without a result.
 
@@ -143,7 +145,8 @@ class Recogniser:
         known = set(placed.keys)
         keyframes = ((k, self._database.encoded(k)) for k in self._database if k in known)
         kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]
-        write_map(path, header, keyframes, placed, kept)
+        written = {key for key in self._database if key in known}
+        write_map(path, header, keyframes, placed, kept, at_keyframes(markers, placed, written))
 
     def close(self) -> None:
         """End the thread, and remove temporary files."""

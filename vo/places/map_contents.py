@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.errors import ConfigError
 from vo.places.map_file import MapFile
+from vo.places.map_markers import listed_markers
 
 
 def map_contents(map_file: MapFile) -> dict[str, Any]:
@@ -43,6 +44,7 @@ def map_contents(map_file: MapFile) -> dict[str, Any]:
         "observations": observations,
         "camera": f"{header.camera.width}x{header.camera.height}",
         "vocabulary": header.vocabulary,
+        "markers": listed_markers(map_file.markers, map_file.placed),
     }
 
 

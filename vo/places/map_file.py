@@ -11,7 +11,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -32,7 +32,8 @@ from vo.places.map_checks import (
     number,
     text,
 )
-from vo.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.map_markers import MARKERS_VERSION, decode_markers, encode_markers
+from vo.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
 from vo.types import Camera
 
 _MAGIC = b"vo-map\r\n"
@@ -83,6 +84,7 @@ def write_map(
     keyframes: Iterable[tuple[PlaceKey, bytes]],
     placed: PlacedKeyframes,
     loops: Iterable[Loop] = (),
+    markers: Sequence[MarkerVisit] = (),
 ) -> None:
     """Write a map; an existing file is replaced when the new one is complete and on disk.
 
@@ -92,13 +94,14 @@ def write_map(
         keyframes: keys and bytes (`KeyframeDatabase.encoded`), all of them placed.
         placed: where keyframes are; those that are not written are left out.
         loops: those that the pose graph accepts.
+        markers: relative to keyframes that are written.
 
     Raises:
         OutputError: the file cannot be written; one that was there is as before.
     """
     try:
         with complete_file(path) as file:
-            _write(file, header, keyframes, placed, loops)
+            _write(file, header, keyframes, placed, loops, markers)
     except OSError as error:
         raise OutputError(f"cannot write the map {path}: {error.strerror}") from error
 
@@ -109,6 +112,7 @@ def _write(
     keyframes: Iterable[tuple[PlaceKey, bytes]],
     placed: PlacedKeyframes,
     loops: Iterable[Loop],
+    markers: Sequence[MarkerVisit],
 ) -> None:
     file.write(_HEAD.pack(_MAGIC, _VERSION))
     row_of = {key: n for n, key in enumerate(placed.keys)}
@@ -120,7 +124,7 @@ def _write(
     for name in _PLACEMENT.names or ():
         placements[name] = getattr(placed, name)[rows]
     table = [tuple(getattr(loop, name) for name in _LOOP.names or ()) for loop in loops]
-    index = {
+    index: dict[str, Any] = {
         "camera": asdict(header.camera),
         "vocabulary": header.vocabulary,
         "sessions": list(header.sessions),
@@ -129,6 +133,9 @@ def _write(
         "placements": _write_part(file, placements.tobytes()),
         "loops": _write_part(file, np.array(table, _LOOP).tobytes()),
     }
+    if markers:
+        description, rows_of_markers = encode_markers(markers)
+        index["markers"] = {**description, "rows": _write_part(file, rows_of_markers)}
     data = json.dumps(index, separators=(",", ":")).encode()
     begin = file.tell()
     file.write(data + _TAIL.pack(begin, len(data), hashlib.sha256(data).digest(), _MAGIC))
@@ -149,6 +156,7 @@ class MapFile:
         header: its description.
         placed: where its keyframes are, in the order of the file.
         loops: between its keyframes.
+        markers: relative to its keyframes.
 
     Args:
         path: the file.
@@ -269,6 +277,20 @@ class MapFile:
             )
             for row in table
         )
+
+        self.markers = self._markers(index.get("markers"))
+
+    def _markers(self, section: Any) -> tuple[MarkerVisit, ...]:
+        """The markers of the index, none in a map without them."""
+        if section is None:
+            return ()
+        version = number(section["version"])
+        if version > MARKERS_VERSION:
+            raise SourceError(
+                f"{self.path} has markers of version {version}, this vo reads {MARKERS_VERSION}; "
+                "update vo"
+            )
+        return decode_markers(section, self._read(section["rows"]), self._parts.keys())
 
     def _read(self, part: Any) -> bytes:
         begin, length, checksum = part

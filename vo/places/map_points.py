@@ -12,6 +12,7 @@ from vo.errors import OutputError
 from vo.formats.ply import write_ply
 from vo.geometry.transforms import transform_points
 from vo.places.map_file import MapFile
+from vo.places.map_markers import marker_corners
 from vo.places.records import PATCH_PX
 from vo.types import Bytes, Floats
 
@@ -49,13 +50,18 @@ def points_of(map_file: MapFile, world: int) -> Iterator[MapPoints]:
 
 
 def export_ply(map_file: MapFile, path: Path, world: int) -> int:
-    """Write the points of a world as a PLY file; returns their number.
+    """Write the points of a world, and the corners of its markers in white, as a PLY file.
+
+    Returns:
+        Their number.
 
     Raises:
         SourceError: a keyframe is damaged.
         OutputError: the file cannot be written.
     """
     parts = list(points_of(map_file, world))
+    corners = marker_corners(map_file.markers, map_file.placed, world)
+    parts.append(MapPoints(corners, np.full(len(corners), 255, np.uint8)))
     count = sum(len(part.xyz) for part in parts)
     comment = f"world {world} of the map {map_file.path.name}"
     try:

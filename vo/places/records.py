@@ -101,6 +101,30 @@ class InertialPose(NamedTuple):
     scale: float
 
 
+class MarkerVisit(NamedTuple):
+    """Where a marker is relative to a stored keyframe, by the keyframes of one visit.
+
+    Attributes:
+        key: of the first keyframe of the visit, or of one near it.
+        id: of the marker.
+        dictionary: of the marker.
+        length_m: side of its black square.
+        cam_from_marker: (4, 4) similarity from metres in the frame of the marker to the frame of
+            the keyframe, in the unit of its segment; rigid if that is metric.
+        covariance: (7, 7) of its tangent in the frame of the marker, in metres; the last row and
+            column are 0 if the segment is metric.
+        keyframes: number of those that show the marker.
+    """
+
+    key: PlaceKey
+    id: int
+    dictionary: str
+    length_m: float
+    cam_from_marker: Floats
+    covariance: Floats
+    keyframes: int
+
+
 class Candidate(NamedTuple):
     """A stored keyframe that may show the place of a query.
 
