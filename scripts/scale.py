@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import vo
+from vo.placed_frames import PlacedFrames
 from vo.scaling.position_source import PositionSource
 from vo.scaling.positions import Positions
-from vo.types import Floats, PlacedFrames, Trajectory
+from vo.types import Floats, Trajectory
 
 NOISE_M = 2.0
 CORRELATED_S = 10.0

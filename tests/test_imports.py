@@ -18,6 +18,7 @@ BASE = {
         *("bounded_documents", "bounded_files", "extras", "printable"),
         *("given_images", "grey_stretch"),
         *("closed_loops", "seen_markers", "feature_settings", "metric_scale", "inertial_use"),
+        "placed_frames",
         *("config", "settings", "image_areas", "scheduling", "stopwatch"),
     )
 }

@@ -20,10 +20,11 @@ from vo.evaluation.report import evaluate
 from vo.formats.trajectory import read_tum
 from vo.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.metric_scale import MetricScale, ScaleFindings
+from vo.placed_frames import PlacedFrames
 from vo.recording.exports import Exports
 from vo.run_recording import run
 from vo.scaling.creation import ScaleOptions
-from vo.types import Estimate, Floats, PlacedFrames, Snapshot
+from vo.types import Estimate, Floats, Snapshot
 
 FAST = load_config("fast", ["inertial.enabled=false"])
 VALUE, SIGMA = 2.5, 0.05

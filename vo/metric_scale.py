@@ -11,7 +11,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
-from vo.types import Estimate, PlacedFrames, Snapshot
+from vo.placed_frames import PlacedFrames
+from vo.types import Estimate, Snapshot
 
 _MAX_DISAGREEMENT = 3.0  # of two sources, in standard deviations
 _MAX_LENGTH_ERROR = 0.01  # of a path in metres, which is not reported

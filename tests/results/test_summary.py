@@ -12,10 +12,11 @@ from vo.calibration_errors import CalibrationErrors, LensError
 from vo.closed_loops import ClosedLoop
 from vo.failures import Failure, FailureReason, ImageDefect
 from vo.faults import Fault, FaultKind
+from vo.placed_frames import PlacedFrames
 from vo.results.covariance import COVARIANCE_HEADING, covariance_line
 from vo.results.run_statistics import RunStatistics
 from vo.results.summary import RunFacts, RunState, Summary, summarise
-from vo.types import Estimate, KeyframePose, PlacedFrames, Skipped, State, Trajectory
+from vo.types import Estimate, KeyframePose, Skipped, State, Trajectory
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
 

@@ -12,10 +12,11 @@ import pytest
 from vo.errors import SourceError
 from vo.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.geometry.transforms import so3_exp
+from vo.placed_frames import PlacedFrames
 from vo.scaling.georeference import write_georeference
 from vo.scaling.position_source import PositionSource
 from vo.scaling.positions import Positions
-from vo.types import Floats, PlacedFrames, Trajectory
+from vo.types import Floats, Trajectory
 
 START_NS = 1_700_000_000_000_000_000
 UNIT_M = 4.0  # length of a unit of the map

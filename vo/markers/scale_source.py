@@ -27,9 +27,10 @@ from vo.markers.world_frames import (
     write_markers,
 )
 from vo.metric_scale import MetricScale, ScaleFindings
+from vo.placed_frames import PlacedFrames
 from vo.printable import counted
 from vo.seen_markers import MarkerOutline, MarkerSquare, SeenMarkers
-from vo.types import Camera, Estimate, PlacedFrames, Snapshot, View
+from vo.types import Camera, Estimate, Snapshot, View
 
 MAX_RELATIVE_SIGMA = 0.1
 _MIN_GAP_NS = 80_000_000  # between two frames in which markers are searched

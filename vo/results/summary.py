@@ -13,6 +13,7 @@ from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.failures import Failure
 from vo.inertial_use import InertialUse
 from vo.metric_scale import ScaleFindings, has_all_scales
+from vo.placed_frames import PlacedFrames
 from vo.results.environment import peak_rss_mb, versions
 from vo.results.fault_log import FaultRecord
 from vo.results.frames_without_pose import FrameRange, ranges_without_pose
@@ -21,7 +22,7 @@ from vo.results.profile import Profile
 from vo.results.run_statistics import RunStatistics, StageTime
 from vo.results.verdict import Verdict, VerdictFacts, assess
 from vo.results.warnings import run_warnings
-from vo.types import Ints, PlacedFrames, Skipped, State
+from vo.types import Ints, Skipped, State
 
 Status = Literal["finished", "interrupted", "failed"]
 

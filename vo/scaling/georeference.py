@@ -10,8 +10,9 @@ import numpy as np
 
 from vo.errors import OutputError
 from vo.geometry.geodesy import geodetic_from_enu
+from vo.placed_frames import PlacedFrames
 from vo.scaling.position_source import PositionSource
-from vo.types import Floats, PlacedFrames
+from vo.types import Floats
 
 GEOJSON, KML = "path.geojson", "path.kml"
 _DEGREE_DIGITS = 9  # a tenth of a millimetre

@@ -9,8 +9,9 @@ import numpy as np
 
 from vo.geometry.transforms import inverse
 from vo.metric_scale import MetricScale, ScaleFindings
+from vo.placed_frames import PlacedFrames
 from vo.scaling.ground import find_ground
-from vo.types import Estimate, Floats, PlacedFrames, Snapshot
+from vo.types import Estimate, Floats, Snapshot
 
 _NAME = "camera height"
 _BACK = 3  # keyframes from which the direction of the motion is taken

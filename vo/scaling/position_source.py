@@ -11,10 +11,11 @@ import numpy as np
 from vo.errors import SourceError
 from vo.formats.positions import NS_PER_DAY
 from vo.metric_scale import MetricScale, ScaleFindings
+from vo.placed_frames import PlacedFrames
 from vo.scaling.correlation import correlated_variance
 from vo.scaling.fit import MIN_POSITIONS, PositionFit, fit_positions
 from vo.scaling.positions import Positions
-from vo.types import Estimate, Floats, Ints, PlacedFrames, Snapshot
+from vo.types import Estimate, Floats, Ints, Snapshot
 
 MAX_RELATIVE_SIGMA = 0.1
 """A scale that is less certain is refused."""

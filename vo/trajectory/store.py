@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vo.geometry.transforms import inverse, whole_transforms
 from vo.metric_scale import MetricScale
+from vo.placed_frames import PlacedFrames
 from vo.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
 from vo.trajectory.interpolation import InterpolatedFrames, fill
 from vo.trajectory.map_frame import Anchor, make_anchors, scaled_covariance
@@ -24,7 +25,7 @@ from vo.trajectory.rows import (
     symmetric,
 )
 from vo.trajectory.table import Table
-from vo.types import Floats, Ints, KeyframePose, PlacedFrames, Trajectory
+from vo.types import Floats, Ints, KeyframePose, Trajectory
 
 
 class TrajectoryStore:
