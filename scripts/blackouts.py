@@ -2,7 +2,8 @@
 
 Recordings are EuRoC folders with an inertial sensor and ground truth. Images of all cameras are
 replaced by black ones with noise, from 8 s on, again after every 10 s. ATE is that of all frames of
-the longest world, aligned without scale.
+the longest world, aligned without scale. With `--predictions`, the motions since the last tracked
+frame that are predicted in the dark are compared with the true ones instead.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from blackout_predictions import PREDICTIONS_HEADING, prediction_rows
 
 from vo.formats.trajectory import read_trajectory
 from vo.geometry.similarity import umeyama
@@ -49,8 +51,14 @@ def main() -> int:
     parser.add_argument("recordings", nargs="+", type=Path, help="EuRoC folders")
     parser.add_argument("--black", type=float, nargs="+", default=[1.0], help="seconds of each gap")
     parser.add_argument("--no-imu", action="store_true", help="without the inertial sensor")
+    parser.add_argument("--predictions", action="store_true", help="errors of predicted poses")
     arguments = parser.parse_args()
     options = ["--no-imu"] if arguments.no_imu else []
+    if arguments.predictions:
+        print("\n".join(PREDICTIONS_HEADING), flush=True)
+        for recording in arguments.recordings:
+            predictions(recording, arguments.black)
+        return 0
     print("\n".join(HEADING), flush=True)
     for recording in arguments.recordings:
         for mode in ("mono", "stereo"):
@@ -59,13 +67,25 @@ def main() -> int:
                 with TemporaryDirectory(dir=recording.parent) as folder:
                     dark = blackened(recording, Path(folder) / recording.name, seconds)
                     found = measure(dark, mode, options)
-                name = re.sub(r"-[0-9a-f]{10}$", "", recording.name)
-                print(
-                    f"| {name} | {seconds:g} | {mode} | {found.worlds} | {usual.ate_m:.4f} "
-                    f"| {found.ate_m:.4f} | {found.gap_m:.3f} | {found.gap_deg:.2f} |",
-                    flush=True,
-                )
+                row = f"| {name_of(recording)} | {seconds:g} | {mode} | {found.worlds} "
+                row += f"| {usual.ate_m:.4f} | {found.ate_m:.4f} "
+                print(row + f"| {found.gap_m:.3f} | {found.gap_deg:.2f} |", flush=True)
     return 0
+
+
+def predictions(recording: Path, black: list[float]) -> None:
+    """Print the errors of predicted poses."""
+    for mode in ("mono", "stereo"):
+        for seconds in black:
+            with TemporaryDirectory(dir=recording.parent) as folder:
+                dark = blackened(recording, Path(folder) / recording.name, seconds)
+                for row in prediction_rows(dark, mode):
+                    print(f"| {name_of(recording)} | {mode} | {row}", flush=True)
+
+
+def name_of(recording: Path) -> str:
+    """Name of a recording in tables."""
+    return re.sub(r"-[0-9a-f]{10}$", "", recording.name)
 
 
 def blackened(recording: Path, copy: Path, seconds: float) -> Path:

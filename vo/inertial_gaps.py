@@ -14,7 +14,7 @@ from vo.inertial.chain import Placed
 from vo.inertial.samples import SampleReader
 from vo.inertial.states import ACCEL_BIAS, POSITION, VELOCITY
 from vo.trajectory.builder import TrajectoryBuilder
-from vo.trajectory.inertial_frames import InertialFrame
+from vo.trajectory.inertial_frames import InertialFrame, with_reference
 from vo.types import Floats, ImuNoise, Ints, KeyframePose
 
 MAX_GAP_S = 3.0  # as between segments that are joined
@@ -196,6 +196,4 @@ def _with_reference(
     """Covariances with that of the keyframe before the gap; None where that is unknown."""
     if reference.covariance is None:
         return [None] * len(covariance)
-    moved = adjoint(inverse(path_from_cam0) @ reference.world_from_cam0)
-    total = covariance + moved @ reference.covariance @ np.swapaxes(moved, 1, 2)
-    return list(total)
+    return list(with_reference(covariance, path_from_cam0, reference))

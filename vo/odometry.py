@@ -162,10 +162,9 @@ class Odometry:
             self._state, self._lost = State.STARTING, []
             for each in frame.misled:
                 self._advance(each)
-        result = self._advance(frame)
-        is_tracking = self._state is State.TRACKING
+        result, is_lost = self._advance(frame), self._state is not State.TRACKING
         self._anchor = self._trajectory.store.anchor(self._segment)
-        self._preprocessor.is_eager = self._forecast.expects_all or not is_tracking
+        self._preprocessor.is_eager = is_lost or self._forecast.expects_all
         return result
 
     def _advance(self, frame: PreprocessedFrame) -> FrameResult:
@@ -205,7 +204,7 @@ class Odometry:
         if isinstance(tracked, Failure):
             self._state = State.LOST
             self._lost.append(frame.of_kind(is_second=False))
-            return FrameResult(frame, failure=tracked)
+            return FrameResult(frame, failure=tracked, predicted=self._tracker.predicted(frame))
         self._state, self._lost = State.TRACKING, []
         newest = self._map.keyframes[-1]
         for each in self._frozen_camera.resume(tracked):
@@ -263,10 +262,11 @@ class Odometry:
     def _estimate(self, result: FrameResult) -> Estimate:
         moved = self._trajectory.take_moved()
         self._has_moved = bool(moved)
-        pose, in_map = result.world_from_cam, self._trajectory.map_from_cam0
+        pose, path = result.world_from_cam, self._trajectory
         return replace(
             make_estimate(result, self._state, self._segment),
-            world_from_cam0=None if pose is None else in_map(pose, self._anchor),
+            world_from_cam0=None if pose is None else path.map_from_cam0(pose, self._anchor),
+            predicted=path.predicted(result.predicted, self._segment, self._anchor),
             faults=result.every_fault + self._updater.faults,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,

@@ -305,7 +305,8 @@ class RunSession:
         """Append a frame, and rewrite the poses that optimisation has moved."""
         if estimate.world_from_cam0 is not None:
             self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
-            self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.world_from_cam0))
+        if estimate.causal_pose is not None:
+            self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.causal_pose))
         self._write_changed()
 
     def _write_changed(self) -> None:

@@ -19,6 +19,7 @@ from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
 from vo.mapping.lookup import rows_of
 from vo.mapping.tracked_frame import TrackedFrame
+from vo.tracking.inertial_motion import PosePrior
 from vo.tracking.last_frame import LastFrame
 from vo.trajectory.map_frame import Anchor
 from vo.types import (
@@ -50,9 +51,10 @@ class FrameResult(NamedTuple):
         tracked: its pose and observations, None where it has none.
         is_keyframe: whether it is to become a keyframe.
         before: the tracked frame before it, or None.
-        failure: why it has no pose.
+        failure: why it was not tracked.
         faults: faults that tracking has found.
         keyframe: the keyframe that it has become, or None.
+        predicted: its pose by an inertial sensor where it was not tracked, or None.
     """
 
     frame: PreprocessedFrame
@@ -62,6 +64,7 @@ class FrameResult(NamedTuple):
     failure: Failure | None = None
     faults: tuple[Fault, ...] = ()
     keyframe: Keyframe | None = None
+    predicted: PosePrior | None = None
 
     @property
     def every_fault(self) -> tuple[Fault, ...]:

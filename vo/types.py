@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -323,6 +323,19 @@ class Snapshot:
     neighbours: Mapping[int, int] = field(default_factory=dict)
 
 
+class PredictedPose(NamedTuple):
+    """Pose of a lost frame by the inertial sensor: a prediction, which no image confirms.
+
+    Attributes:
+        world_from_cam0: (4, 4) in the world of the tracked frame before it.
+        covariance: (6, 6) as that of `KeyframePose`: of the newest keyframe that has one, and of
+            the motion since the last tracked frame, which grows; None if the former is unknown.
+    """
+
+    world_from_cam0: Floats
+    covariance: Floats | None
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Result of one frame.
@@ -331,9 +344,9 @@ class Estimate:
         frame_index: number of the frame in its source.
         stamp_ns: its time.
         state: state of the odometry.
-        failure: why it has no pose, None where it has one.
+        failure: why it was not tracked, None where it was.
         segment: number of the segment, from 0; a new one begins after each loss.
-        world_from_cam0: (4, 4) pose as known now (causal), None where there is none.
+        world_from_cam0: (4, 4) pose as known now (causal), None where it was not tracked.
         is_keyframe: whether the frame became a keyframe.
         features: landmarks found in the frame, and other features that were extracted.
         matches: landmarks found in the frame.
@@ -346,6 +359,7 @@ class Estimate:
         faults: faults of the recording that were found in the frame.
         tracked_anew_from: number of the first frame that was tracked anew by this one, or None.
         dropped: images of a live source that were left out so far.
+        predicted: of a lost frame, by an inertial sensor whose states are known, else None.
     """
 
     frame_index: int
@@ -366,8 +380,16 @@ class Estimate:
     faults: tuple[Fault, ...] = ()
     tracked_anew_from: int | None = None
     dropped: int = 0
+    predicted: PredictedPose | None = None
 
     @property
     def position(self) -> Floats | None:
         """(3,) centre of cam0 in the world, None where there is no pose."""
         return None if self.world_from_cam0 is None else self.world_from_cam0[:3, 3]
+
+    @property
+    def causal_pose(self) -> Floats | None:
+        """(4, 4) world_from_cam0 as tracked, else as predicted; None without either."""
+        if self.world_from_cam0 is not None or self.predicted is None:
+            return self.world_from_cam0
+        return self.predicted.world_from_cam0

@@ -20,10 +20,14 @@ from data_synth.recipe import load_recipe
 from data_synth.writers import euroc
 from vo.config import load_config
 from vo.evaluation.ape import absolute_errors
+from vo.evaluation.causal_path import tracked_part
+from vo.evaluation.inputs import load_inputs
 from vo.formats.trajectory import read_tum
 from vo.geometry.similarity import umeyama
+from vo.geometry.transforms import adjoint, inverse, se3_log
 from vo.run_recording import run
-from vo.types import Floats
+from vo.streaming.sink import PoseUpdate
+from vo.types import Estimate, Floats, State
 
 GYRO_BIAS, ACCEL_BIAS = np.array([0.02, -0.03, 0.01]), np.array([0.1, -0.1, 0.2])
 BLACK = slice(66, 78)
@@ -241,15 +245,115 @@ def _darkened(recording: Path, copy: Path, frames: slice) -> Path:
     return copy
 
 
-def test_a_second_without_light_is_bridged(
-    dark_walk: Path, inertial: tuple[Path, dict[str, Any]], tmp_path: Path
+class _Estimates:
+    """Keeps the estimates of a run, and their records."""
+
+    name = "estimates"
+
+    def __init__(self) -> None:
+        self.found: list[Estimate] = []
+        self.records: list[dict[str, Any]] = []
+
+    def send(self, update: PoseUpdate) -> None:
+        self.found.append(update.estimate)
+        self.records.append(json.loads(update.record))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def dark_run(
+    dark_walk: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Any], _Estimates]:
+    output, estimates = tmp_path_factory.mktemp("dark_run"), _Estimates()
+    return output, _run(dark_walk, output, poses=[estimates]), estimates
+
+
+def test_frames_without_light_are_predicted_at_once(
+    dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
 ) -> None:
-    summary = _run(dark_walk, tmp_path / "out")
+    output, _, estimates = dark_run
+    found = estimates.found
+    lost = [e.frame_index for e in found if e.predicted is not None]
+    assert lost == list(range(BLACK.start, BLACK.stop))
+    for each in found[BLACK]:
+        assert each.state is State.LOST and each.failure is not None
+        assert each.world_from_cam0 is None and each.inliers == 0 and not each.is_keyframe
+    causal, truth = _poses(output, dark_walk, "causal.tum")
+    stamps_ns = read_tum(output / "causal.tum").stamps_ns
+    assert set(stamps_ns) >= {e.stamp_ns for e in found[BLACK]}
+    row = int(np.flatnonzero(stamps_ns == found[BLACK.start].stamp_ns)[0])
+    rows = slice(row, row + BLACK.stop - BLACK.start)
+    motion = inverse(causal[row - 1]) @ causal[rows]
+    off = inverse(motion) @ inverse(truth[row - 1]) @ truth[rows]
+    error = np.array([se3_log(each) for each in off])
+    assert np.abs(error[:, :3]).max() < 0.005 and np.abs(error[:, 3:]).max() < 0.03
+    still = np.linalg.norm((inverse(truth[row - 1]) @ truth[rows])[:, :3, 3], axis=1)
+    assert still.max() > 0.3  # what is predicted is not small
+
+
+def test_predicted_frames_state_a_covariance_that_grows_and_is_honest(
+    dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
+) -> None:
+    found = dark_run[2].found[BLACK][1:]  # with the newest keyframe optimised
+    covariance = np.array([e.predicted.covariance for e in found if e.predicted is not None])
+    size = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
+    assert (np.diff(size) > 0.0).all() and size[-1] > 1.2 * size[0]
+    keyframe = found[0].keyframes[-1]
+    assert keyframe.covariance is not None and not any(e.keyframes for e in found[1:])
+    truth = read_tum(dark_walk / "groundtruth.tum")
+    stamps_ns = np.array([keyframe.stamp_ns, *(e.stamp_ns for e in found)])
+    true = truth.world_from_cam[np.searchsorted(truth.stamps_ns, stamps_ns - 1000)]
+    poses = np.array([e.causal_pose for e in found])
+    motion = inverse(keyframe.world_from_cam0) @ poses
+    moved = adjoint(inverse(motion))
+    of_motion = covariance - moved @ keyframe.covariance @ np.swapaxes(moved, 1, 2)
+    error = [se3_log(each) for each in inverse(motion) @ inverse(true[0]) @ true[1:]]
+    nees = [e @ np.linalg.solve(c, e) for e, c in zip(error, of_motion, strict=True)]
+    assert 0.1 < np.mean(nees) < 16.8  # 99 % of a chi squared variable of six dimensions
+
+
+def test_records_have_predicted_poses_apart(
+    dark_run: tuple[Path, dict[str, Any], _Estimates],
+) -> None:
+    records = dark_run[2].records
+    lines = (dark_run[0] / "causal.tum").read_text().splitlines()
+    assert sum(r["world_from_cam0"] is not None for r in records) + 12 == len(lines)
+    for n, record in enumerate(records):
+        if not BLACK.start <= n < BLACK.stop:
+            assert record["predicted"] is None
+            continue
+        assert record["state"] == "lost" and record["failure"] == "image_defect"
+        assert record["world_from_cam0"] is record["covariance"] is None
+        numbers = record["predicted"]["position_xyz"] + record["predicted"]["quat_xyzw"]
+        assert numbers in [[float(field) for field in line.split()[1:]] for line in lines]
+
+
+def test_predicted_frames_are_not_counted_as_tracked(
+    dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
+) -> None:
+    output, summary, _ = dark_run
+    assert summary["tracked"] == 96 - 12 and summary["verdict"] == "with gaps"
+    rows = [line.split(",") for line in (output / "frames.csv").read_text().splitlines()]
+    assert [row[2] for row in rows[1:]][BLACK] == ["lost"] * 12
+    causal = read_tum(output / "causal.tum")
+    assert len(tracked_part(causal, output)) == len(causal) - 12
+    (note,) = [n for n in load_inputs(output / "causal.tum", dark_walk).notes if "predicted" in n]
+    assert note.startswith(f"12 of {len(causal)} poses")
+
+
+def test_a_second_without_light_is_bridged(
+    dark_walk: Path,
+    dark_run: tuple[Path, dict[str, Any], _Estimates],
+    inertial: tuple[Path, dict[str, Any]],
+) -> None:
+    output, summary, _ = dark_run
     assert len(summary["segments"]) == 1 and summary["lost"] == summary["starting"] == 0
     assert summary["inertial_poses"] == 12 and summary["verdict"] == "with gaps"
-    rows = np.loadtxt(tmp_path / "out" / "poses.csv", delimiter=",", skiprows=1)
+    rows = np.loadtxt(output / "poses.csv", delimiter=",", skiprows=1)
     assert rows[:, 0].tolist() == list(range(96)) and (rows[BLACK, 4] == 2).all()
-    found, truth = _poses(tmp_path / "out", dark_walk)
+    found, truth = _poses(output, dark_walk)
     fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
     moved = found[:, :3, 3] @ fit.rotation.T + fit.translation
     error = np.linalg.norm(moved - truth[:, :3, 3], axis=1)
@@ -259,7 +363,7 @@ def test_a_second_without_light_is_bridged(
     usual_m = np.linalg.norm(moved - truth[:, :3, 3], axis=1)
     assert np.sqrt((error**2).mean()) < 1.3 * np.sqrt((usual_m**2).mean()) + 0.002
     assert error[BLACK].max() < 0.04
-    covariance = (tmp_path / "out" / "covariance.csv").read_text().splitlines()[1:]
+    covariance = (output / "covariance.csv").read_text().splitlines()[1:]
     dark = [line for line in covariance if BLACK.start <= int(line.split(",")[1]) < BLACK.stop]
     assert len(dark) == 12 and all(line.split(",")[3] for line in dark)
 
@@ -269,6 +373,8 @@ def test_without_the_sensor_a_second_without_light_divides_the_path(
 ) -> None:
     summary = _run(dark_walk, tmp_path / "out", "inertial.enabled=false")
     assert len(summary["segments"]) == 2 and summary["inertial_poses"] == 0
+    dark = {int(image.stem) for image in sorted((dark_walk / "mav0/cam0/data").iterdir())[BLACK]}
+    assert not dark & set(read_tum(tmp_path / "out" / "causal.tum").stamps_ns.tolist())
 
 
 def test_two_seconds_without_light_are_bridged_to_a_new_map_of_two_cameras(

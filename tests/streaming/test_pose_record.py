@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pose_updates import BEGUN_NS, FAULT, estimate, keyframe, lost
+from pose_updates import BEGUN_NS, FAULT, estimate, keyframe, lost, pose
 
 from vo.failures import Failure, FailureReason
 from vo.faults import Fault, FaultKind
 from vo.streaming.pose_record import SCHEMA_FILE, SCHEMA_VERSION, PoseRecords, encoded
-from vo.types import State
+from vo.types import PredictedPose, State
 
 SCHEMA = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 
@@ -47,6 +47,21 @@ def test_a_frame_without_a_pose_has_the_reason_as_a_word(reason: FailureReason) 
     assert (read["world_from_cam0"], read["state"]) == (None, "starting")
     assert read["failure"] == reason.name.lower()
     assert read["length_unit"] == "map units"
+
+
+def test_a_predicted_pose_is_apart_and_has_its_own_covariance() -> None:
+    records = PoseRecords(is_metric=True)
+    records.record(estimate(2, keyframes=(keyframe(2, 0.25),)))
+    predicted = PredictedPose(pose(3), 0.5 * np.eye(6))
+    read = check(records.record(lost(3, predicted=predicted)))
+    assert (read["state"], read["failure"]) == ("lost", "few_inliers")
+    assert (read["world_from_cam0"], read["covariance"]) == (None, None)
+    assert read["predicted"]["position_xyz"] == [0.5, 0.0, 3.0]
+    assert read["predicted"]["rx_ry_rz_tx_ty_tz"] == (0.5 * np.eye(6)).tolist()
+    read = check(records.record(lost(4, predicted=predicted._replace(covariance=None))))
+    assert read["predicted"]["rx_ry_rz_tx_ty_tz"] is None
+    read = check(records.record(lost(5)))
+    assert read["predicted"] is None and read["covariance"]["keyframe"] == 2
 
 
 def test_faults_of_the_recording_are_in_the_first_record_alone() -> None:

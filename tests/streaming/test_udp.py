@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pose_updates import estimate, keyframe, update
+from pose_updates import estimate, keyframe, lost, update
 
 from vo.geometry.transforms import make_transform, so3_exp
 from vo.streaming.address import open_address
 from vo.streaming.pose_record import PoseRecords, encoded
+from vo.types import PredictedPose
 
 
 @pytest.fixture(params=["127.0.0.1", "::1"])
@@ -51,6 +52,14 @@ def test_a_record_fits_into_a_packet_of_any_network() -> None:
     known = replace(keyframe(123_456, 1.0), covariance=covariance)
     far = make_transform(so3_exp(np.array([-0.5, -0.6, -0.7])), np.full(3, -123_456.123_456_789))
     result = estimate(123_457, keyframes=(known,), world_from_cam0=far)
+    assert 1000 < len(encoded(PoseRecords(is_metric=False).record(result))) < 1200
+
+
+def test_a_predicted_record_fits_as_well() -> None:
+    covariance = np.random.default_rng(0).uniform(-1e-7, -1e-8, (6, 6))
+    known = replace(keyframe(123_456, 1.0), covariance=covariance)
+    far = make_transform(so3_exp(np.array([-0.5, -0.6, -0.7])), np.full(3, -123_456.123_456_789))
+    result = lost(123_457, keyframes=(known,), predicted=PredictedPose(far, covariance))
     assert 1000 < len(encoded(PoseRecords(is_metric=False).record(result))) < 1200
 
 

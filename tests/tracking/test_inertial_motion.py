@@ -72,6 +72,27 @@ def test_a_second_of_lost_frames_is_predicted() -> None:
     assert np.abs(se3_log(inverse(usual) @ _TRUE[_TRACKED + 20])).max() > 0.1
 
 
+def test_every_lost_frame_of_a_map_is_predicted() -> None:
+    motion = _tracked(_predictor())
+    for k in range(3):
+        stamp = int(_STAMPS[_TRACKED + k])
+        motion.predict(stamp)
+        lost = motion.of_lost(stamp)
+        assert lost is not None  # the first one, which has no prior, too
+        assert np.abs(se3_log(inverse(lost.world_from_cam) @ _TRUE[_TRACKED + k])).max() < 3e-3
+        np.testing.assert_allclose(lost.covariance @ lost.information, np.eye(6), atol=1e-8)
+    motion.give_up()
+    assert motion.of_lost(int(_STAMPS[_TRACKED + 3])) is None
+
+
+def test_no_lost_frame_is_predicted_while_the_states_are_unknown() -> None:
+    predictor = _predictor()
+    motion = _tracked(predictor)
+    predictor.known = None
+    motion.predict(int(_STAMPS[_TRACKED]))
+    assert motion.of_lost(int(_STAMPS[_TRACKED])) is None
+
+
 def test_a_gap_is_remembered_until_the_next_map() -> None:
     motion = _tracked(_predictor())
     _lost(motion, 11)

@@ -132,6 +132,7 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
 
 def _errors(job: Job, source: str, folder: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Errors of a `JobResult` by name, empty without ground truth; and remarks."""
+    from vo.evaluation.causal_path import tracked_part
     from vo.evaluation.own_truth import causal_ate_m
     from vo.evaluation.report import evaluate
     from vo.formats.trajectory import read_tum
@@ -144,9 +145,10 @@ def _errors(job: Job, source: str, folder: Path) -> tuple[dict[str, Any], tuple[
     except EvaluationError as error:
         return {}, (f"not compared with the ground truth: {error}",)
     drift = evaluation.segments
+    causal = tracked_part(read_tum(folder / "causal.tum"), folder)
     return {
         "ate_m": evaluation.ate.translation.rmse,
-        "causal_ate_m": causal_ate_m(read_tum(folder / "causal.tum"), inputs),
+        "causal_ate_m": causal_ate_m(causal, inputs),
         "drift_percent": None if drift is None else drift.translation_percent,
         "drift_deg_per_100m": None if drift is None else 100.0 * drift.rotation_deg_per_m,
     }, ()

@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.cli.eval_inputs import is_log, truth_of_log
 from vo.errors import EvaluationError, SourceError, VoError
+from vo.evaluation.causal_path import tracked_part
 from vo.evaluation.inputs import Inputs, load_inputs
 from vo.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
 from vo.evaluation.report import Evaluation, evaluate
@@ -32,7 +33,7 @@ class EvaluatedRun(NamedTuple):
         origin: origin of the ground truth, or the reason why there is no evaluation.
         notes: notes for the reader of the figures.
         others: evaluations of the other segments.
-        causal_ate_m: ATE of the causal trajectory.
+        causal_ate_m: ATE of the causal trajectory, without poses that were only predicted.
     """
 
     evaluation: Evaluation | None
@@ -107,7 +108,7 @@ def _evaluated(run: RunRecord, inputs: Inputs) -> EvaluatedRun:
     others = _others(run, inputs)
     if others:
         notes = (*notes, "in the figures, each of the other segments is aligned separately")
-    causal = causal_ate_m(run.causal, inputs)
+    causal = causal_ate_m(tracked_part(run.causal, run.path), inputs)
     return EvaluatedRun(evaluation, inputs.reference, origin, notes, others, causal)
 
 

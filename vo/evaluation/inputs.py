@@ -11,6 +11,7 @@ import numpy as np
 from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
 from vo.errors import CalibrationError, EvaluationError, SourceError
+from vo.evaluation.causal_path import predicted
 from vo.evaluation.frame_numbers import frame_numbers, segment_numbers
 from vo.formats.calibration import Calibration, read_calibration
 from vo.formats.euroc_layout import find_camera_on_body
@@ -21,6 +22,7 @@ _ESTIMATE_NAMES = (
     "trajectory.tum",
     "trajectory.tum.partial",
 )  # the latter is written until a run ends
+_CAUSAL_NAMES = ("causal.tum", "causal.tum.partial")
 _REFERENCE_NAMES = (
     "groundtruth.tum",
     "groundtruth.txt",
@@ -99,6 +101,7 @@ def load_inputs(
     if not isinstance(estimate, GivenTrajectory):
         estimate = _read_file(_estimate_file(Path(estimate)))
     summary = _summary_beside(estimate.origin)
+    causal_notes = _causal_notes(estimate)
     if not isinstance(reference, GivenTrajectory):
         reference = _read_reference(
             _reference_file(Path(reference)),
@@ -112,7 +115,7 @@ def load_inputs(
         estimate.trajectory,
         reference.trajectory,
         mode=mode,
-        notes=(*scaled, *estimate.notes, *reference.notes),
+        notes=(*scaled, *causal_notes, *estimate.notes, *reference.notes),
         causal_mode=causal_mode,
     )
     if estimate.has_stamps and not reference.has_stamps:
@@ -164,6 +167,18 @@ def _modes(summary: dict[str, Any], estimate: Path) -> tuple[Mode, Mode]:
         return "auto" if is_smoothed and summary.get("length_unit") == "m" else "mono", "mono"
     known: Mode = "stereo" if mode == "stereo" else "auto"
     return known, known
+
+
+def _causal_notes(estimate: GivenTrajectory) -> tuple[str, ...]:
+    if estimate.origin.name not in _CAUSAL_NAMES:
+        return ()
+    count = np.count_nonzero(predicted(estimate.trajectory, estimate.origin.parent))
+    if not count:
+        return ()
+    return (
+        f"{count} of {len(estimate.trajectory)} poses are of lost frames, predicted by an inertial "
+        "sensor; they are evaluated, too",
+    )
 
 
 def _calibration_of_run(summary: dict[str, Any]) -> Calibration | None:

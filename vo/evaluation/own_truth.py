@@ -44,7 +44,7 @@ def causal_ate_m(causal: Trajectory, inputs: Inputs) -> float | None:
     """ATE of the part of the causal path that belongs to an estimate; None if there is none.
 
     Args:
-        causal: the whole causal path of the run.
+        causal: the whole causal path of the run, of tracked frames.
         inputs: the smoothed path of a segment, and the ground truth.
     """
     stamps_ns, evaluated_ns = causal.stamps_ns, inputs.estimate.stamps_ns

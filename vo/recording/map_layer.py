@@ -64,6 +64,8 @@ class MapLayer:
         pose, landmarks = estimate.world_from_cam0, snapshot.landmarks
         if pose is not None:
             self._add_pose(moment, pose, estimate.segment)
+        elif estimate.predicted is not None:
+            self._add_camera(moment, estimate.predicted.world_from_cam0)
         is_reposed = False
         if estimate.keyframes:
             changes = self._keyframes.update(estimate.keyframes, snapshot)
@@ -86,7 +88,7 @@ class MapLayer:
         path = rr.LineStrips3D.from_fields(strips=[positions])
         self._batch.log_static(entities.TRUE_PATH, path)
 
-    def _add_pose(self, moment: Moment, pose: Floats, segment: int) -> None:
+    def _add_camera(self, moment: Moment, pose: Floats) -> None:
         self._batch.add(
             moment,
             entities.CAM0,
@@ -94,6 +96,9 @@ class MapLayer:
             translation=pose[None, :3, 3],
             quaternion=quat_xyzw_from_rotation(pose[:3, :3])[None],
         )
+
+    def _add_pose(self, moment: Moment, pose: Floats, segment: int) -> None:
+        self._add_camera(moment, pose)
         line = self._causal.extend(pose[:3, 3], segment)
         if line is not None:
             add_strips(self._batch, moment, entities.CAUSAL_PATH, [line])

@@ -88,7 +88,7 @@ class RunRecord:
         trajectory: the smoothed path, possibly empty.
         worlds: stamps (N,) in `poses.csv` and the number (N,) of the segment of each, where merged
             segments have one number; possibly empty.
-        causal: the causal path, possibly empty.
+        causal: the causal path with predicted poses of lost frames, possibly empty.
         odometry: the path before loops, empty without any.
         frames: None if `frames.csv` is missing.
         sigmas: None without covariances.

@@ -11,7 +11,7 @@ import numpy as np
 
 from vo.faults import Fault
 from vo.formats.trajectory import pose_fields
-from vo.types import Estimate, Floats, KeyframePose
+from vo.types import Estimate, Floats, KeyframePose, PredictedPose
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("pose_record.schema.json")
@@ -40,7 +40,7 @@ class PoseRecords:
         self._update_covariance(estimate)
         faults = self._recording_faults + estimate.faults
         self._recording_faults = ()
-        failure = estimate.failure
+        failure, predicted = estimate.failure, estimate.predicted
         return {
             "schema_version": SCHEMA_VERSION,
             "frame": estimate.frame_index,
@@ -52,12 +52,13 @@ class PoseRecords:
             "length_unit": "m" if self._is_metric or is_metric else "map units",
             "is_keyframe": estimate.is_keyframe,
             "inliers": estimate.inliers,
-            "covariance": self._covariance(),
+            "covariance": None if predicted is not None else self._covariance(),
             "faults": [
                 {"kind": f.kind.value, "is_handled": f.is_handled, "value": f.value} for f in faults
             ],
             "tracked_anew_from": estimate.tracked_anew_from,
             "dropped": estimate.dropped,
+            "predicted": None if predicted is None else _prediction(predicted),
         }
 
     def _update_covariance(self, estimate: Estimate) -> None:
@@ -72,7 +73,7 @@ class PoseRecords:
     def _covariance(self) -> dict[str, Any] | None:
         if self._known is None or self._known.covariance is None:
             return None
-        digits = [[float(f"{c:.9e}") for c in row] for row in self._known.covariance.tolist()]
+        digits = _covariance(self._known.covariance)
         return {"keyframe": self._known.frame_index, "rx_ry_rz_tx_ty_tz": digits}
 
 
@@ -91,3 +92,15 @@ def _pose(world_from_cam0: Floats | None) -> dict[str, list[float]] | None:
         return None
     numbers = [float(field) for field in pose_fields(world_from_cam0)]
     return {"position_xyz": numbers[:3], "quat_xyzw": numbers[3:]}
+
+
+def _prediction(predicted: PredictedPose) -> dict[str, Any]:
+    covariance = predicted.covariance
+    if covariance is not None and not np.isfinite(covariance).all():
+        covariance = None
+    digits = None if covariance is None else _covariance(covariance)
+    return {**(_pose(predicted.world_from_cam0) or {}), "rx_ry_rz_tx_ty_tz": digits}
+
+
+def _covariance(covariance: Floats) -> list[list[float]]:
+    return [[float(f"{c:.9e}") for c in row] for row in covariance.tolist()]

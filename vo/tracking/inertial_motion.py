@@ -40,6 +40,11 @@ class PosePrior(NamedTuple):
     world_from_cam: Floats
     information: Floats
 
+    @property
+    def covariance(self) -> Floats:
+        """(6, 6) as `information`."""
+        return np.asarray(np.linalg.inv(self.information), np.float64)
+
     def fused(self, cam_from_world: Floats, information: Floats) -> Floats:
         """cam_from_world (4, 4) of a measured pose and this one, weighted by their information.
 
@@ -125,6 +130,11 @@ class InertialMotion:
         if self._prior is None or self._prior[0] != stamp_ns:
             self._prior = stamp_ns, self._predicted(stamp_ns)
         return self._prior[1]
+
+    def of_lost(self, stamp_ns: int) -> PosePrior | None:
+        """The pose of a frame that was not tracked, the first after a tracked one included."""
+        prior = self.prior(stamp_ns)
+        return self._predicted(stamp_ns) if prior is None and self._has_map else prior
 
     def _predicted(self, stamp_ns: int) -> PosePrior | None:
         motion = self._predictor.motion(self._predictor.known, self._last_ns, stamp_ns)

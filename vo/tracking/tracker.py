@@ -140,6 +140,11 @@ class Tracker:
         motion = self._map.rig.project(after[seen]) - self._map.rig.project(before[seen])
         return median(np.hypot(motion[:, 0], motion[:, 1]))
 
+    def predicted(self, frame: PreprocessedFrame) -> PosePrior | None:
+        """The pose of a frame that was not tracked, by an inertial sensor; None if unknown."""
+        motion = self._motion
+        return motion.of_lost(frame.stamp_ns) if isinstance(motion, InertialMotion) else None
+
     @timed("match")
     def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
         """last_from_cam (4, 4) by sparse image alignment; None if it fails.

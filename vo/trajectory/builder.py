@@ -12,10 +12,12 @@ from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.transforms import adjoint, inverse
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.places.records import PlacedKeyframes, PlaceKey
-from vo.trajectory.map_frame import Anchor
+from vo.tracking.inertial_motion import PosePrior
+from vo.trajectory.inertial_frames import with_reference
+from vo.trajectory.map_frame import Anchor, scaled_covariance
 from vo.trajectory.store import TrajectoryStore
 from vo.trajectory.table import Table
-from vo.types import Floats, KeyframePose
+from vo.types import Floats, KeyframePose, PredictedPose
 
 _REACHED = np.dtype([("frame_index", np.int64), ("stamp_ns", np.int64)])
 
@@ -94,6 +96,27 @@ class TrajectoryBuilder:
         """Pose (4, 4) of the recorded cam0 in the map frame, where an anchor has placed it."""
         pose = self.world_from_cam0(odom_from_rectified)
         return pose if anchor is None else anchor.place(pose)
+
+    def predicted(
+        self, prior: PosePrior | None, segment: int, anchor: Anchor | None
+    ) -> PredictedPose | None:
+        """The pose of a lost frame in the map frame; None without a prediction.
+
+        Args:
+            prior: in the odometry frame of the segment.
+            segment: number of the segment.
+            anchor: as of `map_from_cam0`.
+        """
+        if prior is None:
+            return None
+        pose = self.map_from_cam0(prior.world_from_cam, anchor)
+        reference = self.store.newest_certain(segment)
+        if reference is None:
+            return PredictedPose(pose, None)
+        covariance = self._adjoint @ prior.covariance @ self._adjoint.T
+        if anchor is not None:
+            covariance = scaled_covariance(covariance, anchor.scale)
+        return PredictedPose(pose, with_reference(covariance, pose, reference))
 
     def place(self, placed: PlacedKeyframes, session: int) -> None:
         """Place the keyframes of a session in the map frame; the frames relative to them follow."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.geometry.transforms import adjoint, inverse
 from vo.types import Floats, KeyframePose
 
 INERTIAL, TURNED = -1.0, -2.0
@@ -68,3 +69,16 @@ def with_inertial(
     numbers = {frame.frame_index for frame in added}
     kept = [keyframe for keyframe in keyframes if keyframe.frame_index not in numbers]
     return sorted([*kept, *others], key=lambda pose: pose.stamp_ns)
+
+
+def with_reference(covariance: Floats, world_from_cam0: Floats, reference: KeyframePose) -> Floats:
+    """Covariances (..., 6, 6) of motions since a keyframe, with that of the keyframe itself.
+
+    Args:
+        covariance: (..., 6, 6).
+        world_from_cam0: (..., 4, 4) poses after the motions.
+        reference: with a covariance.
+    """
+    assert reference.covariance is not None
+    moved = adjoint(inverse(world_from_cam0) @ reference.world_from_cam0)
+    return np.asarray(covariance + moved @ reference.covariance @ np.swapaxes(moved, -1, -2))

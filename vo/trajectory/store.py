@@ -273,6 +273,16 @@ class TrajectoryStore:
         """Keyframes by increasing ids."""
         return keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
 
+    def newest_certain(self, segment: int) -> KeyframePose | None:
+        """The newest keyframe of a segment that has a covariance, None without one."""
+        for row in range(len(self._keyframes) - 1, -1, -1):
+            (pose,) = keyframe_poses(self._keyframes.rows[row : row + 1])
+            if pose.segment != segment:
+                return None
+            if pose.covariance is not None:
+                return pose
+        return None
+
     def keyframes(self, row: int = 0) -> list[KeyframePose]:
         """Keyframes from a row on."""
         return keyframe_poses(self._keyframes.rows[row:])
