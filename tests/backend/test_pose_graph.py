@@ -214,6 +214,21 @@ def test_several_wrong_motions_are_mended() -> None:
     assert np.median(error) < 0.5
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_only_repairs_that_images_do_not_confirm_are_taken_back(threads: int) -> None:
+    case = laps(5, loops=60)
+    problem = with_wrong_motion(case.problem, 60, WRONG)
+    first = replace(case, problem=with_wrong_motion(problem, AT, WRONG, is_doubted=False))
+    both = replace(case, problem=with_wrong_motion(problem, AT, WRONG))
+    graph = _graph(both, threads)
+    graph.unconfirmed = lambda placed: [key for key in placed.wrong if key.keyframe == AT]
+    graph.submit()
+    placed, expected = graph.result(), _in_graph(first, threads)
+    graph.close()
+    assert placed.wrong == expected.wrong == (PlaceKey(0, 60),)
+    np.testing.assert_array_equal(placed.world_from_cam, expected.world_from_cam)
+
+
 def test_a_removed_keyframe_hands_its_doubt_on() -> None:
     case = laps(4)
     problem = with_wrong_motion(case.problem, AT, WRONG)

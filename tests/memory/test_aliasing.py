@@ -24,6 +24,7 @@ from vo.types import Camera, Descriptors
 
 FIRST_ROUND, SECOND_ROUND = 115, 135  # its last frame, and the first one of the next round
 CORRIDOR = 8  # keyframes
+DOUBTED = 5  # keyframe of the second round before which the motion is doubted
 APART = 30.0  # of the two rooms, in units of the map: some ten times the size of a room
 
 
@@ -76,7 +77,9 @@ def _corridor(places: Sequence[Place], visit: int) -> list[Place]:
     ]
 
 
-def _placed(places: Sequence[Place], camera: Camera) -> tuple[PlacedKeyframes, int]:
+def _placed(
+    places: Sequence[Place], camera: Camera, *, by_images: bool = True
+) -> tuple[PlacedKeyframes, int]:
     """Where the pose graph has the keyframes, and the number of its loops."""
     scale_factor = load_config("default").features.scale_factor
     graph, count = PoseGraph(), 0
@@ -84,6 +87,8 @@ def _placed(places: Sequence[Place], camera: Camera) -> tuple[PlacedKeyframes, i
         screening = Screening(database.vocabulary, scale_factor)
         verifier = LoopVerifier(scale_factor)
         recogniser = Recogniser(database, screening, verifier, camera, threads=1)
+        if by_images:
+            graph.unconfirmed = recogniser.unconfirmed
         for place in places:
             recognised = recogniser.add(place).result()
             graph.add_keyframe(place)
@@ -91,8 +96,8 @@ def _placed(places: Sequence[Place], camera: Camera) -> tuple[PlacedKeyframes, i
                 graph.add_loop(loop)
             count += len(recognised.loops)
             graph.remove_keyframes(recognised.removed)
-    graph.submit()
-    return graph.result(), count
+        graph.submit()
+        return graph.result(), count
 
 
 def test_a_walk_between_two_copies_of_a_room_closes_no_loop(
@@ -120,19 +125,49 @@ def _with_wrong_motion(places: Sequence[Place], *, is_doubted: bool) -> list[Pla
     ]
 
 
+def _is_first_left(
+    wrong: Sequence[PlaceKey], places: Sequence[Place], placed: PlacedKeyframes
+) -> bool:
+    """Whether the motion to the first keyframe that was not removed as redundant is wrong."""
+    left = [place.key for place in places if place.key in placed.keys]
+    return tuple(wrong) == (left[0],)
+
+
 def test_loops_mend_a_wrong_motion_only_where_it_is_doubted(
     places: tuple[list[Place], list[Place], Camera],
 ) -> None:
     first, second, camera = places
     second = _elsewhere(second, 1, 0, 0.0)
+    before, after = [*first, *second[:DOUBTED]], second[DOUBTED:]
     right, count = _placed([*first, *second], camera)
-    stays, _ = _placed([*first, *_with_wrong_motion(second, is_doubted=False)], camera)
+    stays, _ = _placed([*before, *_with_wrong_motion(after, is_doubted=False)], camera)
     assert len(stays.rejected) >= 3 and not stays.wrong
-    mended, _ = _placed([*first, *_with_wrong_motion(second, is_doubted=True)], camera)
-    assert mended.wrong == (second[0].key,) and not mended.rejected
+    mended, _ = _placed([*before, *_with_wrong_motion(after, is_doubted=True)], camera)
+    assert _is_first_left(mended.wrong, after, mended) and not mended.rejected
     size = np.ptp(right.world_from_cam[:, :3, 3], axis=0).max()
-    apart = mended.world_from_cam[:, :3, 3] - right.world_from_cam[:, :3, 3]
+    both = [key for key in mended.keys if key in right.keys]
+    positions = (
+        placed.world_from_cam[[placed.keys.index(key) for key in both], :3, 3]
+        for placed in (mended, right)
+    )
+    apart = np.subtract(*positions)
+    assert len(both) > 20
     assert np.linalg.norm(apart, axis=1).max() < 0.02 * size
+
+
+def test_a_copy_behind_a_doubted_motion_is_refused_by_the_images_beside_it(
+    places: tuple[list[Place], list[Place], Camera],
+) -> None:
+    first, second, camera = places
+    copy = _with_wrong_motion(_elsewhere(second, 1, 0, 0.0), is_doubted=False)
+    trusted, count = _placed([*first, *copy], camera)
+    assert len(trusted.rejected) == count  # odometry is right, and this is another place
+    copy[DOUBTED] = replace(copy[DOUBTED], is_doubted=True)
+    free, _ = _placed([*first, *copy], camera, by_images=False)
+    assert _is_first_left(free.wrong, copy[DOUBTED:], free)
+    checked, _ = _placed([*first, *copy], camera)
+    assert not checked.wrong and len(checked.rejected) == count
+    np.testing.assert_array_equal(checked.world_from_cam, trusted.world_from_cam)
 
 
 def test_a_doubted_motion_between_two_copies_that_were_seen_closes_no_loop(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -38,12 +38,17 @@ class PoseGraph:
     The result of `submit` is to be requested (`result`) at a fixed keyframe, so that it does not
     depend on the load of the machine.
 
+    Attributes:
+        unconfirmed: names those of the keyframes `PlacedKeyframes.wrong` whose new motion the
+            images do not confirm. Their motions stay as they were.
+
     Args:
         threads: with more than one, graphs are optimised in another process, which is started by
             the first `submit` with loops.
     """
 
     def __init__(self, threads: int = 1) -> None:
+        self.unconfirmed: Callable[[PlacedKeyframes], Sequence[PlaceKey]] = lambda _: ()
         self._threads = threads
         self._nodes: dict[PlaceKey, _Node] = {}
         self._loops: list[Loop] = []
@@ -125,14 +130,17 @@ class PoseGraph:
                 nearest one before them. Segments in one world by the sensor are one chain.
             doubted: ids of markers whose loops are false.
         """
-        self._submitted = self._problem(inertial or {}, doubted)
+        self._start(self._problem(inertial or {}, doubted))
+
+    def _start(self, problem: GraphProblem) -> None:
+        self._submitted = problem
         self._is_in_process = self._threads > 1 and len(self._loops) > 0
         if not self._is_in_process:
             return
         try:
             if self._process is None:
                 self._process = SolverProcess(optimise_graph, unplaced)
-            self._process.submit(self._submitted)
+            self._process.submit(problem)
         except OSError as error:
             _log.warning("optimising in this process, no other can be started: %s", error)
             self._threads, self._is_in_process = 1, False
@@ -148,7 +156,17 @@ class PoseGraph:
         """
         if self._submitted is None:
             raise RuntimeError("no graph was submitted")
-        problem, self._submitted = self._submitted, None
+        problem = self._submitted
+        placed = self._solved(problem)
+        while placed.wrong and (refused := self.unconfirmed(placed)):
+            trusted = [PlaceKey(*key) in refused for key in problem.keys.tolist()]
+            problem = replace(problem, is_doubted=problem.is_doubted & ~np.array(trusted))
+            self._start(problem)
+            placed = self._solved(problem)
+        self._submitted = None
+        return placed
+
+    def _solved(self, problem: GraphProblem) -> PlacedKeyframes:
         if self._is_in_process and self._process is not None:
             return self._process.result()
         return optimise_graph(problem)

@@ -75,6 +75,7 @@ def make_memory(
     recogniser = Recogniser(
         database, screening, verifier, camera, threads, loaded, localizes=localizes
     )
+    graph.unconfirmed = recogniser.unconfirmed
     return Memory(
         maker,
         recogniser,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from vo.errors import OutputError
 from vo.memory.loaded_map import LoadedMap, with_covariance_of
@@ -15,9 +16,12 @@ from vo.places.loop_verification import LoopVerifier
 from vo.places.map_file import MapHeader, write_map
 from vo.places.map_markers import at_keyframes
 from vo.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
+from vo.places.repair_check import unconfirmed_repairs
 from vo.places.screening import Screening
 from vo.scheduling import give_way
 from vo.types import Camera
+
+T = TypeVar("T")
 
 SUCCESSION = 3  # newest keyframes that the verifier needs
 _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
@@ -93,10 +97,16 @@ class Recogniser:
         """
         return self._start(lambda: Recognised(places[0], (), self._find(places)))
 
-    def _start(self, work: Callable[[], Recognised]) -> Future[Recognised]:
+    def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:
+        """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
+        return self._start(
+            lambda: unconfirmed_repairs(self._database, self._camera, placed)
+        ).result()
+
+    def _start(self, work: Callable[[], T]) -> Future[T]:
         if self._pool is not None:
             return self._pool.submit(work)
-        future: Future[Recognised] = Future()
+        future: Future[T] = Future()
         future.set_result(work())
         return future
 
