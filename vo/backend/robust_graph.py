@@ -7,6 +7,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from vo.backend.graph_marginals import pose_covariances
 from vo.backend.graph_problem import Edges
 from vo.backend.loop_edges import squared_distance
 from vo.geometry import sim3
@@ -17,8 +18,7 @@ _INLIER = 24.3
 _GNC_STEPS, _GNC_FACTOR = 40, 1.4  # rounds, and the growth of the control parameter
 _STEPS_EACH = 4  # steps of Levenberg-Marquardt in a round
 _ITERATIONS = 50
-# Poses up to which covariances are computed, which takes longer than all else: 450 take 2 s.
-_MAX_MARGINALS = 450
+_MAX_MARGINALS = 600  # poses up to which covariances are computed: some 2 s, 140 MB
 _GAUGE_SIGMA = 1e-5  # of the first pose, which stays where it is
 
 
@@ -108,12 +108,7 @@ def optimise(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> Optim
     if len(start) > _MAX_MARGINALS:
         unknown = np.full((len(start), 7, 7), np.nan)
         return OptimisedPoses(world_from, unknown, np.full((len(odometry.a), 14, 14), np.nan))
-    marginals = gtsam.Marginals(graph, values)
-    single = np.stack([marginals.marginalCovariance(n) for n in range(len(start))])
-    joint = np.zeros((len(odometry.a), 14, 14))
-    for n, (a, b) in enumerate(zip(odometry.a.tolist(), odometry.b.tolist(), strict=True)):
-        joint[n] = marginals.jointMarginalCovariance([a, b]).fullMatrix()
-    return OptimisedPoses(world_from, single, joint)
+    return OptimisedPoses(world_from, *pose_covariances(graph, values, odometry.a, odometry.b))
 
 
 def _graph(start: Floats, gauge: Ints, odometry: Edges) -> gtsam.NonlinearFactorGraph:
