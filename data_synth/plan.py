@@ -16,11 +16,12 @@ from data_synth.recipe import Recipe
 from data_synth.records import BodyTruth, Imu, MoverTruth, Recording
 from data_synth.scene.scene import Scene
 from data_synth.scene.world import clearance
+from data_synth.sensor.exposure import readout_s
 from data_synth.sensor.kidnapping import kidnap, path_seconds
 from data_synth.sensor.timing import Timing, make_timing
 from data_synth.worlds.registry import make_scene
 from data_synth.writers.registry import check
-from vo.types import Floats, ImuNoise, Trajectory
+from vo.types import Floats, ImuNoise, Rig, Trajectory
 
 FIRST_STAMP_NS = 1_700_000_000_000_000_000
 
@@ -63,6 +64,7 @@ def make_plan(recipe: Recipe) -> Plan:
     """
     rig = load_rig(recipe.camera, scale=recipe.scale, mono=recipe.mono)
     check(recipe, rig)
+    rig = _with_readout(rig, readout_s(recipe.effects, recipe.fps))
     scene = make_scene(recipe.world, recipe.seed, recipe.effects.movers, recipe.session)
     path = make_path(
         recipe.motion,
@@ -109,6 +111,12 @@ def make_plan(recipe: Recipe) -> Plan:
     return Plan(
         recipe, scene, path, timing, carried.path_s, mover_poses, mover_velocities, recording
     )
+
+
+def _with_readout(rig: Rig, seconds: float) -> Rig:
+    """The rig with the readout time that is rendered, whatever its calibration file has."""
+    cam1 = None if rig.cam1 is None else replace(rig.cam1, readout_s=seconds)
+    return replace(rig, cam0=replace(rig.cam0, readout_s=seconds), cam1=cam1)
 
 
 def _movers(scene: Scene, times_s: Floats, world_from_cam0: Floats) -> tuple[Floats, Floats]:

@@ -48,6 +48,7 @@ class Camera:
             (Kannala-Brandt, k1..k4, OpenCV's fisheye), `double_sphere` (xi alpha),
             `extended_unified` (alpha beta), `omni` (Mei's xi, then those of radtan) or `none`.
         distortion: its coefficients.
+        readout_s: time from the first to the last row of an image; 0 for a global shutter.
     """
 
     width: int
@@ -58,6 +59,7 @@ class Camera:
     cy: float
     distortion_model: DistortionModel = "none"
     distortion: tuple[float, ...] = ()
+    readout_s: float = 0.0
 
     @property
     def matrix(self) -> Floats:

@@ -87,7 +87,7 @@ def _camera_sensor(recording: Recording, number: int) -> dict[str, Any]:
     if number == 1:
         assert rig.cam1 is not None and rig.cam1_from_cam0 is not None
         camera, body_from_cam = rig.cam1, body_from_cam @ inverse(rig.cam1_from_cam0)
-    return {
+    sensor: dict[str, Any] = {
         "sensor_type": "camera",
         "comment": f"cam{number}",
         "T_BS": _matrix(body_from_cam),
@@ -98,6 +98,9 @@ def _camera_sensor(recording: Recording, number: int) -> dict[str, Any]:
         "distortion_model": _DISTORTION.get(camera.distortion_model, camera.distortion_model),
         "distortion_coefficients": [float(x) for x in camera.distortion] or [0.0] * 4,
     }
+    if camera.readout_s:
+        sensor["readout_s"] = float(camera.readout_s)
+    return sensor
 
 
 def _imu_sensor(imu: Imu) -> dict[str, Any]:

@@ -142,6 +142,16 @@ def test_bodies_that_would_hit_the_camera_are_removed(tmp_path: Path) -> None:
     assert (tmp_path / "made" / "movers.csv").is_file()
 
 
+def test_readout_time_is_in_the_calibration_with_a_rolling_shutter_only(tmp_path: Path) -> None:
+    rolling = make_sequence(tmp_path / "rolling", _recipe("effects.rolling_shutter=1.5"))
+    assert open_source(tmp_path / "rolling").rig.cam0.readout_s == pytest.approx(0.03)
+    assert rolling.rig.cam1 is not None and rolling.rig.cam1.readout_s == pytest.approx(0.03)
+    make_sequence(tmp_path / "global", _recipe())
+    assert open_source(tmp_path / "global").rig.cam0.readout_s == 0.0
+    for file in (tmp_path / "global").rglob("*.yaml"):
+        assert "readout_s" not in file.read_text()
+
+
 def test_progress_is_reported_after_each_frame(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     make_sequence(

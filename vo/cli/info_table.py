@@ -165,10 +165,11 @@ def _pair(pair: PairReport) -> Iterator[tuple[str, str]]:
 
 def _lens(lens: LensReport) -> str:
     views = " x ".join("undefined" if v is None else f"{v:.0f}°" for v in lens.view_deg)
+    shutter = f", rows read within {1e3 * lens.readout_s:.3g} ms" if lens.readout_s else ""
     return (
         f"{lens.name}: focal length {lens.fx:.1f}, {lens.fy:.1f} px, principal point "
         f"{lens.cx:.1f}, {lens.cy:.1f} of {lens.width}x{lens.height}, field of view {views}, "
-        f"distortion {lens.model}"
+        f"distortion {lens.model}{shutter}"
     )
 
 

@@ -45,6 +45,7 @@ class LensReport:
         cx: principal point, u.
         cy: principal point, v.
         model: distortion model.
+        readout_s: time from the first to the last row of an image; 0 for a global shutter.
         view_deg: horizontal and vertical field of view; None outside the range of the lens model.
     """
 
@@ -57,6 +58,7 @@ class LensReport:
     cy: float
     model: str
     view_deg: tuple[float | None, float | None]
+    readout_s: float = 0.0
 
 
 @dataclass(frozen=True)

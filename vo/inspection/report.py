@@ -183,6 +183,7 @@ def _lens(name: str, camera: Camera) -> LensReport:
         cy=camera.cy,
         model=camera.distortion_model if camera.is_distorted else "none",
         view_deg=(_finite(views[0]), _finite(views[1])),
+        readout_s=camera.readout_s,
     )
 
 

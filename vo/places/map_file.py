@@ -125,7 +125,7 @@ def _write(
         placements[name] = getattr(placed, name)[rows]
     table = [tuple(getattr(loop, name) for name in _LOOP.names or ()) for loop in loops]
     index: dict[str, Any] = {
-        "camera": asdict(header.camera),
+        "camera": {k: v for k, v in asdict(header.camera).items() if k != "readout_s"},
         "vocabulary": header.vocabulary,
         "sessions": list(header.sessions),
         "metric_worlds": list(header.metric_worlds),

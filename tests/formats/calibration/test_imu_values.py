@@ -108,6 +108,18 @@ projection_parameters: {fx: 400.0, fy: 400.0, cx: 320.0, cy: 200.0}
 """
 
 
+@pytest.mark.parametrize(("is_rolling", "readout_s"), [("1", 0.033), ("0", 0.0)])
+def test_readout_time_in_settings_of_vins(
+    tmp_path: Path, is_rolling: str, readout_s: float
+) -> None:
+    shutter = f"rolling_shutter: {is_rolling}\nrolling_shutter_tr: 0.033\n"
+    mono = write(tmp_path, vins_mono__yaml=CAMODOCAL + shutter)
+    assert read_calibration(mono).rig.cam0.readout_s == readout_s
+    path = write(tmp_path, euroc__yaml=VINS_FUSION + shutter)
+    write(tmp_path, cam0_mei__yaml=CAMODOCAL, cam1_mei__yaml=CAMODOCAL)
+    assert read_calibration(path).rig.cam0.readout_s == readout_s
+
+
 def chain(**cam0: object) -> str:
     """Kalibr's result `camchain-imucam-*.yaml` of one camera."""
     section = {

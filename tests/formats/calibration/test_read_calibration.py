@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,11 +85,20 @@ IDEAL = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
         Rig(IDEAL),
         Rig(FISHEYE),
         Rig(SPHERES),
+        Rig(replace(FISHEYE, readout_s=0.0213)),
         Rig(EXTENDED, OMNI, se3_exp(np.array([0.0, 0.01, 0.0, -0.1, 0.0, 0.0]))),
         Rig(RADTAN, RATIONAL, se3_exp(np.array([0.01, -0.02, 0.003, -0.11, 1e-3, -2e-4]))),
         Rig(IDEAL, IDEAL, se3_exp(np.array([0.0, 0.0, 0.0, -0.12, 0.0, 0.0]))),
     ],
-    ids=["ideal", "fisheye", "spheres", "wide pair", "distorted pair", "rectified pair"],
+    ids=[
+        "ideal",
+        "fisheye",
+        "spheres",
+        "rolling shutter",
+        "wide pair",
+        "distorted pair",
+        "rectified pair",
+    ],
 )
 def test_own_format_round_trip(tmp_path: Path, rig: Rig) -> None:
     write_calibration(tmp_path / "calibration.yaml", rig)
@@ -98,6 +108,24 @@ def test_own_format_round_trip(tmp_path: Path, rig: Rig) -> None:
         assert again.cam1_from_cam0 is None
     else:
         np.testing.assert_allclose(again.cam1_from_cam0, rig.cam1_from_cam0, rtol=0, atol=1e-15)
+
+
+def test_a_global_shutter_is_not_written(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "calibration.yaml", Rig(IDEAL))
+    assert "readout_s" not in (tmp_path / "calibration.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("-0.01", r"readout_s is -0.01; it is the time from the first to the last row of an image"),
+        ("20", r"readout_s is 20; it is the time .* in seconds, from 0 \(global shutter\) to 0.2"),
+        ("fast", r"cam0.readout_s"),
+    ],
+)
+def test_error_for_implausible_readout_times(tmp_path: Path, value: str, expected: str) -> None:
+    with pytest.raises(CalibrationError, match=expected):
+        read_calibration(_file(tmp_path, f"cam0: {{{CAM}, readout_s: {value}}}"))
 
 
 def test_error_if_the_path_is_not_writable(tmp_path: Path) -> None:
@@ -290,6 +318,11 @@ def test_euroc_pair(tmp_path: Path) -> None:
     # cam1 is 0.2 m along the body's x, which is -y of the cameras.
     assert calibration.rig.cam1_from_cam0 is not None
     np.testing.assert_allclose(calibration.rig.cam1_from_cam0[:3, 3], [0, 0.2, 0], atol=1e-12)
+
+
+def test_euroc_with_a_readout_time(tmp_path: Path) -> None:
+    text = f"{_sensor(0.1)}\nreadout_s: 0.02\n"
+    assert read_calibration(_file(tmp_path, text, "cam0/sensor.yaml")).rig.cam0.readout_s == 0.02
 
 
 def test_euroc_alone_is_mono(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 A camera file has `model_type`, `projection_parameters` and `distortion_parameters`. VINS-Mono has
 the same keys in its settings, with imu_from_cam as `extrinsicRotation` and `extrinsicTranslation`;
 VINS-Fusion has `cam0_calib`, `cam1_calib`, files beside the settings, and imu_from_cam as
-`body_T_cam0` and `body_T_cam1`.
+`body_T_cam0` and `body_T_cam1`. Both have `rolling_shutter_tr`, the readout time.
 
 Source: Heng et al., CamOdoCal, 2013; MEI is Mei and Rives, 2007.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from vo.formats.calibration.checks import (
     check_baseline,
     make_camera,
     make_number,
+    make_readout,
     make_transform,
 )
 from vo.formats.calibration.document import (
@@ -97,8 +98,10 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     data = document.data
     if "cam0_calib" not in data:
         pose = _vins_mono_pose(document)
-        return Calibration(Rig(_camera(document, image_size)), pose, imu=_imu(document, pose))
+        cam0 = replace(_camera(document, image_size), readout_s=_readout_s(document))
+        return Calibration(Rig(cam0), pose, imu=_imu(document, pose))
     cam0 = _camera(_file_of(document, "cam0_calib"), image_size)
+    cam0 = replace(cam0, readout_s=_readout_s(document))
     body_from_cam0 = _pose(document, "body_T_cam0") if "body_T_cam0" in data else None
     if "cam1_calib" not in data or str(data.get("num_of_cam", 2)).strip() == "1":
         return Calibration(Rig(cam0), body_from_cam0, imu=_imu(document, body_from_cam0))
@@ -109,6 +112,14 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     check_baseline(f"{document.path}: body_T_cam1", cam1_from_cam0)
     rig = Rig(cam0, cam1, cam1_from_cam0)
     return Calibration(rig, body_from_cam0, imu=_imu(document, body_from_cam0))
+
+
+def _readout_s(document: Document) -> float:
+    """Readout time of a rolling shutter in the settings of VINS; 0 unless it is turned on."""
+    data = document.data
+    is_rolling = str(data.get("rolling_shutter", 0)).strip() == "1"
+    where = f"{document.path}: rolling_shutter_tr"
+    return make_readout(where, data.get("rolling_shutter_tr") if is_rolling else None)
 
 
 def _imu(document: Document, imu_from_cam0: Floats | None) -> ImuCalibration:

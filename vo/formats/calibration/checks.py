@@ -38,6 +38,7 @@ __all__ = [
     "make_matrix",
     "make_number",
     "make_numbers",
+    "make_readout",
     "make_resolution",
     "make_transform",
 ]
@@ -45,6 +46,7 @@ __all__ = [
 _MIN_BASELINE_M = 1e-6
 _MAX_BASELINE_M = 10.0
 _MIN_FOCAL_PX = 1e-3
+_MAX_READOUT_S = 0.2
 _PLAUSIBLE_FOCAL_RATIO = (0.1, 20.0)
 """Focal length over image width: pinhole cameras with fields of view of 157 and 3 degrees."""
 
@@ -88,6 +90,21 @@ def make_camera(
     check_lens(where, camera)
     _check_pinhole(where, camera)
     return camera
+
+
+def make_readout(where: str, value: Any) -> float:
+    """Time from the first to the last row of an image, in seconds; 0 for None.
+
+    Raises:
+        CalibrationError: it is not a number, or implausible.
+    """
+    readout_s = 0.0 if value is None else make_number(where, value)
+    if not 0.0 <= readout_s <= _MAX_READOUT_S:
+        raise CalibrationError(
+            f"{where} is {readout_s:g}; it is the time from the first to the last row of an image "
+            f"in seconds, from 0 (global shutter) to {_MAX_READOUT_S:g}"
+        )
+    return readout_s
 
 
 def check_baseline(where: str, cam1_from_cam0: Floats) -> None:

@@ -1,15 +1,22 @@
 """Reader of EuRoC's `sensor.yaml`, one file per camera: cam0/sensor.yaml and cam1/sensor.yaml.
 
-Kimera has files with the same keys: LeftCameraParams.yaml and RightCameraParams.yaml.
+Kimera has files with the same keys: LeftCameraParams.yaml and RightCameraParams.yaml. `readout_s`
+is a key of `vo synth`, for a rolling shutter.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from vo.errors import CalibrationError
-from vo.formats.calibration.checks import check_baseline, make_camera, make_transform
+from vo.formats.calibration.checks import (
+    check_baseline,
+    make_camera,
+    make_readout,
+    make_transform,
+)
 from vo.formats.calibration.document import Calibration, Document, ImageSize, load_document
 from vo.formats.calibration.keys import DISTORTION, Entry, Values, find_distortion, is_array
 from vo.geometry.transforms import inverse
@@ -60,7 +67,7 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
     if data.get("distortion_model") != "none":
         beside = Entry("intrinsics", data.get("intrinsics"))
         distortion = find_distortion(str(document.path), Values(data), beside)
-    return make_camera(
+    camera = make_camera(
         str(document.path),
         model=data.get("camera_model", "pinhole"),
         resolution=data.get("resolution", image_size),
@@ -68,6 +75,8 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
         distortion_model=data.get("distortion_model"),
         distortion=distortion,
     )
+    readout_s = make_readout(f"{document.path}: readout_s", data.get("readout_s"))
+    return replace(camera, readout_s=readout_s)
 
 
 def _body_from_camera(document: Document) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from vo.formats.calibration.checks import (
     check_baseline,
     make_camera,
     make_number,
+    make_readout,
     make_transform,
 )
 from vo.formats.calibration.document import (
@@ -29,7 +31,9 @@ from vo.geometry.transforms import make_transform as rigid
 from vo.types import Camera, Floats, Rig
 
 _TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
-_CAMERA_KEYS = ("model", "resolution", "intrinsics", "distortion_model", "distortion")
+_CAMERA_KEYS = (
+    "model", "resolution", "intrinsics", "distortion_model", "distortion", "readout_s",
+)  # fmt: skip
 _NOISE = ("gyro_noise", "gyro_walk", "accel_noise", "accel_walk")
 _IMU_KEYS = ("cam0_from_imu", "time_offset_s", "class", *_NOISE)
 
@@ -84,12 +88,15 @@ def write_calibration(
 
 
 def _section(camera: Camera) -> dict[str, Any]:
-    return {
+    section: dict[str, Any] = {
         "resolution": [int(camera.width), int(camera.height)],
         "intrinsics": [float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy)],
         "distortion_model": camera.distortion_model,
         "distortion": [float(x) for x in camera.distortion],
     }
+    if camera.readout_s:
+        section["readout_s"] = float(camera.readout_s)
+    return section
 
 
 def _imu_section(imu: ImuCalibration) -> dict[str, Any]:
@@ -130,7 +137,7 @@ def _camera(document: Document, name: str) -> Camera:
     where = f"{document.path}: {name}"
     section = document.section(name)
     _check_keys(where, section, _CAMERA_KEYS)
-    return make_camera(
+    camera = make_camera(
         where,
         model=section.get("model", "pinhole"),
         resolution=section.get("resolution"),
@@ -138,6 +145,7 @@ def _camera(document: Document, name: str) -> Camera:
         distortion_model=section.get("distortion_model"),
         distortion=section.get("distortion"),
     )
+    return replace(camera, readout_s=make_readout(f"{where}.readout_s", section.get("readout_s")))
 
 
 def _cam1_from_cam0(document: Document) -> Floats:
