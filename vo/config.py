@@ -216,6 +216,18 @@ _Texts = Annotated[tuple[str, ...], BeforeValidator(_as_texts)]
 _Areas = Annotated[_Texts, AfterValidator(_are_areas)]
 
 
+class CameraConfig(Section):
+    """Properties of the cameras, beside those of their calibration."""
+
+    readout_s: float | None = Field(
+        None,
+        ge=0,
+        le=0.2,
+        description="time from the first to the last row of an image in seconds, 0 for a global "
+        "shutter; null for that of the calibration (docs/calibration.md)",
+    )
+
+
 class InertialConfig(Section):
     """Inertial sensor of a recording."""
 
@@ -258,6 +270,7 @@ class Config(Section):
     threads: int = Field(
         0, ge=0, description="cores to use, 0 for all; the result does not depend on it"
     )
+    camera: CameraConfig = CameraConfig()
     features: FeaturesConfig = FeaturesConfig()
     matching: MatchingConfig = MatchingConfig()
     patches: PatchConfig = PatchConfig()

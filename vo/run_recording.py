@@ -10,8 +10,10 @@ from pathlib import Path
 from subprocess import Popen
 from typing import TypedDict, Unpack
 
+import numpy as np
+
 from vo.config import Config, dump_config
-from vo.errors import ConfigError, SourceError, VoError
+from vo.errors import CalibrationError, ConfigError, SourceError, VoError
 from vo.extras import require
 from vo.image_areas import split_cameras
 from vo.inertial.checks import Unusable, why_unusable
@@ -136,6 +138,7 @@ def run(
     exports = options.get("exports") or Exports()
     _check_outputs(source, output, config, exports, options)
     stream = _open(source, config, options)
+    _check_readout(stream, config)
     request, components = _with_imu(stream, _request(source, stream, config, options), options)
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(request.start, request.end, request.stride * every)
@@ -193,6 +196,21 @@ def _check_outputs(
     # Only the new map may replace the old one.
     refuse_to_overwrite([Path(memory.map) if memory.map else None], (Path(output), *files))
     refuse_to_collide(Path(output), (*files, save_map))
+
+
+def _check_readout(stream: FrameStream, config: Config) -> None:
+    """Refuse a readout time that is longer than the time between frames."""
+    given, calibrated_s = config.camera.readout_s, stream.rig.cam0.readout_s
+    readout_s = calibrated_s if given is None else given
+    if readout_s == 0.0 or not isinstance(stream, Recording) or len(stream) < 2:
+        return
+    interval_s = 1e-9 * float(np.median(np.diff(stream.stamps_ns)))
+    if readout_s > interval_s > 0.0:
+        name = "readout_s of the calibration" if given is None else "camera.readout_s"
+        raise CalibrationError(
+            f"{name} is {readout_s:g} s, but frames are {interval_s:.3g} s apart; give the time "
+            "from the first to the last row of an image, or 0 for a global shutter"
+        )
 
 
 def _open(source: str | Path | FrameStream, config: Config, options: RunOptions) -> FrameStream:

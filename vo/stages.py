@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from subprocess import Popen
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -117,7 +118,7 @@ def make_stages(
     Raises:
         CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
     """
-    rectified = rectified_rig(rig)
+    rectified = rectified_rig(_with_readout(rig, config.camera.readout_s))
     masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
     threads = config.threads or available_cores()
     second = _second_extractor(config, components)
@@ -158,6 +159,13 @@ def make_stages(
         trajectory,
         Placement(memory, inertial),
     )
+
+
+def _with_readout(rig: Rig, readout_s: float | None) -> Rig:
+    """A rig with the readout time of the settings, where they have one."""
+    if readout_s is None:
+        return rig
+    return replace(rig, cam0=replace(rig.cam0, readout_s=readout_s))
 
 
 def _sensor(components: Components) -> RetimedSensor | None:
@@ -209,10 +217,10 @@ def _predictor(
 def _motion(
     sensor: RetimedSensor | None, predictor: InertialPredictor | None, rig: RectifiedRig
 ) -> MotionModel:
-    """The built-in motion model; that of two cameras needs no gyroscope."""
+    """The built-in motion model; two cameras with a global shutter need no gyroscope."""
     if sensor is None or predictor is None:
         return ConstantVelocity()
-    if rig.is_stereo:
+    if rig.is_stereo and rig.readout_s == 0.0:
         return InertialMotion(ConstantVelocity(), predictor)
     from vo.tracking.gyro_motion import GyroMotion
 

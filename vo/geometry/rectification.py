@@ -49,6 +49,8 @@ class RectifiedRig:
         disparity_curve_px: further error of disparities, times the squared horizontal distance from
             the principal point in focal lengths.
         offset_is_yaw: whether the offset is due to a yaw of the right camera.
+        readout_s: time from the first to the last row of a recorded image; 0 for a global shutter.
+        recorded_rows: rows of a recorded image.
     """
 
     width: int
@@ -65,6 +67,8 @@ class RectifiedRig:
     disparity_offset_px: float = 0.0
     disparity_curve_px: float = 0.0
     offset_is_yaw: bool = False
+    readout_s: float = 0.0
+    recorded_rows: int = 0
 
     @property
     def matrix(self) -> Floats:
@@ -154,6 +158,11 @@ def rectified_rig(rig: Rig) -> RectifiedRig:
         CalibrationError: the cameras of a pair are at the same place, one in front of the other, or
             have too little of the scene in common.
     """
+    rectified = _rectified(rig)
+    return replace(rectified, readout_s=rig.cam0.readout_s, recorded_rows=rig.cam0.height)
+
+
+def _rectified(rig: Rig) -> RectifiedRig:
     c = rig.cam0
     if rig.cam1 is None or rig.cam1_from_cam0 is None:
         return _single(c, VIRTUAL_BASELINE_M if rig.has_depth else 0.0)

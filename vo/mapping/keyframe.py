@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.geometry.quantiles import median
 from vo.geometry.rectification import RectifiedRig
+from vo.geometry.rolling_shutter import Velocity, at_middle_row
 from vo.types import Bools, Bytes, Floats, Ints, Keypoints
 
 
@@ -50,6 +52,12 @@ def without_disparity(ids: Ints, xy: Floats, image_xy: Floats, sigma_px: float) 
     return NewObservations(ids, xy, image_xy, np.full(count, np.nan), np.full(count, sigma_px))
 
 
+def usual_inverse_depth(inverse_depth: Floats) -> float:
+    """Median of those that are known (n,), 0 if none is."""
+    known = inverse_depth[~np.isnan(inverse_depth)]
+    return median(known) if len(known) else 0.0
+
+
 @dataclass(eq=False)
 class Keyframe:
     """A frame that the map keeps.
@@ -72,6 +80,8 @@ class Keyframe:
         mask: (H, W) uint8, 0 where its image is not to be used, or None.
         is_doubted: whether little of the map agreed with its pose, so that the motion since the
             keyframe before may be wrong.
+        velocity: of the camera while the rows of its image were read; None with a global shutter,
+            and while it is unknown.
     """
 
     id: int
@@ -90,11 +100,21 @@ class Keyframe:
     sigma_px: Floats
     mask: Bytes | None = None
     is_doubted: bool = False
+    velocity: Velocity | None = None
 
-    def undistort(self, rig: RectifiedRig) -> None:
-        """Compute ideal pixels anew, after the radial distortion was corrected."""
-        self.xy = rig.undistort(self.image_xy)
-        self.undistorted_xy = rig.undistort(self.keypoints.xy)
+    def undistort(self, rig: RectifiedRig, inverse_depth: Floats) -> None:
+        """Compute ideal pixels anew, after the lens or the velocity was corrected.
+
+        Args:
+            rig: the rectified cameras.
+            inverse_depth: (n,) of the landmarks that it observes, NaN where unknown.
+        """
+        usual = usual_inverse_depth(inverse_depth)
+        near = np.where(np.isnan(inverse_depth), usual, inverse_depth)
+        self.xy = at_middle_row(rig, self.image_xy, near, self.velocity)
+        self.undistorted_xy = at_middle_row(
+            rig, self.keypoints.xy.astype(np.float64), usual, self.velocity
+        )
 
     def add_observations(self, new: NewObservations) -> None:
         """Add observations of landmarks that this keyframe does not observe yet."""

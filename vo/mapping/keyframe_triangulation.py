@@ -15,6 +15,7 @@ from vo.geometry.epipolar_segments import epipolar_segments
 from vo.geometry.patch_prediction import predict_patches
 from vo.geometry.quantiles import median
 from vo.geometry.rectification import RectifiedRig
+from vo.geometry.rolling_shutter import at_middle_row
 from vo.geometry.surfaces import surface_normals
 from vo.geometry.transforms import inverse, transform_points
 from vo.geometry.triangulation import TriangulatedPoints, triangulate_pixels
@@ -53,18 +54,22 @@ class _Pair:
         newer: the newer keyframe.
         image: (H, W) image of the newer one.
         newer_from_older: (4, 4).
+        inverse_depth: 1 over the median depth of the older one's landmarks.
         query: (n,) features of the older one.
         train: (n,) features of the newer one.
+        older_xy: (n, 2) ideal pixels in the older one.
         image_xy: (n, 2) pixels in the newer one.
-        xy: (n, 2) the same as ideal pixels.
+        xy: (n, 2) ideal pixels in the newer one.
     """
 
     older: Keyframe
     newer: Keyframe
     image: Bytes
     newer_from_older: Floats
+    inverse_depth: float
     query: Ints
     train: Ints
+    older_xy: Floats
     image_xy: Floats
     xy: Floats
 
@@ -74,6 +79,7 @@ class _Pair:
             self,
             query=self.query[rows],
             train=self.train[rows],
+            older_xy=self.older_xy[rows],
             image_xy=self.image_xy[rows],
             xy=self.xy[rows],
         )
@@ -81,8 +87,8 @@ class _Pair:
     def moved(self, rows: Bools, image_xy: Floats, rig: RectifiedRig) -> _Pair:
         """Some rows of the matches, at new pixels (n, 2) in the newer keyframe."""
         at = image_xy[rows]
-        query, train = self.query[rows], self.train[rows]
-        return replace(self, query=query, train=train, image_xy=at, xy=rig.undistort(at))
+        xy = at_middle_row(rig, at, self.inverse_depth, self.newer.velocity)
+        return replace(self.select(rows), image_xy=at, xy=xy)
 
 
 class KeyframeTriangulator:
@@ -132,7 +138,7 @@ class KeyframeTriangulator:
         found = self._align_on_surfaces(pair, points.xyz[points.valid])
         good = self._patches.is_found(found)
         good &= np.linalg.norm(found.xy - pair.image_xy, axis=1) <= _MAX_CORRECTION_PX
-        pair = pair.moved(good, found.xy, self._map.rig)
+        pair = self._at_middle_rows(pair.moved(good, found.xy, self._map.rig), parallax)
         points = self._points(pair, parallax)
         chosen = np.flatnonzero(points.valid)
         if len(chosen) > room:
@@ -175,7 +181,8 @@ class KeyframeTriangulator:
         octave_size = self._scale_factor ** newer.keypoints.octave[train]
         good = self._patches.is_found(found)
         good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * octave_size
-        pair = _Pair(older, newer, image, newer_from_older, query, train, guess, guess)
+        views = older, newer, image, newer_from_older, 1.0 / depth
+        pair = _Pair(*views, query, train, older.undistorted_xy[query], guess, guess)
         return pair.moved(good, found.xy, self._map.rig)
 
     def _patches_of(
@@ -188,12 +195,29 @@ class KeyframeTriangulator:
         """Triangulated points in the frame of the older keyframe."""
         return triangulate_pixels(
             pair.newer_from_older,
-            pair.older.undistorted_xy[pair.query],
+            pair.older_xy,
             pair.xy,
             self._map.rig.intrinsics,
             min_parallax_rad=float(np.deg2rad(parallax.min_deg)),
             min_parallax_ratio=parallax.min_ratio,
             max_error_px=self._config.gate * self._patches.sigma_px,
+        )
+
+    def _at_middle_rows(self, pair: _Pair, parallax: _Parallax) -> _Pair:
+        """The pair with pixels that are corrected for a rolling shutter by their own depths."""
+        older, newer, rig = pair.older, pair.newer, self._map.rig
+        if older.velocity is None and newer.velocity is None:
+            return pair
+        points = self._points(pair, parallax)
+        ahead = np.array([0.0, 0.0, 1.0 / pair.inverse_depth])
+        xyz = np.where(points.valid[:, None], points.xyz, ahead)
+        in_newer = transform_points(pair.newer_from_older, xyz)
+        near = 1.0 / xyz[:, 2], np.where(points.valid, 1.0 / in_newer[:, 2], pair.inverse_depth)
+        older_xy = older.keypoints.xy[pair.query].astype(np.float64)
+        return replace(
+            pair,
+            older_xy=at_middle_row(rig, older_xy, near[0], older.velocity),
+            xy=at_middle_row(rig, pair.image_xy, near[1], newer.velocity),
         )
 
     def _align_on_surfaces(self, pair: _Pair, points: Floats) -> Alignment:
@@ -203,7 +227,7 @@ class KeyframeTriangulator:
         rows = self._map.rows(older.landmark)
         landmarks = transform_points(inverse(pose), self._map.xyz[rows])
         known = (rows >= 0) & (landmarks[:, 2] > 0)
-        xy = np.concatenate([older.undistorted_xy[pair.query], older.xy[known]])
+        xy = np.concatenate([pair.older_xy, older.xy[known]])
         depth = np.concatenate([points[:, 2], landmarks[known, 2]])
         number, first = np.arange(len(points)), np.zeros(len(points), dtype=np.int64)
         seen = predict_patches(
@@ -225,9 +249,7 @@ class KeyframeTriangulator:
         ids = self._map.add_landmarks(in_world, older, query, newer)
         sigma_px = self._patches.sigma_px
         older_xy = older.keypoints.xy[query].astype(np.float64)
-        older.add_observations(
-            without_disparity(ids, older.undistorted_xy[query], older_xy, sigma_px)
-        )
+        older.add_observations(without_disparity(ids, pair.older_xy, older_xy, sigma_px))
         newer.add_observations(without_disparity(ids, pair.xy, pair.image_xy, sigma_px))
         older.free[query] = False
         newer.free[pair.train] = False

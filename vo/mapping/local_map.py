@@ -13,6 +13,8 @@ from vo.frontend.contracts import DescriptorFormat
 from vo.geometry.point_uncertainty import position_sigma
 from vo.geometry.projection import PixelObservations
 from vo.geometry.rectification import RectifiedRig
+from vo.geometry.rolling_shutter import Velocity, disparity_at_middle_row
+from vo.geometry.transforms import inverse
 from vo.geometry.vertical_disparity_model import VerticalDisparity
 from vo.mapping.keyframe import FrameId, Keyframe
 from vo.mapping.keyframe_store import KeyframeStore, StoredLandmarks
@@ -251,7 +253,7 @@ class LocalMap:
         """Replace the correction of the lens, for keyframes in the map too."""
         self.rig = self.rig.with_k1_error(k1)
         for keyframe in self.keyframes:
-            keyframe.undistort(self.rig)
+            keyframe.undistort(self.rig, self.inverse_depth(keyframe))
 
     def correct_vertical_disparity(self, before: VerticalDisparity, now: VerticalDisparity) -> None:
         """Change measured disparities to those of a right camera that is corrected differently."""
@@ -260,6 +262,25 @@ class LocalMap:
             x = (keyframe.image_xy[:, 0] - keyframe.disparity - rig.cx) / rig.fx
             y = (keyframe.image_xy[:, 1] - rig.cy) / rig.fy
             keyframe.disparity += now.horizontal_px(x, y) - before.horizontal_px(x, y)
+
+    def inverse_depth(self, keyframe: Keyframe) -> Floats:
+        """(n,) of the landmarks that a keyframe observes, NaN of those removed or behind it."""
+        rows = self.rows(keyframe.landmark)
+        cam_from_world = inverse(keyframe.world_from_cam)
+        depth = self.xyz[rows] @ cam_from_world[2, :3] + cam_from_world[2, 3]
+        known = (rows >= 0) & (depth > 0.0)
+        return np.asarray(np.where(known, 1.0 / np.where(known, depth, 1.0), np.nan))
+
+    def set_velocity(self, keyframe: Keyframe, velocity: Velocity) -> None:
+        """Correct what a keyframe observes for the velocity of the camera during the readout."""
+        xy, before = keyframe.image_xy, keyframe.velocity
+        measured = keyframe.disparity
+        if before is not None:  # taken back, to first order
+            measured = 2.0 * measured - disparity_at_middle_row(self.rig, xy, measured, before)
+        if self.rig.is_stereo:
+            keyframe.disparity = disparity_at_middle_row(self.rig, xy, measured, velocity)
+        keyframe.velocity = velocity
+        keyframe.undistort(self.rig, self.inverse_depth(keyframe))
 
     def _remove_landmarks(self) -> None:
         for name, (shape, dtype) in self._fields.items():

@@ -106,6 +106,9 @@ class LocalMapper:
             )
         )
         rows = self._map.rows(ids)
+        if tracked.velocity is not None:
+            keyframe.velocity = tracked.velocity
+            keyframe.undistort(self._map.rig, self._map.inverse_depth(keyframe))
         self._map.last_seen[rows] = keyframe.id
         self._replace_patches(keyframe, rows, observed.scale[kept], observed.score[kept])
         return keyframe

@@ -102,7 +102,7 @@ def exchange(local_map: LocalMap, new: MapFeatures) -> MapFeatures:
     )
     for keyframe, keypoints, free in zip(keyframes, new.keypoints, new.free, strict=True):
         keyframe.keypoints, keyframe.free = keypoints, free
-        keyframe.undistorted_xy = local_map.rig.undistort(keypoints.xy)
+        keyframe.undistort(local_map.rig, local_map.inverse_depth(keyframe))
     local_map.octave, local_map.angle = new.octave, new.angle
     local_map.descriptor = new.descriptor
     return old

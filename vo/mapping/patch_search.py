@@ -9,6 +9,8 @@ import numpy as np
 from vo.frontend.patch_alignment import PatchAligner, Patches
 from vo.geometry.image_masks import used_at
 from vo.geometry.patch_prediction import predict_patches
+from vo.geometry.rolling_shutter import as_seen, at_middle_row
+from vo.geometry.transforms import inverse
 from vo.mapping.local_map import LocalMap
 from vo.types import Bools, Floats, Ints
 
@@ -43,7 +45,8 @@ def find_patches(
         local_map.xyz, local_map.normal, reference, rows, camera, local_map.poses, rig.intrinsics
     )
     kept = np.flatnonzero((seen.scale < MAX_SCALE) & (seen.scale > 1.0 / MAX_SCALE))
-    expected = rig.distort(seen.xy[kept])
+    near = _inverse_depth(local_map, rows[kept], camera[kept])
+    expected = _as_seen(local_map, camera[kept], seen.xy[kept], near)
     farthest = (rig.width - BORDER_PX, rig.height - BORDER_PX)
     inside = np.flatnonzero(((expected >= BORDER_PX) & (expected < farthest)).all(axis=1))
     inside = inside[_shown(local_map, camera[kept[inside]], expected[inside])]
@@ -57,10 +60,39 @@ def find_patches(
     )
     found = patches.align_in(references, local_map.images, slots[camera], expected)
     shift = np.linalg.norm(found.xy - expected, axis=1)
-    ideal = rig.undistort(found.xy)
+    ideal = _at_middle_row(local_map, camera, found.xy, near[inside])
     good = patches.is_found(found) & (shift <= patches.max_shift_px)
     good &= np.isfinite(ideal).all(axis=1)
     return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])
+
+
+def _inverse_depth(local_map: LocalMap, rows: Ints, camera: Ints) -> Floats:
+    """(N,) of landmarks in front of keyframes; 0 if no keyframe needs it."""
+    if all(keyframe.velocity is None for keyframe in local_map.keyframes):
+        return np.zeros(len(rows))
+    cam_from_world = inverse(local_map.poses)[camera, 2]
+    depth = np.einsum("ni,ni->n", cam_from_world[:, :3], local_map.xyz[rows])
+    return np.asarray(1.0 / (depth + cam_from_world[:, 3]))
+
+
+def _as_seen(local_map: LocalMap, camera: Ints, xy: Floats, near: Floats) -> Floats:
+    """Pixels (N, 2) in the images of keyframes (N,), of ideal ones at inverse depths (N,)."""
+    image_xy = local_map.rig.distort(xy)
+    for number, keyframe in enumerate(local_map.keyframes):
+        here = camera == number
+        if keyframe.velocity is not None:
+            image_xy[here] = as_seen(local_map.rig, xy[here], near[here], keyframe.velocity)
+    return image_xy
+
+
+def _at_middle_row(local_map: LocalMap, camera: Ints, image_xy: Floats, near: Floats) -> Floats:
+    """Ideal pixels (N, 2) of those in the images of keyframes (N,)."""
+    xy = local_map.rig.undistort(image_xy)
+    for number, keyframe in enumerate(local_map.keyframes):
+        here = camera == number
+        if keyframe.velocity is not None:
+            xy[here] = at_middle_row(local_map.rig, image_xy[here], near[here], keyframe.velocity)
+    return xy
 
 
 def _shown(local_map: LocalMap, camera: Ints, xy: Floats) -> Bools:

@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.frontend.frontend import Frontend
 from vo.frontend.preprocessing import PreprocessedFrame
+from vo.geometry.rolling_shutter import at_middle_row, disparity_at_middle_row
 from vo.geometry.transforms import transform_points
 from vo.mapping.keyframe import Keyframe, NewObservations
 from vo.mapping.local_map import LocalMap
@@ -60,11 +61,14 @@ class StereoTriangulator:
         """Add the landmarks of a keyframe's features."""
         rows, disparity = features.rows, features.disparity
         rig = self._map.rig
-        xy = keyframe.undistorted_xy[rows]
+        image_xy = keyframe.keypoints.xy[rows].astype(np.float64)
+        xy, velocity = keyframe.undistorted_xy[rows], keyframe.velocity
+        if velocity is not None:
+            disparity = disparity_at_middle_row(rig, image_xy, disparity, velocity)
+            xy = at_middle_row(rig, image_xy, disparity / (rig.fx * rig.baseline_m), velocity)
         in_cam = rig.back_project(xy, rig.fx * rig.baseline_m / disparity)
         in_world = transform_points(keyframe.world_from_cam, in_cam)
         ids = self._map.add_landmarks(in_world, keyframe, rows, keyframe)
-        image_xy = keyframe.keypoints.xy[rows].astype(np.float64)
         sigma_px = np.full(len(rows), self._sigma_px)
         keyframe.add_observations(NewObservations(ids, xy, image_xy, disparity, sigma_px))
         keyframe.free[rows] = False

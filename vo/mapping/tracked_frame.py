@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vo.geometry.quantiles import median
+from vo.geometry.rolling_shutter import Velocity
 from vo.mapping.keyframe import Keyframe
 from vo.mapping.local_map import LocalMap
 from vo.types import Bools, Floats, Ints
@@ -27,7 +28,7 @@ class Observations:
     Attributes:
         rows: (n,) rows of the map; valid until landmarks are removed.
         image_xy: (n, 2) pixels of the rectified image.
-        xy: (n, 2) ideal pixels.
+        xy: (n, 2) ideal pixels, at the time of the middle row.
         disparity: (n,) pixels, NaN without a measurement.
         sigma_px: (n,) standard deviation of xy.
         score: (n,) correlation of the patch.
@@ -58,6 +59,7 @@ class TrackedFrame:
         observed: the n observations.
         inlier: (n,) observations that agree with the pose.
         in_view: number of landmarks that should be in the image.
+        velocity: for which the observations were corrected; None with a global shutter.
     """
 
     world_from_cam: Floats
@@ -65,6 +67,7 @@ class TrackedFrame:
     observed: Observations
     inlier: Bools
     in_view: int
+    velocity: Velocity | None = None
 
     @property
     def inliers(self) -> int:
@@ -115,4 +118,5 @@ def as_tracked_frame(local_map: LocalMap, keyframe: Keyframe) -> TrackedFrame:
         np.zeros((n, 2)),
     )
     every = np.ones(n, dtype=bool)
-    return TrackedFrame(keyframe.world_from_cam, keyframe.landmark, observed, every, n)
+    pose, velocity = keyframe.world_from_cam, keyframe.velocity
+    return TrackedFrame(pose, keyframe.landmark, observed, every, n, velocity)

@@ -90,6 +90,22 @@ class GyroMotion:
         self._predicted = stamp_ns, pose
         return pose
 
+    def rate(self, stamp_ns: int, readout_s: float) -> Floats | None:
+        """(3,) rad/s of the camera while the rows of an image are read; None if it is unknown.
+
+        Args:
+            stamp_ns: time of its middle row.
+            readout_s: time from its first to its last row.
+        """
+        half_ns = round(0.5e9 * readout_s)
+        if not self.is_trusted or half_ns == 0:
+            return None
+        interval = self._reader.between(stamp_ns - half_ns, stamp_ns + half_ns)
+        if interval is None:
+            return None
+        turn = so3_log(rotation_of(interval, self._bias)) / interval.duration_s
+        return np.asarray(self._imu_from_cam.T @ turn)
+
     def _turn(self, first_ns: int, last_ns: int) -> Floats | None:
         """(3, 3) first_from_last of the camera since the newest frame; None without samples."""
         if self._turned_until is None or self._turned_until[0] != last_ns:

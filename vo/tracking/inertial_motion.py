@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.geometry.transforms import inverse, se3_exp, se3_log
 from vo.inertial.prediction import InertialPredictor, KnownMotion
+from vo.tracking.gyro_motion import GyroMotion
 from vo.tracking.motion_model import MotionModel
 from vo.types import Floats
 
@@ -92,6 +93,11 @@ class InertialMotion:
     def last(self) -> Floats:
         """Pose of the newest tracked frame, the identity before the first."""
         return self._usual.last
+
+    def rate(self, stamp_ns: int, readout_s: float) -> Floats | None:
+        """(3,) rad/s by the gyroscope during the readout of an image; None if it is unknown."""
+        usual = self._usual
+        return usual.rate(stamp_ns, readout_s) if isinstance(usual, GyroMotion) else None
 
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Begin at a pose of unknown velocity, with a new map."""

@@ -11,6 +11,7 @@ from vo.frontend.camera_alignment import align_sparse
 from vo.frontend.preprocessing import PreprocessedFrame
 from vo.geometry.image_masks import used_at
 from vo.geometry.rectification import RectifiedRig
+from vo.geometry.rolling_shutter import Velocity, as_seen
 from vo.geometry.transforms import inverse, transform_points
 from vo.mapping.local_map import LocalMap
 from vo.tracking.last_frame import LastFrame
@@ -28,6 +29,7 @@ def sparse_image_alignment(
     world_from_last: Floats,
     frame: PreprocessedFrame,
     predicted: Floats,
+    velocity: Velocity | None = None,
 ) -> Floats | None:
     """last_from_cam (4, 4) at which landmarks look as in the last frame; None if it is unclear.
 
@@ -37,6 +39,7 @@ def sparse_image_alignment(
         world_from_last: (4, 4) its pose.
         frame: the frame.
         predicted: (4, 4) world_from_cam to start from.
+        velocity: of the camera during the readout; None with a global shutter.
     """
     rig = local_map.rig
     rows = local_map.rows(last.ids)
@@ -57,7 +60,7 @@ def sparse_image_alignment(
         frame.pyramid,
         points,
         start,
-        _distortion_near(rig.project(transform_points(start, points)), rig),
+        _distortion_near(transform_points(start, points), rig, velocity),
         rig.intrinsics,
     )
     if float(np.mean(found.score >= _MIN_SCORE)) < _MIN_SCORE_RATIO:
@@ -75,8 +78,16 @@ def _shown(points: Floats, mask: Bytes, rig: RectifiedRig) -> Bools:
     return kept
 
 
-def _distortion_near(xy: Floats, rig: RectifiedRig) -> Floats:
-    """Affine maps (N, 2, 3) from ideal pixels near xy (N, 2) to pixels of the rectified image."""
+def _distortion_near(points: Floats, rig: RectifiedRig, velocity: Velocity | None) -> Floats:
+    """Affine maps (N, 2, 3) from ideal pixels near points (N, 3) to pixels of the image."""
+    xy = rig.project(points)
+    affine = _lens_near(xy, rig)
+    if velocity is not None:
+        affine[:, :, 2] += as_seen(rig, xy, 1.0 / points[:, 2], velocity) - rig.distort(xy)
+    return affine
+
+
+def _lens_near(xy: Floats, rig: RectifiedRig) -> Floats:
     if rig.lens is None:
         return np.tile(np.eye(2, 3), (len(xy), 1, 1))
     beside = np.concatenate([xy, xy + (1.0, 0.0), xy + (0.0, 1.0)])

@@ -32,6 +32,7 @@ from vo.tracking.last_frame import LastFrame, last_frame
 from vo.tracking.map_agreement import MapAgreement
 from vo.tracking.motion_model import MotionModel
 from vo.tracking.pose_estimation import PoseEstimator
+from vo.tracking.rolling_shutter import RollingShutter
 from vo.tracking.sparse_image_alignment import sparse_image_alignment
 from vo.tracking.step_check import Step, StepCheck
 from vo.tracking.visibility import outside, visible_landmarks
@@ -84,6 +85,7 @@ class Tracker:
         self._matcher = frontend.matcher
         self._scale_factor = frontend.scale_factor
         self._motion = motion
+        self._shutter = RollingShutter(local_map, motion)
         self._config = config
         aligner = KltAligner if config.method == "klt" else LandmarkAligner
         self._aligner = aligner(local_map, frontend, config.min_inliers)
@@ -100,6 +102,7 @@ class Tracker:
     def restart(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
         """Begin at the frame that a new map was made of, with unknown velocity."""
         self._motion.restart(frame.stamp_ns, tracked.world_from_cam)
+        self._shutter.restart(frame.stamp_ns)
         self._steps.restart(frame.stamp_ns)
         self._agreement.restart()
         self.last = last_frame(frame, tracked)
@@ -108,6 +111,7 @@ class Tracker:
     def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> tuple[Fault, ...]:
         """Continue from a tracked frame; the faults that it shows."""
         self._steps.update(self._step(frame, tracked))
+        self._shutter.update(frame.stamp_ns, tracked.world_from_cam)
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
@@ -116,6 +120,7 @@ class Tracker:
     def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""
         self._motion.restart(stamp_ns, world_from_cam)
+        self._shutter.restart(stamp_ns)
         self.last = None
 
     def forget_last_frame(self) -> None:
@@ -155,7 +160,10 @@ class Tracker:
         if self.last is None:
             return None
         predicted = self._motion.predict(frame.stamp_ns)
-        return sparse_image_alignment(self._map, self.last, self._motion.last, frame, predicted)
+        velocity = self._shutter.velocity(frame.stamp_ns, predicted)
+        return sparse_image_alignment(
+            self._map, self.last, self._motion.last, frame, predicted, velocity
+        )
 
     @timed("match")
     def track(
@@ -249,7 +257,8 @@ class Tracker:
         self, frame: PreprocessedFrame, predicted: Floats, radii: tuple[float, ...] = _RADII
     ) -> Floats | None:
         """world_from_cam from descriptors near where a predicted pose (4, 4) projects landmarks."""
-        visible = visible_landmarks(self._map, predicted)
+        velocity = self._shutter.velocity(frame.stamp_ns, predicted)
+        visible = visible_landmarks(self._map, predicted, velocity=velocity)
         rows = visible.rows
         octave = predicted_octave(self._map.octave[rows], visible.scale, self._scale_factor)
         query = replace(self._features_of(rows), xy=visible.image_xy, octave=octave)
@@ -291,12 +300,20 @@ class Tracker:
         once do not count as missing: a pair makes landmarks of snowflakes, too, which two views at
         different times don't.
         """
-        visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks)
+        velocity = self._shutter.velocity(frame.stamp_ns, world_from_cam)
+        visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks, velocity)
         visible = self._aligner.candidates(outside(frame.masks[0], visible), self.last)
         observed = self._aligner.align(visible, frame, self.last)
         if not is_alone:
             observed = self._aligner.with_disparity(observed, world_from_cam, frame)
-        fit = self._estimator.refine(observed, world_from_cam)
+        fit = self._estimator.refine(
+            self._shutter.at_middle_row(observed, world_from_cam, velocity), world_from_cam
+        )
+        if velocity is not None:
+            refined = inverse(fit.cam_from_world)
+            velocity = self._shutter.velocity(frame.stamp_ns, refined)
+            observed = self._shutter.at_middle_row(observed, refined, velocity)
+            fit = self._estimator.refine(observed, refined)
         in_view = len(visible.rows)
         if is_alone:
             in_view = int(np.count_nonzero(self._map.found[visible.rows] > 1))
@@ -310,7 +327,8 @@ class Tracker:
                 return None
             cam_from_world = prior.fused(cam_from_world, fit.information)
         ids = self._map.id[observed.rows]
-        return TrackedFrame(inverse(cam_from_world), ids, observed, fit.inlier, in_view)
+        pose = inverse(cam_from_world)
+        return TrackedFrame(pose, ids, observed, fit.inlier, in_view, velocity)
 
     def _prior(self, frame: PreprocessedFrame) -> PosePrior | None:
         """The pose by an inertial sensor of a frame after lost ones."""

@@ -8,6 +8,8 @@ import numpy as np
 
 from vo.geometry.image_masks import used_at
 from vo.geometry.patch_prediction import points_in_view, predict_patches
+from vo.geometry.rolling_shutter import Velocity, as_seen
+from vo.geometry.transforms import inverse
 from vo.mapping.local_map import LocalMap
 from vo.mapping.patch_search import BORDER_PX, MAX_SCALE
 from vo.types import Bytes, Floats, Ints
@@ -41,9 +43,12 @@ class Visible:
 
 
 def visible_landmarks(
-    local_map: LocalMap, world_from_cam: Floats, max_count: int | None = None
+    local_map: LocalMap,
+    world_from_cam: Floats,
+    max_count: int | None = None,
+    velocity: Velocity | None = None,
 ) -> Visible:
-    """The landmarks that a camera at a pose (4, 4) should see.
+    """The landmarks that a camera at a pose (4, 4) should see, with a velocity for their rows.
 
     Of more than `max_count` those found most often, then the newest.
     """
@@ -53,10 +58,13 @@ def visible_landmarks(
     reference = local_map.reference - first
     inside = (BORDER_PX, BORDER_PX, rig.width - BORDER_PX, rig.height - BORDER_PX)
     everywhere = (-np.inf, -np.inf, np.inf, np.inf)
-    corners = inside if rig.lens is None else everywhere
+    is_ideal = rig.lens is None and velocity is None
+    corners = inside if is_ideal else everywhere
     rows, xy = points_in_view(local_map.xyz, reference, poses, rig.intrinsics, MAX_SCALE, corners)
     image_xy = rig.distort(xy)
-    if rig.lens is not None:
+    if velocity is not None:
+        image_xy = as_seen(rig, xy, _inverse_depth(local_map, rows, world_from_cam), velocity)
+    if not is_ideal:
         u, v = image_xy[:, 0], image_xy[:, 1]
         left, top, right, bottom = inside
         kept = np.flatnonzero((u >= left) & (u < right) & (v >= top) & (v < bottom))
@@ -71,6 +79,12 @@ def visible_landmarks(
         local_map.xyz, local_map.normal, reference, rows, here, poses, rig.intrinsics
     )
     return Visible(rows, xy, image_xy, seen.scale, seen.reference_from_target, seen.slope)
+
+
+def _inverse_depth(local_map: LocalMap, rows: Ints, world_from_cam: Floats) -> Floats:
+    """(n,) of landmarks in front of a camera."""
+    cam_from_world = inverse(world_from_cam)
+    return np.asarray(1.0 / (local_map.xyz[rows] @ cam_from_world[2, :3] + cam_from_world[2, 3]))
 
 
 def outside(mask: Bytes | None, visible: Visible) -> Visible:
