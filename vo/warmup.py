@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from vo.compiling import machine_code, store
 from vo.compiling.function import announce_compilation, compiled_here
 from vo.config import Config, load_config
 from vo.formats.png import decode_grey
+from vo.geometry.rectification import rectified_rig
+from vo.geometry.rolling_shutter import Velocity, disparity_at_middle_row
 from vo.inertial.chain_solver import empty_equations, solve_chain
 from vo.inertial.preintegration import Interval, preintegrate, rotation_of
 from vo.types import Bytes, Camera, Frame, ImuNoise, Rig
@@ -84,6 +87,7 @@ def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
     for rig in _rigs():
         _run(make_odometry, rig)
     _use_inertial_samples()
+    _use_rolling_shutter()
     _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
     decode_grey(packed.tobytes())
 
@@ -118,6 +122,13 @@ def _use_inertial_samples() -> None:
     equations = empty_equations(2, 1)
     equations.before[:] = 1.0
     solve_chain(equations)
+
+
+def _use_rolling_shutter() -> None:
+    """Call what only images of a rolling shutter need, with any values."""
+    rig = replace(rectified_rig(next(_rigs())), readout_s=0.01)
+    still = Velocity(np.zeros(3), np.zeros(3))
+    disparity_at_middle_row(rig, np.zeros((1, 2)), np.ones(1), still)
 
 
 def _frames(stereo: bool) -> Iterator[Frame]:
