@@ -10,9 +10,10 @@ from pathlib import Path
 
 from vo.backend.pose_graph import PoseGraph
 from vo.closed_loops import ClosedLoop, MapUse, Relocalisation
-from vo.mapping.keyframe import FrameId, Keyframe
+from vo.mapping.keyframe import Keyframe
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
+from vo.memory.connections import Connections
 from vo.memory.early_search import EarlySearch
 from vo.memory.inertial_poses import InertialPoses
 from vo.memory.loop_bundle import LoopBundle
@@ -21,7 +22,7 @@ from vo.memory.marker_loops import MarkerLoops
 from vo.memory.place_maker import PlaceMaker
 from vo.memory.placed_worlds import in_metres, of_worlds, with_adjusted
 from vo.memory.recognition import Recognised, Recogniser
-from vo.memory.reports import LoopEnds, closed_loop, correction_of, relocalisation
+from vo.memory.reports import closed_loop, correction_of, relocalisation
 from vo.metric_scale import MetricScale
 from vo.places.records import InertialPose, Loop, PlacedKeyframes, PlaceKey
 from vo.stopwatch import Stopwatch, timed
@@ -86,7 +87,8 @@ class Memory:
         self._adjusted: list[PlacedKeyframes] = []  # worlds after the adjustment
         self._wrong: tuple[PlaceKey, ...] = ()  # see `PlacedKeyframes`
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
-        self._frames: dict[PlaceKey, FrameId] = {}  # of keyframes in the graph
+        self._connections = Connections(trajectory.store, worlds)
+        self._frames = self._connections.frames
         self._stored = 0  # number of keyframes that were stored
         self._frame = 0  # number of frames
         self._segment = 0  # of the newest frame
@@ -139,7 +141,7 @@ class Memory:
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Find a lost camera again, and note the first frame whose pose is as it was corrected."""
         self._frame, self._segment = self._frame + 1, segment
-        if self._is_apart(segment):
+        if self._connections.is_apart(segment):
             self._relocalise(local_map)
         for n in self._unmarked:
             self._closed[n] = replace(self._closed[n], corrected_from=index)
@@ -160,7 +162,7 @@ class Memory:
             self._apply_placed()
         if self._submitted is None and self._joins_enough() and self._has_new_loops():
             self._submit()
-        if self._is_apart(self._segment):
+        if self._connections.is_apart(self._segment):
             self._early.submit(self._frame, local_map)
 
     def forget_from(self, frame_index: int) -> None:
@@ -296,25 +298,27 @@ class Memory:
     def _has_new_loops(self) -> bool:
         """Whether there are loops that no graph had, or enough of them to connect the segment."""
         new = self._loops[self._placed_loops :]
-        joins = self._is_apart(self._segment) and not self._joins_enough()
-        return any(not (joins and self._is_joining(loop)) for loop in new)
+        joins = self._connections.is_apart(self._segment) and not self._joins_enough()
+        return any(
+            not (joins and self._connections.is_joining(loop, self._segment)) for loop in new
+        )
 
     def _joins_enough(self) -> bool:
-        return sum(loop.support for loop in self._loops if self._is_joining(loop)) >= _MIN_JOINING
-
-    def _is_joining(self, loop: Loop) -> bool:
-        """Whether a loop is from the segment of the newest frame to another one."""
-        if self._frames[loop.later].segment != self._segment:
-            return False
-        is_loaded = self._worlds.frame(loop.earlier) is not None
-        return is_loaded or self._frames[loop.earlier].segment != self._segment
+        return (
+            sum(
+                loop.support
+                for loop in self._loops
+                if self._connections.is_joining(loop, self._segment)
+            )
+            >= _MIN_JOINING
+        )
 
     def _submit(self) -> None:
         stored = self._stored
         self._graph.submit(self._inertial_poses(), self.markers.repeated)
         self._submitted, self._due = len(self._loops), stored + _LATENCY
         self._due_frame = None
-        if self._is_apart(self._segment):
+        if self._connections.is_apart(self._segment):
             self._due_frame = self._frame + _FRAME_LATENCY
         self._next = stored + max(_SPACING, math.ceil(_SPACING_RATIO * stored))
 
@@ -338,19 +342,23 @@ class Memory:
         if not touched:
             return
         before = {n: self._pose(loops[n].later) for n in new}
-        apart = {n: self._is_joined_by(loops[n]) for n in new}
-        was_apart = self._is_apart(self._segment)
+        apart = {n: self._connections.is_joined_by(loops[n]) for n in new}
+        was_apart = self._connections.is_apart(self._segment)
         connected = of_worlds(placed, [loops[n] for n in touched])
         connected = self._worlds.numbered(connected, self._frames)
         placer = self._trajectory if self._inertial is None else self._inertial.placement
         placer.place(connected, self._maker.session)
         for n in new:
             moved = None if apart[n] else correction_of(before[n], self._pose(loops[n].later))
-            self._closed[n] = closed_loop(loops[n], self._ends(loops[n]), moved, placed.wrong)
+            self._closed[n] = closed_loop(
+                loops[n], self._connections.ends(loops[n]), moved, placed.wrong
+            )
         self._unmarked = [n for n in self._unmarked if n in self._closed] + new
-        self._relocalisations = [r for r in self._relocalisations if not self._is_apart(r.segment)]
-        if was_apart and not self._is_apart(self._segment):
-            joining = [n for n in new if self._is_joining(loops[n])]
+        self._relocalisations = [
+            r for r in self._relocalisations if not self._connections.is_apart(r.segment)
+        ]
+        if was_apart and not self._connections.is_apart(self._segment):
+            joining = [n for n in new if self._connections.is_joining(loops[n], self._segment)]
             self._found = self._relocalisation(joining, before)
 
     def _relocalisation(
@@ -362,12 +370,7 @@ class Memory:
         newest = max(joining, key=lambda n: self._frames[self._loops[n].later].index)
         loop = self._loops[newest]
         correction = correction_of(before[newest], self._pose(loop.later))
-        return relocalisation(self._ends(loop), loop.inliers, len(joining), correction)
-
-    def _ends(self, loop: Loop) -> LoopEnds:
-        known = self._worlds.frame(loop.earlier)
-        session = None if known is None else loop.earlier.session
-        return LoopEnds(self._frames[loop.later], known or self._frames[loop.earlier], session)
+        return relocalisation(self._connections.ends(loop), loop.inliers, len(joining), correction)
 
     def _awaits_graph(self) -> bool:
         return self._inertial is not None and self._inertial.placement.awaits_graph
@@ -377,18 +380,6 @@ class Memory:
             return {}
         session = self._maker.session
         return {PlaceKey(session, k): pose for k, pose in self._inertial.graph_poses().items()}
-
-    def _is_apart(self, segment: int) -> bool:
-        """Whether nothing connects a segment with an older world."""
-        return self._worlds.has_older(segment, self._trajectory.store.world(segment))
-
-    def _is_joined_by(self, loop: Loop) -> bool:
-        """Whether a loop connects worlds that were not connected before."""
-        store = self._trajectory.store
-        if self._worlds.frame(loop.earlier) is not None:
-            return store.world(self._frames[loop.later].segment) not in self._worlds.met
-        worlds = {store.world(self._frames[k].segment) for k in (loop.earlier, loop.later)}
-        return len(worlds) > 1
 
     def _pose(self, key: PlaceKey) -> Floats:
         (pose,) = self._trajectory.store.keyframes_by_id([key.keyframe])
