@@ -43,9 +43,11 @@ class RowStore:
         self.copies: list[tuple[Keyframe, StoredLandmarks]] = []
         self.images: list[Bytes] = []
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
         self.rows.append((keyframe.id, keyframe.frame.index, keyframe.frame.segment))
-        self.copies.append(deepcopy((keyframe, landmarks)))
+        self.copies.append(deepcopy((keyframe, landmarks())))
         self.images.append(image.copy())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,8 +33,11 @@ class PlaceStore:
         self.keyframes: list[Keyframe] = []
         self._maker = PlaceMaker(3, 1.44, is_metric=is_metric)
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
-        self.places.append(self._maker.make(keyframe, landmarks, image))
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
+        of_path = self._maker.follow(keyframe)
+        self.places.append(self._maker.make(of_path, keyframe, landmarks(), image))
         self.keyframes.append(keyframe)
 
 
@@ -145,13 +149,18 @@ class OtherKind(PlaceStore):
         self._other = PlaceMaker(3, 1.44, is_metric=False, describer=self._describer)
         self.described: list[Place] = []
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
         super().add(keyframe, landmarks, image)
         floats = replace(
             keyframe.keypoints, descriptor=np.zeros((len(keyframe.keypoints.xy), 64), np.float32)
         )
-        other = landmarks._replace(descriptor=np.zeros((len(landmarks.id), 64), np.float32))
-        self.described.append(self._other.make(replace(keyframe, keypoints=floats), other, image))
+        known = landmarks()
+        other = known._replace(descriptor=np.zeros((len(known.id), 64), np.float32))
+        changed = replace(keyframe, keypoints=floats)
+        of_path = self._other.follow(changed)
+        self.described.append(self._other.make(of_path, changed, other, image))
 
 
 def test_places_have_one_kind_of_descriptors(synthetic_stereo: Path) -> None:

@@ -13,7 +13,7 @@ from vo.backend.graph_problem import GraphProblem
 from vo.backend.graph_solution import optimise_graph, unplaced
 from vo.backend.process import SolverProcess
 from vo.geometry.transforms import adjoint, inverse
-from vo.places.records import InertialPose, Loop, Place, PlacedKeyframes, PlaceKey
+from vo.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
 from vo.types import Floats
 
 _log = logging.getLogger(__name__)
@@ -57,17 +57,17 @@ class PoseGraph:
         self._submitted: GraphProblem | None = None
         self._is_in_process = False
 
-    def add_keyframe(self, place: Place) -> None:
-        """Add a keyframe that was stored, after all before it in its segment."""
-        self._nodes[place.key] = _Node(
-            place.key,
-            self._first_segment + place.frame.segment,
+    def add_keyframe(self, keyframe: PathKeyframe) -> None:
+        """Add a keyframe of the run, after all before it in its segment."""
+        self._nodes[keyframe.key] = _Node(
+            keyframe.key,
+            self._first_segment + keyframe.frame.segment,
             False,
-            place.is_metric,
-            place.odom_from_cam,
+            keyframe.is_metric,
+            keyframe.odom_from_cam,
             1.0,
-            place.covariance,
-            place.is_doubted,
+            keyframe.covariance,
+            keyframe.is_doubted,
         )
 
     def add_map(self, placed: PlacedKeyframes, is_metric: Sequence[bool]) -> None:

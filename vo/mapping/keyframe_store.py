@@ -7,6 +7,7 @@ build on it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -45,12 +46,15 @@ class KeyframeStore(Protocol):
     With `features.rescue`, their descriptors are of the kind that the map has at that time.
     """
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
-        """Take over a keyframe and copies of the landmarks that it observes.
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
+        """Take over a keyframe.
 
         Args:
             keyframe: it is not changed any more.
-            landmarks: those that it observes.
+            landmarks: returns copies of the landmarks that it observes; to be called before this
+                call ends.
             image: (H, W) its rectified image of camera 0, overwritten after the call.
         """
         ...
@@ -68,7 +72,9 @@ class MemoryKeyframeStore:
         self.keyframes: list[Keyframe] = []
         self.landmarks: dict[int, StoredLandmarks] = {}
 
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
         """Keep a keyframe, without its image."""
         self.keyframes.append(keyframe)
-        self.landmarks[keyframe.id] = landmarks
+        self.landmarks[keyframe.id] = landmarks()

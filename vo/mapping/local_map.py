@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -308,11 +309,8 @@ class LocalMap:
         return StoredLandmarks(**fields, sigma=self._position_sigma(rows))
 
     def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
-        if not stores:
-            return
-        landmarks = self.landmarks_of(keyframe)
         for store in stores:
-            store.add(keyframe, landmarks, self.images[keyframe.slot])
+            store.add(keyframe, partial(self.landmarks_of, keyframe), self.images[keyframe.slot])
 
     def _position_sigma(self, chosen: Ints) -> Floats:
         """Standard deviation (n,) of the positions of landmarks (n,), given exact poses."""

@@ -13,7 +13,7 @@ from vo.mapping.keyframe import FrameId
 from vo.markers.dictionaries import is_same_kind
 from vo.markers.marker_problem import MarkerView
 from vo.markers.visit_fit import fit_visit
-from vo.places.records import Loop, MarkerVisit, Place, PlaceKey
+from vo.places.records import Loop, MarkerVisit, PathKeyframe, PlaceKey
 from vo.types import Floats
 
 _MAX_GAP_NS = 2_000_000_000  # between two keyframes of one visit
@@ -159,19 +159,19 @@ class MarkerLoops:
         if clear:
             self._seen[frame_index] = clear
 
-    def add(self, place: Place) -> list[Loop]:
-        """Take a keyframe that is stored; the loops by visits that have ended before it."""
+    def add(self, keyframe: PathKeyframe) -> list[Loop]:
+        """Take the next keyframe of the path; the loops by visits that have ended before it."""
         ended = [
             number
             for number, sights in self._open.items()
-            if sights[0].frame.segment != place.frame.segment
-            or place.frame.stamp_ns - sights[-1].frame.stamp_ns > _MAX_GAP_NS
+            if sights[0].frame.segment != keyframe.frame.segment
+            or keyframe.frame.stamp_ns - sights[-1].frame.stamp_ns > _MAX_GAP_NS
         ]
         loops = [loop for number in ended for loop in self._end_visit(number)]
-        for view in self._seen.get(place.frame.index, ()):
-            sight = _Sight(place.key, place.frame, place.odom_from_cam, view)
+        for view in self._seen.get(keyframe.frame.index, ()):
+            sight = _Sight(keyframe.key, keyframe.frame, keyframe.odom_from_cam, view)
             self._open.setdefault(view.id, []).append(sight)
-        self._seen = {n: views for n, views in self._seen.items() if n > place.frame.index}
+        self._seen = {n: views for n, views in self._seen.items() if n > keyframe.frame.index}
         return loops
 
     def finish(self) -> list[Loop]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
@@ -24,18 +24,18 @@ from vo.memory.placed_worlds import in_metres, of_worlds, with_adjusted
 from vo.memory.recognition import Recognised, Recogniser
 from vo.memory.reports import closed_loop, correction_of, relocalisation
 from vo.metric_scale import MetricScale
-from vo.places.records import InertialPose, Loop, PlacedKeyframes, PlaceKey
+from vo.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
 from vo.stopwatch import Stopwatch, timed
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Bytes, Floats
 
-# A result of the pose graph is applied after so many further stored keyframes; the number is fixed,
+# A result of the pose graph is applied after so many further keyframes; the number is fixed,
 # so that the path does not depend on the speed of the optimizer.
 _LATENCY = 3
 _FRAME_LATENCY = 5  # ... or so many frames, while the camera is in a segment of its own
 _MIN_JOINING = 3  # keyframes of one segment with loops to others, fewer of which never join them
-_SPACING = 10  # minimum of stored keyframes from one graph to the next
-_SPACING_RATIO = 0.05  # of all stored keyframes, if that is more: large graphs take longer
+_SPACING = 10  # minimum of keyframes from one graph to the next
+_SPACING_RATIO = 0.05  # of all keyframes, if that is more: large graphs take longer
 
 
 class Memory:
@@ -89,7 +89,7 @@ class Memory:
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
         self._connections = Connections(trajectory.store, worlds)
         self._frames = self._connections.frames
-        self._stored = 0  # number of keyframes that were stored
+        self._added = 0  # number of keyframes
         self._frame = 0  # number of frames
         self._segment = 0  # of the newest frame
         self._loops: list[Loop] = []
@@ -98,9 +98,9 @@ class Memory:
         self._relocalisations: list[Relocalisation] = []
         self._submitted: int | None = None  # number of loops of the graph that is optimised
         self._placed_loops = 0  # number of loops in the newest result
-        self._due = 0  # number of stored keyframes at which the result is applied
+        self._due = 0  # number of keyframes at which the result is applied
         self._due_frame: int | None = None  # ... or number of frames
-        self._next = 0  # number of stored keyframes from which the next graph may be submitted
+        self._next = 0  # number of keyframes from which the next graph may be submitted
         self._unmarked: list[int] = []  # indices of loops that no frame has been placed by yet
         self._found: Relocalisation | None = None  # ... and a relocalisation
         self._is_finished = False
@@ -121,22 +121,32 @@ class Memory:
         return self._worlds.use
 
     @timed("memory")
-    def add(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> None:
-        """Store a keyframe, and apply results that are due."""
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
+        """Add a keyframe, and apply results that are due.
+
+        One that shows little more than the last place becomes a part of the path only.
+        """
         if self._is_finished:  # the odometry hands the rest over once more when it is closed
             return
         self._apply_recognised()
-        if self._submitted is not None and self._stored >= self._due:
+        if self._submitted is not None and self._added >= self._due:
             self._apply_placed()
         is_due = self._has_new_loops() or self._awaits_graph()
-        if self._submitted is None and self._stored >= self._next and is_due:
+        if self._submitted is None and self._added >= self._next and is_due:
             self._submit()
-        place = self._maker.make(keyframe, landmarks, image)
+        of_path = self._maker.follow(keyframe)
         if self._bundle is not None:
-            self._bundle.add(place.key, keyframe, landmarks)
-        self._add_loops(self.markers.add(place))
-        is_known = any(loop.later == place.key and loop.marker is None for loop in self._loops)
-        self._future = self._recogniser.add(place, searches=not is_known)
+            self._bundle.add(of_path.key, keyframe, landmarks())
+        self._add_loops(self.markers.add(of_path))
+        is_known = any(loop.later == of_path.key and loop.marker is None for loop in self._loops)
+        if is_known or self._maker.shows_new(keyframe):
+            place = self._maker.make(of_path, keyframe, landmarks(), image)
+            self._future = self._recogniser.add(place, searches=not is_known)
+        else:
+            self._add_to_graph(of_path)
+        self._added += 1
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Find a lost camera again, and note the first frame whose pose is as it was corrected."""
@@ -279,16 +289,17 @@ class Memory:
         future, self._future = self._future, None
         if future is not None:
             self._note(future.result())
-            self._stored += 1
 
     def _note(self, recognised: Recognised) -> None:
         """Add the result of a search to the graph."""
-        place = recognised.place
-        self._frames[place.key] = place.frame
-        self._graph.add_keyframe(place)
+        self._add_to_graph(recognised.place)
         self._add_loops(recognised.loops)
         removed = (key for key in recognised.removed if not self.markers.needs(key))
         self._graph.remove_keyframes(tuple(removed))
+
+    def _add_to_graph(self, keyframe: PathKeyframe) -> None:
+        self._frames[keyframe.key] = keyframe.frame
+        self._graph.add_keyframe(keyframe)
 
     def _add_loops(self, loops: Sequence[Loop]) -> None:
         for loop in loops:
@@ -314,13 +325,12 @@ class Memory:
         )
 
     def _submit(self) -> None:
-        stored = self._stored
         self._graph.submit(self._inertial_poses(), self.markers.repeated)
-        self._submitted, self._due = len(self._loops), stored + _LATENCY
+        self._submitted, self._due = len(self._loops), self._added + _LATENCY
         self._due_frame = None
         if self._connections.is_apart(self._segment):
             self._due_frame = self._frame + _FRAME_LATENCY
-        self._next = stored + max(_SPACING, math.ceil(_SPACING_RATIO * stored))
+        self._next = self._added + max(_SPACING, math.ceil(_SPACING_RATIO * self._added))
 
     def _apply_placed(self) -> None:
         """Apply the result of the pose graph to the trajectory."""

@@ -12,11 +12,12 @@ from vo.mapping.keyframe_store import StoredLandmarks
 from vo.mapping.local_map import LocalMap
 from vo.mapping.map_features import PointDescriber
 from vo.places.patch_sampling import sampled_patches
-from vo.places.records import Place, PlaceKey, PlaceLandmarks
+from vo.places.records import PathKeyframe, Place, PlaceKey, PlaceLandmarks
 from vo.places.vocabulary import DESCRIPTOR_BYTES
 from vo.types import Bytes, Ints, Keypoints
 
 _THUMBNAIL_HEIGHT = 120  # of images by which places are compared
+_MAX_KNOWN = 0.7  # of the landmarks in the last place, so that a keyframe makes another one
 
 
 class PlaceMaker:
@@ -47,18 +48,34 @@ class PlaceMaker:
         self._scale_factor = scale_factor
         self.is_metric = is_metric
         self._last: Keyframe | None = None  # the one before
+        self._shown: Ints = np.empty(0, np.int64)  # landmarks in the last place
+        self._segment = -1  # ... and its segment
 
-    def make(self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes) -> Place:
-        """The place of a keyframe that follows the one of the last call."""
+    def follow(self, keyframe: Keyframe) -> PathKeyframe:
+        """A keyframe of the path, which follows that of the last call."""
         before, self._last = self._last, keyframe
-        return self._place(before, keyframe, landmarks, image)
+        return self._of_path(before, keyframe)
+
+    def shows_new(self, keyframe: Keyframe) -> bool:
+        """Whether a keyframe shows enough that the one of the last place does not."""
+        if keyframe.is_doubted or keyframe.frame.segment != self._segment:
+            return True
+        known = np.isin(keyframe.landmark, self._shown, assume_unique=True)
+        return int(np.count_nonzero(known)) < _MAX_KNOWN * len(known)
+
+    def make(
+        self, of_path: PathKeyframe, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes
+    ) -> Place:
+        """The place of a keyframe."""
+        self._shown, self._segment = keyframe.landmark, keyframe.frame.segment
+        return self._place(of_path, keyframe, landmarks, image)
 
     def newest(self, local_map: LocalMap, count: int) -> list[Place]:
         """Places of the newest keyframes that are still in the local map, newest first."""
         keyframes = local_map.keyframes
         return [
             self._place(
-                keyframes[n - 1] if n > 0 else None,
+                self._of_path(keyframes[n - 1] if n > 0 else None, keyframes[n]),
                 keyframes[n],
                 local_map.landmarks_of(keyframes[n]),
                 local_map.images[keyframes[n].slot],
@@ -66,8 +83,18 @@ class PlaceMaker:
             for n in range(len(keyframes) - 1, -1, -1)[:count]
         ]
 
+    def _of_path(self, before: Keyframe | None, keyframe: Keyframe) -> PathKeyframe:
+        return PathKeyframe(
+            PlaceKey(self.session, keyframe.id),
+            keyframe.frame,
+            self.is_metric,
+            keyframe.world_from_cam.copy(),
+            motion_covariance(before, keyframe),
+            is_doubted=keyframe.is_doubted,
+        )
+
     def _place(
-        self, before: Keyframe | None, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes
+        self, of_path: PathKeyframe, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes
     ) -> Place:
         order = np.argsort(keyframe.landmark, kind="stable")
         order = order[np.isin(keyframe.landmark[order], landmarks.id, assume_unique=True)]
@@ -78,11 +105,7 @@ class PlaceMaker:
         thumbnail_height = min(_THUMBNAIL_HEIGHT, height)
         thumbnail_width = max(1, round(width * thumbnail_height / height))
         return Place(
-            key=PlaceKey(self.session, keyframe.id),
-            frame=keyframe.frame,
-            is_metric=self.is_metric,
-            odom_from_cam=keyframe.world_from_cam.copy(),
-            covariance=motion_covariance(before, keyframe),
+            **vars(of_path),
             descriptor=keypoints.descriptor,
             landmarks=PlaceLandmarks(
                 id=landmarks.id,
@@ -99,7 +122,6 @@ class PlaceMaker:
             thumbnail=cv2.resize(
                 image, (thumbnail_width, thumbnail_height), interpolation=cv2.INTER_AREA
             ),
-            is_doubted=keyframe.is_doubted,
         )
 
     def _of_one_kind(

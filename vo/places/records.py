@@ -8,7 +8,7 @@ two frames `odom` and `map`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -60,19 +60,16 @@ class PlaceLandmarks:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """A keyframe as it is stored when it is removed from the local map.
+class PathKeyframe:
+    """A keyframe of the path, when it is removed from the local map.
 
     Attributes:
         key: its identity.
         frame: which frame it is.
         is_metric: whether lengths are metres (stereo, depth); otherwise units of the segment.
         odom_from_cam: (4, 4) in the odometry frame of its segment.
-        covariance: (6, 6) of the motion since the stored keyframe before it in the segment,
+        covariance: (6, 6) of the motion since the keyframe before it in the segment,
             in this camera's frame (rotation, then translation, as GTSAM orders them).
-        descriptor: (N, width) of all its features, for place recognition.
-        landmarks: those that it observes.
-        thumbnail: (h, w) uint8, the image at a height of at most 120 pixels, to compare places.
         is_doubted: whether that motion may be wrong by more than its covariance says.
     """
 
@@ -81,10 +78,22 @@ class Place:
     is_metric: bool
     odom_from_cam: Floats
     covariance: Floats
+    is_doubted: bool = field(default=False, kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Place(PathKeyframe):
+    """A keyframe with what it shows, as it is stored.
+
+    Attributes:
+        descriptor: (N, width) of all its features, for place recognition.
+        landmarks: those that it observes.
+        thumbnail: (h, w) uint8, the image at a height of at most 120 pixels, to compare places.
+    """
+
     descriptor: Descriptors
     landmarks: PlaceLandmarks
     thumbnail: Bytes
-    is_doubted: bool = False
 
 
 class InertialPose(NamedTuple):
