@@ -103,6 +103,7 @@ class Memory:
         self._next = 0  # number of keyframes from which the next graph may be submitted
         self._unmarked: list[int] = []  # indices of loops that no frame has been placed by yet
         self._found: Relocalisation | None = None  # ... and a relocalisation
+        self._is_familiar = False  # whether the newest place resembles an older one
         self._is_finished = False
 
     @property
@@ -126,7 +127,8 @@ class Memory:
     ) -> None:
         """Add a keyframe, and apply results that are due.
 
-        One that shows little more than the last place becomes a part of the path only.
+        One that shows little more than the last place, which resembles no older one, becomes a part
+        of the path only.
         """
         if self._is_finished:  # the odometry hands the rest over once more when it is closed
             return
@@ -141,7 +143,7 @@ class Memory:
             self._bundle.add(of_path.key, keyframe, landmarks())
         self._add_loops(self.markers.add(of_path))
         is_known = any(loop.later == of_path.key and loop.marker is None for loop in self._loops)
-        if is_known or self._maker.shows_new(keyframe):
+        if is_known or self._is_familiar or self._maker.shows_new(keyframe):
             place = self._maker.make(of_path, keyframe, landmarks(), image)
             self._future = self._recogniser.add(place, searches=not is_known)
         else:
@@ -288,7 +290,9 @@ class Memory:
         """Wait for the result of the newest stored keyframe."""
         future, self._future = self._future, None
         if future is not None:
-            self._note(future.result())
+            recognised = future.result()
+            self._is_familiar = recognised.is_familiar
+            self._note(recognised)
 
     def _note(self, recognised: Recognised) -> None:
         """Add the result of a search to the graph."""

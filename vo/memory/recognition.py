@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -39,11 +39,13 @@ class Recognised:
         place: the keyframe.
         removed: keyframes that became redundant.
         loops: to earlier keyframes.
+        is_familiar: whether there were candidates that pass the screening.
     """
 
     place: Place
-    removed: tuple[PlaceKey, ...]
-    loops: tuple[Loop, ...]
+    removed: tuple[PlaceKey, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    is_familiar: bool = False
 
 
 class Recogniser:
@@ -95,7 +97,7 @@ class Recogniser:
         Args:
             places: the keyframe, then those before it in its segment, newest first.
         """
-        return self._start(lambda: Recognised(places[0], (), self._find(places)))
+        return self._start(lambda: self._find(places))
 
     def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:
         """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
@@ -175,25 +177,27 @@ class Recogniser:
         stamp_ns = place.frame.stamp_ns
         pauses = self._in_a_row >= _STEADY and stamp_ns - self._last_found_ns < _PAUSE_NS
         if not searches or pauses:
-            return Recognised(place, removed, ())
-        loops = self._find(list(self._recent))
-        self._in_a_row = self._in_a_row + 1 if loops else 0
+            return Recognised(place, removed)
+        found = self._find(list(self._recent))
+        self._in_a_row = self._in_a_row + 1 if found.loops else 0
         self._last_found_ns = stamp_ns
-        return Recognised(place, removed, loops)
+        return replace(found, removed=removed)
 
-    def _find(self, later: Sequence[Place]) -> tuple[Loop, ...]:
+    def _find(self, later: Sequence[Place]) -> Recognised:
         """Loops of the first of consecutive keyframes, newest first.
 
         Odometry decides whether a place of its own segment is the right one. To another segment, or
         where odometry is doubted, all places that look the same are needed: the pose graph refuses
         one that exists twice.
         """
+        is_familiar = False
         for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
             earlier = self._database.get(candidate.key)
             if not self._screening.passes(
                 later[0], earlier, self._camera, self._camera_of(earlier)
             ):
                 continue
+            is_familiar = True
             loop = self._verified(later, earlier)
             if loop is None:
                 continue
@@ -206,8 +210,8 @@ class Recogniser:
                 self._database.protect(each.earlier)
             if not self._localizes:
                 self._database.protect(later[0].key)
-            return tuple(loops)
-        return ()
+            return Recognised(later[0], loops=tuple(loops), is_familiar=True)
+        return Recognised(later[0], is_familiar=is_familiar)
 
     def _is_connected(self, earlier: Place, later: Place) -> bool:
         """Whether odometry that is not doubted leads from one keyframe to the other."""

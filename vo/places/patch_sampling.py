@@ -37,29 +37,33 @@ def sampled_patches(
 
 @compiled
 def _sample(image, centre, rows, result):  # type: ignore[no-untyped-def]
-    """Sample patches around pixels (k, 2) of an image into rows (k,) of (n, side, side)."""
+    """Sample patches around pixels (k, 2) of an image into rows (k,) of (n, side, side).
+
+    All pixels of a patch lie between four others in the same way, so that it has four weights,
+    which are multiples of 2^-14 here: sums of whole numbers are compiled to vector instructions.
+    """
     height, width = image.shape
-    side = result.shape[1]
-    half, one, rounder = np.float32(side // 2), np.float32(1.0), np.float32(2**23)
-    column, part = np.empty((side, 2), dtype=np.uint64), np.empty(side, dtype=np.float32)
+    side = PATCH_PX
+    area = np.empty((side + 1, side + 1), dtype=np.int32)
     for n in range(len(rows)):
-        for j in range(side):
-            u = centre[n, 0] - half + np.float32(j)
-            x = int(np.floor(u))
-            part[j] = u - np.float32(x)
-            column[j, 0] = min(max(x, 0), width - 1)
-            column[j, 1] = min(max(x + 1, 0), width - 1)
+        u, v = centre[n, 0] - side // 2, centre[n, 1] - side // 2
+        x, y = int(np.floor(u)), int(np.floor(v))
+        fx, fy = int(np.rint((u - x) * 128)), int(np.rint((v - y) * 128))
+        is_inside = x >= 0 and y >= 0 and x + side < width and y + side < height
+        for i in range(side + 1):
+            if is_inside:
+                for j in range(side + 1):
+                    area[i, j] = image[y + i, x + j]
+            else:
+                row = min(max(y + i, 0), height - 1)
+                for j in range(side + 1):
+                    area[i, j] = image[row, min(max(x + j, 0), width - 1)]
+        weights = (128 - fx) * (128 - fy), fx * (128 - fy), (128 - fx) * fy, fx * fy
+        a, b = np.int32(weights[0]), np.int32(weights[1])
+        c, d = np.int32(weights[2]), np.int32(weights[3])
+        patch = result[rows[n]]
         for i in range(side):
-            v = centre[n, 1] - half + np.float32(i)
-            y = int(np.floor(v))
-            fy = v - np.float32(y)
-            y0, y1 = (
-                np.uint64(min(max(y, 0), height - 1)),
-                np.uint64(min(max(y + 1, 0), height - 1)),
-            )
+            upper, lower = area[i], area[i + 1]
             for j in range(side):
-                x0, x1, fx = column[j, 0], column[j, 1], part[j]
-                above = (one - fx) * np.float32(image[y0, x0]) + fx * np.float32(image[y0, x1])
-                below = (one - fx) * np.float32(image[y1, x0]) + fx * np.float32(image[y1, x1])
-                grey = (one - fy) * above + fy * below
-                result[rows[n], i, j] = np.uint8(grey + rounder - rounder)  # 2^23: to integers
+                total = a * upper[j] + b * upper[j + 1] + c * lower[j] + d * lower[j + 1]
+                patch[i, j] = np.uint8((total + np.int32(8192)) >> np.int32(14))
