@@ -86,7 +86,7 @@ def _placed(
     with KeyframeDatabase(built_in_vocabulary()) as database:
         screening = Screening(database.vocabulary, scale_factor)
         verifier = LoopVerifier(scale_factor)
-        recogniser = Recogniser(database, screening, verifier, camera, threads=1)
+        recogniser = Recogniser(database, lambda: (screening, verifier), camera, threads=1)
         if by_images:
             graph.unconfirmed = recogniser.unconfirmed
         for place in places:

@@ -6,15 +6,17 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vo.backend.graph_problem import GraphProblem
-from vo.backend.graph_solution import optimise_graph, unplaced
 from vo.backend.process import SolverProcess
 from vo.geometry.transforms import adjoint, inverse
 from vo.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
 from vo.types import Floats
+
+if TYPE_CHECKING:  # imported with the first graph: it takes 15 ms
+    from vo.backend.graph_problem import GraphProblem
 
 _log = logging.getLogger(__name__)
 
@@ -137,6 +139,8 @@ class PoseGraph:
         self._is_in_process = self._threads > 1 and len(self._loops) > 0
         if not self._is_in_process:
             return
+        from vo.backend.graph_solution import optimise_graph, unplaced
+
         try:
             if self._process is None:
                 self._process = SolverProcess(optimise_graph, unplaced)
@@ -169,6 +173,8 @@ class PoseGraph:
     def _solved(self, problem: GraphProblem) -> PlacedKeyframes:
         if self._is_in_process and self._process is not None:
             return self._process.result()
+        from vo.backend.graph_solution import optimise_graph
+
         return optimise_graph(problem)
 
     def close(self) -> None:
@@ -182,6 +188,8 @@ class PoseGraph:
     def _problem(
         self, inertial: Mapping[PlaceKey, InertialPose], doubted: Sequence[int]
     ) -> GraphProblem:
+        from vo.backend.graph_problem import GraphProblem
+
         nodes = self._ordered()
         if inertial:
             nodes = self._by_inertial_poses(nodes, inertial)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vo.backend.pose_graph import PoseGraph
 from vo.config import Config
@@ -11,20 +13,21 @@ from vo.frontend.contracts import DescriptorFormat
 from vo.frontend.orb import OrbExtractor
 from vo.geometry.rectification import RectifiedRig
 from vo.memory.inertial_poses import InertialPoses
-from vo.memory.loaded_map import load_map
 from vo.memory.loop_bundle import LoopBundle
 from vo.memory.map_worlds import WorldsInMap
 from vo.memory.memory import Memory
 from vo.memory.place_maker import PlaceMaker
 from vo.memory.recognition import Recogniser
 from vo.places.database import KeyframeDatabase
-from vo.places.loop_verification import LoopVerifier
-from vo.places.screening import Screening
-from vo.places.vocabulary import DESCRIPTOR_BYTES
+from vo.places.vocabulary import DESCRIPTOR_BYTES, Vocabulary
 from vo.places.vocabulary_file import built_in_vocabulary, read_vocabulary
 from vo.stopwatch import Stopwatch
 from vo.trajectory.builder import TrajectoryBuilder
 from vo.types import Camera
+
+if TYPE_CHECKING:  # imported only where there are candidates: it takes a few ms each
+    from vo.places.loop_verification import LoopVerifier
+    from vo.places.screening import Screening
 
 
 def make_memory(
@@ -55,11 +58,12 @@ def make_memory(
     file = config.memory.vocabulary
     vocabulary = read_vocabulary(Path(file)) if file else built_in_vocabulary()
     scale_factor = config.features.scale_factor
-    verifier = LoopVerifier(scale_factor, sigma_px=config.patches.sigma_px, seed=config.seed)
     camera = Camera(rig.width, rig.height, rig.fx, rig.fy, rig.cx, rig.cy)
     database, graph = KeyframeDatabase(vocabulary), PoseGraph(threads)
     file, loaded, session = config.memory.map, None, 0
     if file:
+        from vo.memory.loaded_map import load_map
+
         try:
             loaded = load_map(Path(file), database, is_metric=rig.is_stereo)
         except BaseException:
@@ -71,10 +75,8 @@ def make_memory(
     adjusts = config.memory.adjust and not rig.is_stereo and inertial is None
     describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
     maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo, describer=describer)
-    screening = Screening(vocabulary, scale_factor, seed=config.seed)
-    recogniser = Recogniser(
-        database, screening, verifier, camera, threads, loaded, localizes=localizes
-    )
+    judges = partial(_judges, vocabulary, config)
+    recogniser = Recogniser(database, judges, camera, threads, loaded, localizes=localizes)
     graph.unconfirmed = recogniser.unconfirmed
     return Memory(
         maker,
@@ -86,6 +88,16 @@ def make_memory(
         inertial,
         LoopBundle(rig.intrinsics, config.smoothing) if adjusts else None,
     )
+
+
+def _judges(vocabulary: Vocabulary, config: Config) -> tuple[Screening, LoopVerifier]:
+    """The screening and the verification of candidates."""
+    from vo.places.loop_verification import LoopVerifier
+    from vo.places.screening import Screening
+
+    scale_factor, seed = config.features.scale_factor, config.seed
+    verifier = LoopVerifier(scale_factor, sigma_px=config.patches.sigma_px, seed=seed)
+    return Screening(vocabulary, scale_factor, seed=seed), verifier
 
 
 def _check_descriptors(descriptors: DescriptorFormat, detector: str) -> None:

@@ -106,7 +106,9 @@ def _search(database: KeyframeDatabase, loaded: LoadedMap, places: list[Place]) 
     scale_factor, sigma_px = config.features.scale_factor, config.patches.sigma_px
     screening = Screening(database.vocabulary, scale_factor, seed=config.seed)
     verifier = LoopVerifier(scale_factor, sigma_px=sigma_px, seed=config.seed)
-    recogniser = Recogniser(database, screening, verifier, loaded.camera, 1, loaded, localizes=True)
+    recogniser = Recogniser(
+        database, lambda: (screening, verifier), loaded.camera, 1, loaded, localizes=True
+    )
     recent: deque[Place] = deque(maxlen=SUCCESSION)
     found: list[Loop] = []
     for place in places:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vo.closed_loops import MapUse
 from vo.mapping.keyframe import FrameId
-from vo.memory.loaded_map import LoadedMap
 from vo.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
+
+if TYPE_CHECKING:
+    from vo.memory.loaded_map import LoadedMap
 
 
 class WorldsInMap:

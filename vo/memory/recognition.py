@@ -6,20 +6,20 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from vo.errors import OutputError
-from vo.memory.loaded_map import LoadedMap, with_covariance_of
 from vo.places.database import KeyframeDatabase
-from vo.places.loop_verification import LoopVerifier
-from vo.places.map_file import MapHeader, write_map
-from vo.places.map_markers import at_keyframes
 from vo.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
-from vo.places.repair_check import unconfirmed_repairs
-from vo.places.screening import Screening
 from vo.scheduling import give_way
 from vo.types import Camera
+
+if TYPE_CHECKING:  # imported only where there are candidates, or maps: it takes a few ms each
+    from vo.memory.loaded_map import LoadedMap
+    from vo.places.loop_verification import LoopVerifier
+    from vo.places.screening import Screening
 
 T = TypeVar("T")
 
@@ -56,8 +56,7 @@ class Recogniser:
 
     Args:
         database: of stored keyframes.
-        screening: chooses the candidates that are verified.
-        verifier: decides on them.
+        judges: makes what chooses the candidates that are verified, and what decides on them.
         camera: ideal (rectified) camera of the keyframes.
         threads: with one, all work is done at once.
         loaded: map whose keyframes are in the database, or None.
@@ -67,8 +66,7 @@ class Recogniser:
     def __init__(
         self,
         database: KeyframeDatabase,
-        screening: Screening,
-        verifier: LoopVerifier,
+        judges: Callable[[], tuple[Screening, LoopVerifier]],
         camera: Camera,
         threads: int,
         loaded: LoadedMap | None = None,
@@ -76,8 +74,7 @@ class Recogniser:
         localizes: bool = False,
     ) -> None:
         self._database = database
-        self._screening = screening
-        self._verifier = verifier
+        self._make_judges = judges
         self._camera = camera
         self._loaded = loaded
         self._localizes = localizes
@@ -86,6 +83,10 @@ class Recogniser:
         self._in_a_row = 0  # keyframes with loops
         self._last_found_ns = 0  # time of the last one of them
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
+
+    @cached_property
+    def _judges(self) -> tuple[Screening, LoopVerifier]:
+        return self._make_judges()
 
     def add(self, place: Place, *, searches: bool = True) -> Future[Recognised]:
         """Store a keyframe, and search for its place if no loop is known of it yet."""
@@ -101,6 +102,8 @@ class Recogniser:
 
     def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:
         """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
+        from vo.places.repair_check import unconfirmed_repairs
+
         return self._start(
             lambda: unconfirmed_repairs(self._database, self._camera, placed)
         ).result()
@@ -146,6 +149,10 @@ class Recogniser:
         Raises:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
+        from vo.memory.loaded_map import with_covariance_of
+        from vo.places.map_file import MapHeader, write_map
+        from vo.places.map_markers import at_keyframes
+
         self.check_savable(path)
         sessions: tuple[str, ...] = (source,)
         if self._loaded is not None:
@@ -193,9 +200,8 @@ class Recogniser:
         is_familiar = False
         for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
             earlier = self._database.get(candidate.key)
-            if not self._screening.passes(
-                later[0], earlier, self._camera, self._camera_of(earlier)
-            ):
+            screening, _ = self._judges
+            if not screening.passes(later[0], earlier, self._camera, self._camera_of(earlier)):
                 continue
             is_familiar = True
             loop = self._verified(later, earlier)
@@ -230,7 +236,8 @@ class Recogniser:
             if place.frame.segment == earlier.frame.segment:
                 beside.append(place)
         camera = self._camera_of(earlier)
-        result = self._verifier.verify(later, beside, self._camera, camera)
+        _, verifier = self._judges
+        result = verifier.verify(later, beside, self._camera, camera)
         return result if isinstance(result, Loop) else None
 
     def _camera_of(self, place: Place) -> Camera | None:
