@@ -252,7 +252,11 @@ class MasksConfig(Section):
 class MemoryConfig(Section):
     """Memory beyond the local map (docs/memory.md)."""
 
-    loops: bool = Field(False, description="recognise places that were seen before, close loops")
+    loops: bool | Literal["auto"] = Field(
+        "auto",
+        description="recognise places that were seen before, close loops; auto: in recordings, not "
+        "of live sources or in a program, with features.detector=orb",
+    )
     vocabulary: str = expert(
         "", description="file of the words by which places are recognised; empty for the built-in"
     )

@@ -53,7 +53,7 @@ class RunOptions(TypedDict, total=False):
         topics: of a log, `left=/a` and `right=/b`, or a single name; by default detected.
         right_offset_ns: added to the stamps of right images before they are paired; by default the
             constant offset of all right stamps, if there is one.
-        save_map: file for the stored keyframes and where they are; needs `memory.loops`.
+        save_map: file for the stored keyframes and where they are; not with `memory.loops=false`.
         follow: whether the log is still being written; frames are tracked as they arrive.
         side_by_side: whether each image has the left and the right one beside each other.
         timeout_s: time without images after which a run on a live source ends; by default 10 s.
@@ -147,7 +147,9 @@ def run(
         _disconnected_at_end(stream),
         opened_streams(options.get("poses", ())) as poses,
         locked_folder(Path(output)),
-        closing(Odometry(stream.rig, config, components, process)) as odometry,
+        closing(
+            Odometry(stream.rig, _with_loops(config, options, is_live), components, process)
+        ) as odometry,
     ):
         save_map = options.get("save_map")
         if save_map is not None:
@@ -165,6 +167,17 @@ def run(
         return session.run(frames)
 
 
+def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:
+    """The settings with `memory.loops` decided, if it is `auto`."""
+    memory, features = config.memory, config.features
+    if memory.loops != "auto":
+        return config
+    is_wanted = memory.map != "" or options.get("save_map") is not None
+    is_orb = features.detector == "orb" and features.descriptor in ("auto", "orb")
+    loops = is_wanted or (is_orb and not is_live)
+    return config.model_copy(update={"memory": memory.model_copy(update={"loops": loops})})
+
+
 def _check_outputs(
     source: str | Path | FrameStream,
     output: Path,
@@ -174,10 +187,10 @@ def _check_outputs(
 ) -> None:
     """Refuse outputs that would overwrite the input, files of others, or each other."""
     if options.get("save_map") is not None and not config.memory.loops:
-        raise ConfigError("--save-map saves what is stored with --loops; give both")
+        raise ConfigError("--save-map needs loops; leave out --no-loops")
     memory = config.memory
     if memory.map and not memory.loops:
-        raise ConfigError("--map needs --loops; leave out --no-loops")
+        raise ConfigError("--map needs loops; leave out --no-loops")
     if memory.localize and not memory.map:
         raise ConfigError("--localize finds poses in a map; give it by --map FILE")
     if memory.localize and options.get("save_map") is not None:

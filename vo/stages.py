@@ -195,7 +195,8 @@ def _memory(
     stopwatch: Stopwatch,
     inertial: InertialAlignment | None,
 ) -> Memory | None:
-    if not config.memory.loops:
+    memory = config.memory
+    if memory.loops is False or (memory.loops == "auto" and not memory.map):
         return None
     from vo.memory.creation import make_memory
 

@@ -23,7 +23,7 @@ LOOPS = "memory.loops=true"
 @pytest.fixture(scope="module")
 def plain(rounds: Path) -> Path:
     """Results without loops."""
-    run_rounds(rounds, rounds.parent / "imu_plain", IMU)
+    run_rounds(rounds, rounds.parent / "imu_plain", IMU, "memory.loops=false")
     return rounds.parent / "imu_plain"
 
 
@@ -93,7 +93,7 @@ def test_one_thread_gives_the_same_bytes(rounds: Path, closed: Path, tmp_path: P
 def test_without_a_place_seen_again_the_results_have_the_same_bytes(
     rounds: Path, tmp_path: Path
 ) -> None:
-    for name, settings in (("off", [IMU]), ("on", [IMU, LOOPS])):
+    for name, settings in (("off", [IMU, "memory.loops=false"]), ("on", [IMU, LOOPS])):
         summary = run_rounds(rounds, tmp_path / name, *settings, end=60)
         assert summary["loops"] == [] and summary["length_unit"] == "m"
     for name in FILES:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from vo.config import load_config
 from vo.errors import ConfigError
 from vo.formats.trajectory import read_tum
 from vo.odometry import Odometry
+from vo.places.database import KeyframeDatabase
 from vo.places.map_file import MapFile
 from vo.recording import entities
 from vo.sources.registry import open_source
@@ -28,7 +30,7 @@ from vo.types import Floats
 @pytest.fixture(scope="module")
 def plain(rounds: Path) -> Path:
     """Results without loops."""
-    run_rounds(rounds, rounds.parent / "plain")
+    run_rounds(rounds, rounds.parent / "plain", "memory.loops=false")
     return rounds.parent / "plain"
 
 
@@ -83,8 +85,8 @@ def test_the_saved_map_has_the_keyframes_where_the_path_has_them(
 
 
 def test_a_map_is_not_saved_without_loops(rounds: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--loops"):
-        run_rounds(rounds, tmp_path / "out", save_map=tmp_path / "a.map")
+    with pytest.raises(ConfigError, match="--no-loops"):
+        run_rounds(rounds, tmp_path / "out", "memory.loops=false", save_map=tmp_path / "a.map")
     assert not (tmp_path / "out").exists()
 
 
@@ -129,6 +131,29 @@ def test_repeated_runs_and_a_single_thread_give_the_same_bytes(
     for name in FILES:
         assert (tmp_path / "again" / name).read_bytes() == (closed / name).read_bytes()
     assert _loops(tmp_path / "again") == _loops(closed)
+
+
+def test_loops_are_closed_by_default_where_features_allow_it(
+    rounds: Path, closed: Path, tmp_path: Path
+) -> None:
+    run_rounds(rounds, tmp_path / "default")
+    for name in FILES:
+        assert (tmp_path / "default" / name).read_bytes() == (closed / name).read_bytes()
+    summary = run_rounds(rounds, tmp_path / "fast", "features.detector=sift", end=20)
+    assert summary["loops"] == []
+    with pytest.raises(ConfigError, match="binary descriptors"):
+        run_rounds(rounds, tmp_path / "no", "features.detector=sift", "memory.loops=true", end=20)
+
+
+def test_a_full_disk_ends_the_search_for_loops_and_not_the_run(
+    rounds: Path, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = partial(KeyframeDatabase, memory_bytes=0, folder=tmp_path / "missing")
+    monkeypatch.setattr("vo.memory.creation.KeyframeDatabase", full)
+    summary = run_rounds(rounds, tmp_path / "out")
+    assert (summary["status"], summary["loops"]) == ("finished", [])
+    path = (tmp_path / "out" / "trajectory.tum").read_bytes()
+    assert path == (plain / "trajectory.tum").read_bytes()
 
 
 def test_without_a_place_seen_again_the_results_have_the_same_bytes(

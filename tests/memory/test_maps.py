@@ -160,7 +160,7 @@ def test_a_map_of_another_camera_is_not_saved_and_the_run_does_not_begin(
 
 def test_settings_that_contradict_each_other_are_refused(first: Path, tmp_path: Path) -> None:
     setting = f"memory.map={json.dumps(str(first / 'room.map'))}"
-    with pytest.raises(ConfigError, match="--loops"):
+    with pytest.raises(ConfigError, match="--no-loops"):
         _run(first / "room", tmp_path / "a", setting, "memory.loops=false")
     with pytest.raises(ConfigError, match="--map FILE"):
         _run(first / "room", tmp_path / "b", "memory.localize=true")

@@ -31,6 +31,8 @@ class PlaceStore:
     def __init__(self, *, is_metric: bool) -> None:
         self.places: list[Place] = []
         self.keyframes: list[Keyframe] = []
+        self.landmarks: list[StoredLandmarks] = []
+        self.image: Bytes = np.empty((0, 0), np.uint8)  # of the newest
         self._maker = PlaceMaker(3, 1.44, is_metric=is_metric)
 
     def add(
@@ -39,6 +41,8 @@ class PlaceStore:
         of_path = self._maker.follow(keyframe)
         self.places.append(self._maker.make(of_path, keyframe, landmarks(), image))
         self.keyframes.append(keyframe)
+        self.landmarks.append(landmarks())
+        self.image = image.copy()
 
 
 @pytest.fixture(scope="module", params=["stereo", "mono"])
@@ -95,6 +99,21 @@ def test_motion_of_independent_steps_has_the_covariance_of_the_last_step() -> No
         1, before_from_next, moved @ of_before @ moved.T + of_motion, {0: moved @ of_before}
     )
     np.testing.assert_allclose(motion_covariance(before, after), of_motion, rtol=1e-6, atol=1e-9)
+
+
+def test_a_keyframe_makes_a_place_if_enough_of_its_landmarks_are_new(store: PlaceStore) -> None:
+    keyframe, maker = store.keyframes[2], PlaceMaker(3, 1.44, is_metric=True)
+    image = np.zeros_like(store.image)
+    for _ in range(10):
+        assert maker.shows_new(keyframe)
+        maker.make(maker.follow(keyframe), keyframe, store.landmarks[2], image)
+    ids = keyframe.landmark
+    for share, is_new in ((0.0, False), (0.25, False), (0.35, True), (1.0, True)):
+        count = round(share * len(ids))
+        changed = np.concatenate([ids[count:], ids[:count] + 100_000])
+        assert maker.shows_new(replace(keyframe, landmark=changed)) == is_new
+    assert maker.shows_new(replace(keyframe, is_doubted=True))
+    assert maker.shows_new(replace(keyframe, frame=replace(keyframe.frame, segment=1)))
 
 
 def test_patches_are_of_the_pyramid_level_of_their_feature() -> None:

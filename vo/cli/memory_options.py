@@ -14,7 +14,7 @@ Loops = Annotated[
     typer.Option(
         "--loops/--no-loops",
         help="Recognise places that were seen before, and correct the drift.",
-        show_default="that of --config",
+        show_default="that of --config: on, except for live sources and features other than orb",
         rich_help_panel=options.ODOMETRY,
     ),
 ]
@@ -32,7 +32,7 @@ Map = Annotated[
     typer.Option(
         "--map",
         metavar="FILE",
-        help="Continue in a map from --save-map, whose places are recognised; includes --loops.",
+        help="Continue in a map from --save-map, whose places are recognised.",
         rich_help_panel=options.ODOMETRY,
     ),
 ]
@@ -49,7 +49,7 @@ SaveMap = Annotated[
     typer.Option(
         "--save-map",
         metavar="FILE",
-        help="Also write the stored keyframes and their poses, with --loops, for --map and vo map.",
+        help="Also write the stored keyframes and their poses, for --map and vo map.",
         rich_help_panel=options.OUTPUT,
     ),
 ]

@@ -226,9 +226,10 @@ def run_command(
 
       vo run camera:0 -o out/ --calibration camera.yaml --serve
 
-    Correct the drift where the camera comes back (see docs/memory.md):
+    Keep the map of a recording, and find the poses of another one in it (see docs/memory.md):
 
-      vo run around_the_block/ -o out/ --loops
+      vo run monday/ -o monday-out/ --save-map house.map
+      vo run tuesday/ -o tuesday-out/ --map house.map
 
     Use one camera, and get the scale from GPS (see docs/scale.md):
 

@@ -18,6 +18,7 @@ from vo.types import Bytes, Ints, Keypoints
 
 _THUMBNAIL_HEIGHT = 120  # of images by which places are compared
 _MAX_KNOWN = 0.7  # of the landmarks in the last place, so that a keyframe makes another one
+_FIRST = 10  # keyframes of a segment that all make places: short ones have few
 
 
 class PlaceMaker:
@@ -50,6 +51,7 @@ class PlaceMaker:
         self._last: Keyframe | None = None  # the one before
         self._shown: Ints = np.empty(0, np.int64)  # landmarks in the last place
         self._segment = -1  # ... and its segment
+        self._made = 0  # ... and the number of places in it
 
     def follow(self, keyframe: Keyframe) -> PathKeyframe:
         """A keyframe of the path, which follows that of the last call."""
@@ -58,7 +60,7 @@ class PlaceMaker:
 
     def shows_new(self, keyframe: Keyframe) -> bool:
         """Whether a keyframe shows enough that the one of the last place does not."""
-        if keyframe.is_doubted or keyframe.frame.segment != self._segment:
+        if keyframe.frame.segment != self._segment or self._made < _FIRST or keyframe.is_doubted:
             return True
         known = np.isin(keyframe.landmark, self._shown, assume_unique=True)
         return int(np.count_nonzero(known)) < _MAX_KNOWN * len(known)
@@ -67,7 +69,9 @@ class PlaceMaker:
         self, of_path: PathKeyframe, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes
     ) -> Place:
         """The place of a keyframe."""
-        self._shown, self._segment = keyframe.landmark, keyframe.frame.segment
+        segment = keyframe.frame.segment
+        self._made = self._made + 1 if segment == self._segment else 1
+        self._shown, self._segment = keyframe.landmark, segment
         return self._place(of_path, keyframe, landmarks, image)
 
     def newest(self, local_map: LocalMap, count: int) -> list[Place]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:  # imported only where there are candidates, or maps: it takes
     from vo.places.screening import Screening
 
 T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
 
 SUCCESSION = 3  # newest keyframes that the verifier needs
 _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
@@ -82,6 +85,7 @@ class Recogniser:
         self._doubted: list[PlaceKey] = []  # keyframes before which odometry may be wrong
         self._in_a_row = 0  # keyframes with loops
         self._last_found_ns = 0  # time of the last one of them
+        self._is_full = False  # whether keyframes could not be kept
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
 
     @cached_property
@@ -90,7 +94,8 @@ class Recogniser:
 
     def add(self, place: Place, *, searches: bool = True) -> Future[Recognised]:
         """Store a keyframe, and search for its place if no loop is known of it yet."""
-        return self._start(lambda: self._recognise(place, searches=searches))
+        search = partial(self._recognise, place, searches=searches)
+        return self._start(lambda: self._result(place, search))
 
     def search(self, places: Sequence[Place]) -> Future[Recognised]:
         """Search for the place of a keyframe that is not stored yet.
@@ -98,7 +103,7 @@ class Recogniser:
         Args:
             places: the keyframe, then those before it in its segment, newest first.
         """
-        return self._start(lambda: self._find(places))
+        return self._start(lambda: self._result(places[0], partial(self._find, places)))
 
     def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:
         """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
@@ -114,6 +119,17 @@ class Recogniser:
         future: Future[T] = Future()
         future.set_result(work())
         return future
+
+    def _result(self, place: Place, work: Callable[[], Recognised]) -> Recognised:
+        """The result of a search; on a full disk, no further keyframe is stored or searched."""
+        if self._is_full:
+            return Recognised(place)
+        try:
+            return work()
+        except OutputError as error:
+            self._is_full = True
+            _log.warning("places are recognised no longer: %s", error)
+            return Recognised(place)
 
     def remove(self, keys: tuple[PlaceKey, ...]) -> None:
         """Forget keyframes; all results must be known."""
