@@ -142,14 +142,12 @@ def run(
     request, components = _with_imu(stream, _request(source, stream, config, options), options)
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(request.start, request.end, request.stride * every)
-    process = options.get("optimizer_process")
+    process, decided = options.get("optimizer_process"), _with_loops(config, options, is_live)
     with (
         _disconnected_at_end(stream),
         opened_streams(options.get("poses", ())) as poses,
         locked_folder(Path(output)),
-        closing(
-            Odometry(stream.rig, _with_loops(config, options, is_live), components, process)
-        ) as odometry,
+        closing(Odometry(stream.rig, decided, components, process)) as odometry,
     ):
         save_map = options.get("save_map")
         if save_map is not None:

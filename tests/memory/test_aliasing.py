@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from room_course import run_rounds
 
 from vo.backend.pose_graph import PoseGraph
 from vo.config import load_config
@@ -29,10 +30,15 @@ APART = 30.0  # of the two rooms, in units of the map: some ten times the size o
 
 
 @pytest.fixture(scope="module")
-def places(rounds: Path, closed: Path) -> tuple[list[Place], list[Place], Camera]:
-    """Keyframes of the first round through a room and of the second one, and their camera."""
-    assert closed.is_dir()  # it has saved the map
-    with closing(MapFile(rounds.parent / "room.map")) as file:
+def places(
+    rounds: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[list[Place], list[Place], Camera]:
+    """All keyframes of the first round through a room and of the second one, and their camera."""
+    folder = tmp_path_factory.mktemp("places")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vo.memory.place_maker._MAX_KNOWN", 2.0)  # also those that show nothing new
+        run_rounds(rounds, folder / "out", save_map=folder / "room.map")
+    with closing(MapFile(folder / "room.map")) as file:
         stored = sorted((file.place(key) for key in file.keys), key=lambda place: place.key)
         first = [place for place in stored if place.frame.index <= FIRST_ROUND]
         second = [place for place in stored if place.frame.index >= SECOND_ROUND]
