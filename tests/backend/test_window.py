@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -261,3 +263,12 @@ def test_points_without_parallax_leave_the_covariance_finite(stereo, fixed, dist
         seen.append(np.arange(5))
     problem = _plus_points(window, distance * directions, seen, pixels)
     assert np.isfinite(covariance_given_held(solve(problem, PATIENT))).all()
+
+
+def test_a_window_is_forgotten_after_its_solution() -> None:
+    problem = drive(stereo=True, fixed=1).with_guess().problem
+    solve(problem, CONFIG)
+    forgotten = weakref.ref(problem)
+    del problem
+    gc.collect()
+    assert forgotten() is None

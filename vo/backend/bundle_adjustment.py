@@ -103,10 +103,7 @@ class _Graph:
 
     def poses(self, values: gtsam.Values) -> Floats:
         """(K, 4, 4) poses, the held ones unchanged."""
-        poses: Floats = self._start.copy()
-        for k in self._free:
-            poses[k] = values.atPose3(k).matrix()
-        return poses
+        return _poses(self._start, self._free, values)
 
     def states(self, values: gtsam.Values) -> dict[int, Floats]:
         """Further states by key: vectors, or poses as (4, 4)."""
@@ -143,14 +140,18 @@ class _Graph:
         self._graph.push_back(self._further)
 
     def _bundle_factor(self, bundle: Bundle) -> gtsam.CustomFactor:
-        """All observations as one factor on the free poses; its squared error is the cost."""
-        free = self._free
+        """All observations as one factor on the free poses; its squared error is the cost.
+
+        It must not refer to this object, which has the graph with the factor: Python finds no
+        cycles through GTSAM, and each window would stay in memory.
+        """
+        start, free = self._start, self._free
         rows = 6 * len(free) + 1
 
         def error(
             _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Floats] | None
         ) -> Floats:
-            poses = self.poses(values)
+            poses = _poses(start, free, values)
             if jacobians is None:
                 length = np.sqrt(2.0 * bundle.cost(poses))
                 return np.append(np.zeros(rows - 1), length)
@@ -160,6 +161,14 @@ class _Graph:
             return whitened
 
         return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), free, error)
+
+
+def _poses(start: Floats, free: list[int], values: gtsam.Values) -> Floats:
+    """(K, 4, 4) poses, those that are not free unchanged."""
+    poses: Floats = start.copy()
+    for k in free:
+        poses[k] = values.atPose3(k).matrix()
+    return poses
 
 
 def _keys(values: gtsam.Values) -> list[int]:
