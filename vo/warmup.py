@@ -19,8 +19,6 @@ from vo.config import Config, load_config
 from vo.formats.png import decode_grey
 from vo.geometry.rectification import rectified_rig
 from vo.geometry.rolling_shutter import Velocity, disparity_at_middle_row
-from vo.inertial.chain_solver import empty_equations, solve_chain
-from vo.inertial.preintegration import Interval, preintegrate, rotation_of
 from vo.types import Bytes, Camera, Frame, ImuNoise, Rig
 
 _PACKAGE = Path(__file__).parent
@@ -115,13 +113,24 @@ def _rigs() -> Iterator[Rig]:
 
 def _use_inertial_samples() -> None:
     """Call what only a recording with inertial samples needs, with any values."""
-    zero = np.zeros(3)
-    interval = Interval(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros((2, 3)))
-    preintegrate(interval, zero, zero, ImuNoise(1e-3, 1e-5, 1e-2, 1e-4))
+    from vo.inertial.estimation import estimate_states, first_prior
+    from vo.inertial.preintegration import Interval, preintegrate, rotation_of
+    from vo.inertial.states import States, Steps
+
+    zero, zeros, noise = np.zeros(3), np.zeros((2, 3)), ImuNoise(1e-3, 1e-5, 1e-2, 1e-4)
+    interval = Interval(np.array([0.0, 0.1]), zeros, zeros)
     rotation_of(interval, zero)
-    equations = empty_equations(2, 1)
-    equations.before[:] = 1.0
-    solve_chain(equations)
+    motion = np.eye(4)
+    measured = preintegrate(interval, zero, zero, noise)
+    covariance, is_visual = np.eye(6)[None], np.ones(1, dtype=bool)
+    steps = Steps(
+        *(np.full(1, 0.1), (measured,), motion[None], covariance, is_visual),
+        is_metric=True,
+        imu_from_cam=motion,
+    )
+    states = States(np.stack([np.eye(3)] * 2), zeros, zeros, zeros, zeros, np.zeros(2))
+    prior = first_prior(states.rows(slice(0, 1)), is_metric=True)
+    estimate_states(states, steps, prior, noise)
 
 
 def _use_rolling_shutter() -> None:

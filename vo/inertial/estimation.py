@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.inertial.chain_solver import Equations, empty_equations, solve_chain
-from vo.inertial.factors import Linearised, inertial_residuals, visual_residuals
+from vo.inertial.factor_kernels import add_changes, add_factors
+from vo.inertial.factors import as_arrays, inertial_residuals, visual_residuals
 from vo.inertial.scale_drift import without_scale
 from vo.inertial.states import (
     ACCEL_BIAS,
@@ -200,12 +201,13 @@ class _Problem:
             self._priors.append((len(steps.inertial), last))
         known = [k for k, m in enumerate(steps.inertial) if m is not None]
         self._known = np.array(known, np.int64)
-        self._measured = tuple(m for m in steps.inertial if m is not None)
+        self._missing = np.setdiff1d(np.arange(len(steps.inertial)), self._known)
+        measured = [m for m in steps.inertial if m is not None]
         self._seen = np.flatnonzero(steps.is_visual)
-        if self._measured:
-            self._inertial_information = np.linalg.inv(
-                np.stack([m.covariance for m in self._measured])
-            )
+        self._visual_motions = steps.visual[self._seen]
+        if measured:
+            self._motions = as_arrays(measured)
+            self._inertial_information = np.array([m.information for m in measured])
         walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
         self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
         covariance, drift = steps.covariance, np.zeros(len(steps.covariance))
@@ -224,42 +226,31 @@ class _Problem:
             equations.gradient_before[row] += prior.gradient + prior.information @ off
         total, count = 0.0, 0
         if len(self._known):
-            inertial = self._inertial(states)
-            total += float(np.sum(_squared(inertial.residual, self._inertial_information)))
+            inertial = inertial_residuals(*_ends(states, self._known), self._motions)
+            information = self._inertial_information
+            total += add_factors(self._known, *inertial, information, np.inf, equations)
             count += inertial.residual.size
-            _add(equations, self._known, inertial, self._inertial_information)
         self._add_walks(equations, states)
         if len(self._seen):
-            visual = self._visual(states)
+            visual = visual_residuals(
+                *_ends(states, self._seen), self._visual_motions, self._steps.imu_from_cam
+            )
             information = self._visual_information
-            squared = np.maximum(_squared(visual.residual, information), 0.0)
-            total += float(np.sum(squared))
+            total += add_factors(self._seen, *visual, information, _HUBER, equations)
             count += visual.residual.size
-            weight = _huber_weights(np.sqrt(squared / visual.residual.shape[1]))
-            _add(equations, self._seen, visual, information * weight[:, None, None])
         self._add_scale(equations, states)
         self.misfit = float(np.sqrt(total / count)) if count else 0.0
         return equations
 
-    def _ends(self, states: States, rows: Ints) -> tuple[States, States]:
-        return States(*(f[rows] for f in states)), States(*(f[rows + 1] for f in states))
-
-    def _inertial(self, states: States) -> Linearised:
-        return inertial_residuals(*self._ends(states, self._known), self._measured)
-
-    def _visual(self, states: States) -> Linearised:
-        visual, place = self._steps.visual[self._seen], self._steps.imu_from_cam
-        return visual_residuals(*self._ends(states, self._seen), visual, place)
-
     def _add_walks(self, equations: Equations, states: States) -> None:
         """Biases walk; where samples are missing, the velocity may have any value."""
         change = np.diff(np.concatenate([states.gyro_bias, states.accel_bias], axis=1), axis=0)
-        columns = np.arange(GYRO_BIAS.start, ACCEL_BIAS.stop)
-        _add_change(equations, np.arange(len(change)), columns, self._walk**-2.0, change)
-        missing = np.setdiff1d(np.arange(len(change)), self._known)
-        change = np.diff(states.velocity, axis=0)[missing]
-        weight = np.full_like(change, _VELOCITY_M_S**-2.0)
-        _add_change(equations, missing, np.arange(*VELOCITY.indices(WIDTH)), weight, change)
+        rows = np.arange(len(change))
+        add_changes(rows, GYRO_BIAS.start, self._walk**-2.0, change, equations)
+        if len(self._missing):
+            change = np.diff(states.velocity, axis=0)[self._missing]
+            weight = np.full_like(change, _VELOCITY_M_S**-2.0)
+            add_changes(self._missing, VELOCITY.start, weight, change, equations)
 
     def _add_scale(self, equations: Equations, states: States) -> None:
         """The scale drifts slowly within a segment; another segment has a scale of its own."""
@@ -268,32 +259,15 @@ class _Problem:
         sigma[~self._steps.is_visual] = _LOG_SCALE
         if self._steps.is_metric:
             sigma[:] = _FIXED_LOG_SCALE
-        rows, columns = np.arange(len(change)), np.array([LOG_SCALE])
-        _add_change(equations, rows, columns, sigma[:, None] ** -2.0, change[:, None])
+        weight = sigma[:, None] ** -2.0
+        add_changes(np.arange(len(change)), LOG_SCALE, weight, change[:, None], equations)
 
 
-def _add(equations: Equations, rows: Ints, factors: Linearised, information: Floats) -> None:
-    """Add factors between the states of some rows and the next ones."""
-    first, second = np.swapaxes(factors.first, 1, 2), np.swapaxes(factors.second, 1, 2)
-    weighted_first, weighted_second = first @ information, second @ information
-    residual = factors.residual[:, :, None]
-    equations.after[rows] += weighted_first @ factors.first
-    equations.before[rows + 1] += weighted_second @ factors.second
-    equations.coupling[rows] += weighted_first @ factors.second
-    equations.gradient_after[rows] += (weighted_first @ residual)[..., 0]
-    equations.gradient_before[rows + 1] += (weighted_second @ residual)[..., 0]
-
-
-def _add_change(
-    equations: Equations, rows: Ints, columns: Ints, weight: Floats, change: Floats
-) -> None:
-    """Add the cost of a change (n, c) of some columns to the next state, with weights (n, c)."""
-    at, after = (rows[:, None], columns, columns), (rows[:, None] + 1, columns, columns)
-    equations.after[at] += weight
-    equations.before[after] += weight
-    equations.coupling[at] -= weight
-    equations.gradient_after[at[:2]] -= weight * change
-    equations.gradient_before[after[:2]] += weight * change
+def _ends(states: States, rows: Ints) -> tuple[States, States]:
+    """The states of some rows, and those after them."""
+    if len(rows) == states.number - 1:
+        return states.rows(slice(0, -1)), states.rows(slice(1, None))
+    return States(*(f[rows] for f in states)), States(*(f[rows + 1] for f in states))
 
 
 def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:
@@ -305,11 +279,3 @@ def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:
         covariance[:, axis, axis] += _STEP_RAD**2
         covariance[:, axis + 3, axis + 3] += (_STEP_RATIO * length) ** 2 + shortest**2
     return covariance
-
-
-def _squared(residual: Floats, information: Floats) -> Floats:
-    return np.asarray(np.einsum("ni,nij,nj->n", residual, information, residual))
-
-
-def _huber_weights(size: Floats) -> Floats:
-    return np.asarray(np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0))

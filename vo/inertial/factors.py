@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from vo.geometry import so3
-from vo.geometry.transforms import skew
+from vo.inertial.factor_kernels import inertial_factors, visual_factors
 from vo.inertial.preintegration import Preintegrated
-from vo.inertial.states import (
-    ACCEL_BIAS,
-    GRAVITY_M_S2,
-    GYRO_BIAS,
-    LOG_SCALE,
-    POSITION,
-    ROTATION,
-    VELOCITY,
-    WIDTH,
-    States,
-)
+from vo.inertial.states import GRAVITY_M_S2, States
 from vo.types import Floats
-
-_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
 class Linearised(NamedTuple):
@@ -39,44 +27,52 @@ class Linearised(NamedTuple):
     second: Floats
 
 
-def inertial_residuals(
-    before: States, after: States, measured: tuple[Preintegrated, ...]
-) -> Linearised:
+class Motions(NamedTuple):
+    """n preintegrated motions as arrays.
+
+    Attributes:
+        duration_s: (n,).
+        rotation: (n, 3, 3).
+        moved: (n, 6) velocity and position.
+        jacobian: (n, 9, 6) as of `Preintegrated`, as the biases are.
+        gyro_bias: (n, 3).
+        accel_bias: (n, 3).
+    """
+
+    duration_s: Floats
+    rotation: Floats
+    moved: Floats
+    jacobian: Floats
+    gyro_bias: Floats
+    accel_bias: Floats
+
+
+def as_arrays(measured: Sequence[Preintegrated]) -> Motions:
+    """At least one motion as arrays."""
+    return Motions(
+        np.array([m.duration_s for m in measured]),
+        np.array([m.rotation for m in measured]),
+        np.array([[m.velocity, m.position] for m in measured]).reshape(-1, 6),
+        np.array([m.jacobian for m in measured]),
+        np.array([m.gyro_bias for m in measured]),
+        np.array([m.accel_bias for m in measured]),
+    )
+
+
+def inertial_residuals(before: States, after: States, motions: Motions) -> Linearised:
     """Residuals (n, 9) of rotation, velocity and position.
 
     Source: Forster et al. 2017, eq. 45; derivatives: its supplement.
     """
-    duration = np.array([m.duration_s for m in measured])[:, None]
-    jacobian = np.stack([m.jacobian for m in measured])
-    off_gyro = before.gyro_bias - np.stack([m.gyro_bias for m in measured])
-    off_accel = before.accel_bias - np.stack([m.accel_bias for m in measured])
-    bias = np.concatenate([off_gyro, off_accel], axis=1)
-    correction = np.einsum("nij,nj->ni", jacobian, bias)
-    rotation = np.stack([m.rotation for m in measured]) @ so3.exp(correction[:, :3])
-    to_first = np.swapaxes(before.rotation, 1, 2)
-    relative = to_first @ after.rotation
-    turned = so3.log(np.swapaxes(rotation, 1, 2) @ relative)
-    faster = _rotated(to_first, after.velocity - before.velocity - _GRAVITY * duration)
-    way = after.position - before.position - before.velocity * duration
-    way = _rotated(to_first, way - 0.5 * _GRAVITY * duration**2)
-    velocity = np.stack([m.velocity for m in measured]) + correction[:, 3:6]
-    position = np.stack([m.position for m in measured]) + correction[:, 6:]
-    residual = np.concatenate([turned, faster - velocity, way - position], axis=1)
-    count = len(measured)
-    first, second = np.zeros((2, count, 9, WIDTH))
-    unturned = so3.inverse_right_jacobian(turned)
-    first[:, 0:3, ROTATION] = -unturned @ np.swapaxes(relative, 1, 2)
-    second[:, 0:3, ROTATION] = unturned
-    of_bias = -so3.inverse_right_jacobian(-turned) @ so3.right_jacobian(correction[:, :3])
-    first[:, 0:3, GYRO_BIAS] = of_bias @ jacobian[:, :3, :3]
-    first[:, 3:6, ROTATION] = skew(faster)
-    first[:, 6:9, ROTATION] = skew(way)
-    first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -to_first, to_first
-    first[:, 6:9, VELOCITY] = -to_first * duration[:, None]
-    first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -to_first, to_first
-    first[:, 3:9, GYRO_BIAS] = -jacobian[:, 3:, :3]
-    first[:, 3:9, ACCEL_BIAS] = -jacobian[:, 3:, 3:]
-    return Linearised(residual, first, second)
+    found = inertial_factors(
+        tuple(np.ascontiguousarray(f) for f in before[:3]),
+        tuple(np.ascontiguousarray(f) for f in after[:3]),
+        np.ascontiguousarray(before.gyro_bias),
+        np.ascontiguousarray(before.accel_bias),
+        *motions,
+        -GRAVITY_M_S2,
+    )
+    return Linearised(*found)
 
 
 def visual_residuals(
@@ -93,29 +89,7 @@ def visual_residuals(
         visual: (n, 4, 4) earlier_from_later of the camera, in map units.
         imu_from_cam: (4, 4).
     """
-    to_imu, lever = imu_from_cam[:3, :3], imu_from_cam[:3, 3]
-    cam_before, cam_after = before.rotation @ to_imu, after.rotation @ to_imu
-    to_before, back = np.swapaxes(cam_before, 1, 2), np.swapaxes(visual[:, :3, :3], 1, 2)
-    relative = to_before @ cam_after
-    turned = so3.log(back @ relative)
-    way = after.position - before.position
-    way = way + (after.rotation - before.rotation) @ lever
-    units = np.exp(-before.log_scale)  # of the map, of one metre
-    moved = units[:, None] * _rotated(to_before, way)
-    residual = np.concatenate([turned, _rotated(back, moved - visual[:, :3, 3])], axis=1)
-    first, second = np.zeros((2, len(visual), 6, WIDTH))
-    unturned = so3.inverse_right_jacobian(turned)
-    first[:, 0:3, ROTATION] = -unturned @ np.swapaxes(cam_after, 1, 2) @ before.rotation
-    second[:, 0:3, ROTATION] = unturned @ to_imu.T
-    in_imu = _rotated(np.swapaxes(before.rotation, 1, 2), way)
-    of_arm = skew(np.broadcast_to(lever, way.shape))
-    first[:, 3:6, ROTATION] = units[:, None, None] * (back @ to_imu.T @ (skew(in_imu) + of_arm))
-    to_after = units[:, None, None] * (back @ to_before)
-    second[:, 3:6, ROTATION] = -to_after @ after.rotation @ of_arm
-    first[:, 3:6, POSITION], second[:, 3:6, POSITION] = -to_after, to_after
-    first[:, 3:6, LOG_SCALE] = -_rotated(back, moved)
-    return Linearised(residual, first, second)
-
-
-def _rotated(rotations: Floats, vectors: Floats) -> Floats:
-    return np.asarray(np.einsum("nij,nj->ni", rotations, vectors))
+    fields = before.rotation, before.position, before.log_scale, after.rotation, after.position
+    mounting = imu_from_cam[:3, :3], imu_from_cam[:3, 3]
+    found = visual_factors(*(np.ascontiguousarray(each) for each in (*fields, visual, *mounting)))
+    return Linearised(*found)

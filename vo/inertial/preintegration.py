@@ -8,6 +8,7 @@ visual-inertial odometry", 2017, sec. VI; the sums over samples replace its recu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -62,6 +63,11 @@ class Preintegrated:
     covariance: Floats
     gyro_bias: Floats
     accel_bias: Floats
+
+    @cached_property
+    def information(self) -> Floats:
+        """Inverse of the covariance."""
+        return np.asarray(np.linalg.inv(self.covariance), np.float64)
 
 
 def preintegrate(

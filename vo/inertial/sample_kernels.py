@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from vo.compiling.function import NO_REFCOUNT, compiled
-
-_SMALL = 1e-4  # radians below which series are used
+from vo.inertial.rotation_kernels import (
+    exp_into,
+    identity_into,
+    product_into,
+    right_jacobian_into,
+)
 
 
 @compiled
@@ -20,13 +24,13 @@ def turned(seconds, gyro, bias):  # type: ignore[no-untyped-def]
     """
     rotation, after = np.zeros((3, 3)), np.zeros((3, 3))
     turn, angle = np.empty((3, 3)), np.empty(3)
-    _identity(rotation)
+    identity_into(rotation)
     for k in range(1, len(seconds)):
         dt = seconds[k] - seconds[k - 1]
         for i in range(3):
             angle[i] = (0.5 * (gyro[k, i] + gyro[k - 1, i]) - bias[i]) * dt
-        _exp(angle, turn)
-        _multiply(rotation, turn, after)
+        exp_into(angle, turn)
+        product_into(rotation, turn, after)
         rotation, after = after, rotation
     return rotation
 
@@ -54,14 +58,14 @@ def integrated(  # type: ignore[no-untyped-def]
     rotation, force = np.zeros((count, 3, 3)), np.empty((count, 3))
     velocity, position = np.zeros((count, 3)), np.zeros((count, 3))
     angle, turn = np.empty((count, 3)), np.empty((3, 3))
-    _identity(rotation[0])
+    identity_into(rotation[0])
     for k in range(count):
         if k > 0:
             dt = seconds[k] - seconds[k - 1]
             for i in range(3):
                 angle[k, i] = (0.5 * (gyro[k, i] + gyro[k - 1, i]) - gyro_bias[i]) * dt
-            _exp(angle[k], turn)
-            _multiply(rotation[k - 1], turn, rotation[k])
+            exp_into(angle[k], turn)
+            product_into(rotation[k - 1], turn, rotation[k])
         for i in range(3):
             force[k, i] = 0.0
             for j in range(3):
@@ -103,9 +107,9 @@ def _add_rates(  # type: ignore[no-untyped-def]
             row = 3 + 3 * block
             lever[row, 1], lever[row, 2], lever[row + 1, 2] = -z, y, -x
             lever[row + 1, 0], lever[row + 2, 0], lever[row + 2, 1] = z, -y, x
-        _right_jacobian(angle[k], turn)
-        _multiply(rotation[k], turn, changed)
-        _multiply(lever, changed, effect)
+        right_jacobian_into(angle[k], turn)
+        product_into(rotation[k], turn, changed)
+        product_into(lever, changed, effect)
         for i in range(9):
             for j in range(3):
                 effect[i, j] *= dt
@@ -140,58 +144,3 @@ def _add_forces(seconds, rotation, density, jacobian, covariance):  # type: igno
             for j in range(3):
                 jacobian[3 + i, 3 + j] -= rotation[k, i, j] * in_velocity
                 jacobian[6 + i, 3 + j] -= rotation[k, i, j] * in_position
-
-
-@compiled(**NO_REFCOUNT)
-def _exp(angle, result):  # type: ignore[no-untyped-def]
-    """Rotation (3, 3) of a rotation vector (Rodrigues)."""
-    squared = angle[0] * angle[0] + angle[1] * angle[1] + angle[2] * angle[2]
-    first, second = 1.0 - squared / 6.0, 0.5 - squared / 24.0
-    size = np.sqrt(squared)
-    if size >= _SMALL:
-        half = np.sin(0.5 * size) / size
-        first, second = np.sin(size) / size, 2.0 * half * half
-    _series(angle, squared, first, second, result)
-
-
-@compiled(**NO_REFCOUNT)
-def _right_jacobian(angle, result):  # type: ignore[no-untyped-def]
-    """(3, 3) with exp(v + d) = exp(v) exp(J d) to first order (Forster et al. 2017, eq. 8)."""
-    squared = angle[0] * angle[0] + angle[1] * angle[1] + angle[2] * angle[2]
-    first, second = 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0
-    size = np.sqrt(squared)
-    if size >= _SMALL:
-        half = np.sin(0.5 * size) / size
-        first, second = 2.0 * half * half, (size - np.sin(size)) / (squared * size)
-    _series(angle, squared, -first, second, result)
-
-
-@compiled(**NO_REFCOUNT)
-def _series(v, squared, first, second, result):  # type: ignore[no-untyped-def]
-    """I + first K + second K² of the cross product K with a vector; K² = v v^T - |v|² I."""
-    for i in range(3):
-        for j in range(3):
-            result[i, j] = second * v[i] * v[j]
-        result[i, i] += 1.0 - second * squared
-    result[0, 1] -= first * v[2]
-    result[1, 0] += first * v[2]
-    result[0, 2] += first * v[1]
-    result[2, 0] -= first * v[1]
-    result[1, 2] -= first * v[0]
-    result[2, 1] += first * v[0]
-
-
-@compiled(**NO_REFCOUNT)
-def _identity(result):  # type: ignore[no-untyped-def]
-    for i in range(3):
-        for j in range(3):
-            result[i, j] = 0.0
-        result[i, i] = 1.0
-
-
-@compiled(**NO_REFCOUNT)
-def _multiply(a, b, result):  # type: ignore[no-untyped-def]
-    """Product of (n, 3) and (3, 3) in `result` (n, 3)."""
-    for i in range(len(a)):
-        for j in range(3):
-            result[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
