@@ -30,7 +30,7 @@ from vo.inertial_placement import EstimatedPose, InertialPlacement
 from vo.inertial_turns import InertialTurns
 from vo.inertial_use import InertialStates, InertialUse
 from vo.mapping.keyframe import Keyframe
-from vo.mapping.keyframe_motion import motion_covariance
+from vo.mapping.keyframe_motion import motion_covariances
 from vo.mapping.local_map import LocalMap
 from vo.places.records import InertialPose
 from vo.stopwatch import Stopwatch, timed
@@ -193,10 +193,9 @@ class InertialAlignment:
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None
-        for keyframe in keyframes:
-            covariance = None
-            if before is not None:
-                covariance = motion_covariance(before, keyframe)
+        covariances: list[Floats | None] = [None, *motion_covariances(keyframes)]
+        for keyframe, covariance in zip(keyframes, covariances, strict=False):
+            if before is not None and covariance is not None:
                 counted = self._predictor.in_windows.get((before.id, keyframe.id))
                 # The samples are a measurement of the chain, too.
                 if counted is not None and before.id in keyframe.cross_covariance:

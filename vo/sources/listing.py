@@ -54,7 +54,8 @@ def read_lines(path: Path) -> list[Line]:
     except OSError as error:
         raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
     numbered = ((number, text.strip()) for number, text in enumerate(texts, start=1))
-    lines = [Line(f"{path}:{n}", text) for n, text in numbered if text and text[0] != "#"]
+    name = str(path)  # once: a table may have 100,000 lines
+    lines = [Line(f"{name}:{n}", text) for n, text in numbered if text and text[0] != "#"]
     if lines and lines[0].text.lower().startswith("timestamp"):
         lines = lines[1:]
     if not lines:

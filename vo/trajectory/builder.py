@@ -71,15 +71,15 @@ class TrajectoryBuilder:
         if not keyframes:
             return
         poses = self.world_from_cam0(np.stack([k.world_from_cam for k in keyframes]))
+        stored = []
         for keyframe, pose in zip(keyframes, poses, strict=True):
             covariance = keyframe.covariance
             if covariance is not None:
                 covariance = self._adjoint @ covariance @ self._adjoint.T
             frame = keyframe.frame
-            self.store.store(
-                keyframe.id,
-                KeyframePose(frame.index, frame.stamp_ns, frame.segment, pose, covariance),
-            )
+            place = frame.index, frame.stamp_ns, frame.segment
+            stored.append(KeyframePose(*place, pose, covariance))
+        self.store.store_all([k.id for k in keyframes], stored)
 
     def remove_from(self, frame_index: int) -> Floats | None:
         """Remove a frame and all after it; the pose (4, 4) of the first, None without any."""

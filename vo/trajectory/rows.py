@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,20 +36,37 @@ KEYFRAME = np.dtype(
     ]
 )
 TRIANGLE = np.triu_indices(6)
+_UNKNOWN = np.full((6, 6), np.nan)
 
 
-def keyframe_fields(
-    place: tuple[int, int, int, int], pose: KeyframePose, triangle: Floats, anchor: Anchor | None
-) -> tuple[Any, ...]:
-    """Fields of a row of a keyframe, which follows the anchor of its segment."""
-    odom_from_cam0 = pose.world_from_cam0
-    if anchor is None:
-        return (*place, odom_from_cam0[:3], odom_from_cam0[:3], 1.0, triangle, triangle)
-    in_map = triangle
-    if pose.covariance is not None:
-        in_map = anchor.covariance(odom_from_cam0[None], pose.covariance[None])[0][TRIANGLE]
-    map_from_cam0 = anchor.place(odom_from_cam0)
-    return (*place, odom_from_cam0[:3], map_from_cam0[:3], anchor.scale, triangle, in_map)
+def keyframe_rows(
+    keyframes: Sequence[int], poses: Sequence[KeyframePose], anchors: Mapping[int, Anchor]
+) -> NDArray[Any]:
+    """Rows (n,) of keyframes with poses in the odometry frame.
+
+    Args:
+        keyframes: ids.
+        poses: at least one.
+        anchors: what the keyframes of a segment follow, by segment.
+    """
+    rows = np.zeros(len(poses), KEYFRAME)
+    rows["id"] = keyframes
+    for name in ("frame_index", "stamp_ns", "segment"):
+        rows[name] = [getattr(pose, name) for pose in poses]
+    odom_from_cam0 = np.array([pose.world_from_cam0 for pose in poses])
+    covariance = np.array([_UNKNOWN if p.covariance is None else p.covariance for p in poses])
+    i, j = TRIANGLE
+    rows["odom_from_cam0"] = rows["world_from_cam0"] = odom_from_cam0[:, :3]
+    rows["odom_covariance"] = rows["covariance"] = covariance[:, i, j]
+    rows["scale"] = 1.0
+    for segment in sorted(set(rows["segment"].tolist()) & anchors.keys()):
+        anchor, chosen = anchors[segment], np.flatnonzero(rows["segment"] == segment)
+        rows["world_from_cam0"][chosen] = anchor.place(odom_from_cam0[chosen])[:, :3]
+        rows["scale"][chosen] = anchor.scale
+        known = chosen[np.isfinite(covariance[chosen, 0, 0])]
+        in_map = anchor.covariance(odom_from_cam0[known], covariance[known])
+        rows["covariance"][known] = in_map[:, i, j]
+    return rows
 
 
 def symmetric(triangles: Floats) -> Floats:

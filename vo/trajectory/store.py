@@ -20,8 +20,8 @@ from vo.trajectory.rows import (
     KEYFRAME,
     TRIANGLE,
     in_proportion,
-    keyframe_fields,
     keyframe_poses,
+    keyframe_rows,
     symmetric,
 )
 from vo.trajectory.table import Table
@@ -85,18 +85,20 @@ class TrajectoryStore:
 
     def store(self, keyframe: int, pose: KeyframePose) -> None:
         """Add a keyframe by its id, or replace its pose and covariance in the odometry frame."""
-        self._moved.add(keyframe)
-        place = (keyframe, pose.frame_index, pose.stamp_ns, pose.segment)
-        triangle = np.full(21, np.nan) if pose.covariance is None else pose.covariance[TRIANGLE]
-        fields = keyframe_fields(place, pose, triangle, self._anchors.get(pose.segment))
-        row = self._keyframe_row(keyframe)
-        if row == len(self._keyframes):
-            self._keyframes.append(*fields)
-        else:
-            self._keyframes.rows[row] = fields
-        first = bisect_left(self.frames["keyframe"], keyframe)
+        self.store_all([keyframe], [pose])
+
+    def store_all(self, keyframes: Sequence[int], poses: Sequence[KeyframePose]) -> None:
+        """Do so with some keyframes, by increasing ids; at least one."""
+        self._moved.update(keyframes)
+        at = [self._keyframe_row(keyframe) for keyframe in keyframes]
+        for row, fields in zip(at, keyframe_rows(keyframes, poses, self._anchors), strict=True):
+            if row >= len(self._keyframes):
+                self._keyframes.append(*fields)
+            else:
+                self._keyframes.rows[row] = fields
+        first = bisect_left(self.frames["keyframe"], keyframes[0])
         self._changed = min(self._changed, self._first_after_tracked(first))
-        self._changed_keyframe = min(self._changed_keyframe, row)
+        self._changed_keyframe = min(self._changed_keyframe, at[0])
 
     def anchor(self, segment: int) -> Anchor | None:
         """The newest keyframe of a segment that was placed, which its newer poses follow."""
