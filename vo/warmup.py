@@ -125,11 +125,11 @@ def _use_inertial_samples() -> None:
     covariance, is_visual = np.eye(6)[None], np.ones(1, dtype=bool)
     steps = Steps(
         *(np.full(1, 0.1), (measured,), motion[None], covariance, is_visual),
-        is_metric=True,
+        is_metric=False,
         imu_from_cam=motion,
     )
     states = States(np.stack([np.eye(3)] * 2), zeros, zeros, zeros, zeros, np.zeros(2))
-    prior = first_prior(states.rows(slice(0, 1)), is_metric=True)
+    prior = first_prior(states.rows(slice(0, 1)), is_metric=False)
     estimate_states(states, steps, prior, noise)
 
 

@@ -118,6 +118,18 @@ def parse_ns(text: str) -> int:
     return int(text)
 
 
+def parse_all_ns(texts: Sequence[str]) -> list[int]:
+    """Parse many stamps in integer nanoseconds, faster than one by one.
+
+    Raises:
+        ValueError: a text is not an integer.
+    """
+    digits = "".join(texts)
+    if not digits.isascii() or not digits.isdigit():
+        raise ValueError("a stamp is not a whole number of nanoseconds")
+    return [int(text) for text in texts]
+
+
 def stamp_ns_from_seconds(text: str) -> int:
     """Convert seconds in decimal notation to nanoseconds, exact to the ninth decimal.
 

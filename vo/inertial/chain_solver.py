@@ -80,7 +80,7 @@ def _solved(before, after, coupling, gradient_before, gradient_after):  # type: 
         for i in range(width):
             for j in range(width):
                 whole[i, j] = reduced[k, i, j] + after[k, i, j]
-        if not _invert(whole, scale, lower, covariance[k]):
+        if not invert_into(whole, scale, lower, covariance[k]):
             return False, step, covariance, reduced, right
         if k + 1 < count:
             _add_product(covariance[k], coupling[k], gains[k])
@@ -116,7 +116,7 @@ def _add_product(a, b, result):  # type: ignore[no-untyped-def]
 
 
 @compiled(**NO_REFCOUNT)
-def _invert(matrix, scale, lower, inverse):  # type: ignore[no-untyped-def]
+def invert_into(matrix, scale, lower, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a positive definite matrix, by a scaling that equalises its units.
 
     `matrix`, `scale` and `lower` are changed. Whether it is positive definite.

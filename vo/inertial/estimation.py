@@ -201,7 +201,7 @@ class _Problem:
             self._priors.append((len(steps.inertial), last))
         known = [k for k, m in enumerate(steps.inertial) if m is not None]
         self._known = np.array(known, np.int64)
-        self._missing = np.setdiff1d(np.arange(len(steps.inertial)), self._known)
+        self._missing = np.flatnonzero([m is None for m in steps.inertial])
         measured = [m for m in steps.inertial if m is not None]
         self._seen = np.flatnonzero(steps.is_visual)
         self._visual_motions = steps.visual[self._seen]

@@ -11,8 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.compiling.function import NO_REFCOUNT, compiled
+from vo.inertial.chain_solver import invert_into
 from vo.inertial.states import Steps
-from vo.types import Bools, Floats
+from vo.types import Floats
 
 _KEPT = 1e-3  # of the common error, so that covariances keep an inverse
 
@@ -37,34 +39,75 @@ def without_scale(steps: Steps) -> ScaleDrift:
     since the scale drifts and does not come back. Assumed is that E is as large along the motion
     as across it; then v is at least c less that.
     """
-    along = np.zeros((len(steps.covariance), 6))
-    along[:, 3:] = np.einsum("nji,nj->ni", steps.visual[:, :3, :3], steps.visual[:, :3, 3])
-    most, least = _bounds(along, steps.covariance, steps.is_visual)
-    variance = np.zeros(len(along))
-    # A motion between two segments has no covariance, and separates two scales.
-    for rows in np.split(np.arange(len(along)), np.flatnonzero(~steps.is_visual)):
-        inner = rows[steps.is_visual[rows]]
-        upper = np.minimum.accumulate(most[inner][::-1])[::-1]
-        variance[inner] = np.minimum(upper, np.maximum.accumulate(least[inner]))
-    common = (1.0 - _KEPT) * variance[:, None, None] * along[:, :, None] * along[:, None, :]
-    drift = np.zeros(len(along))
-    joined = steps.is_visual[1:] & steps.is_visual[:-1]
-    drift[:-1] = np.where(joined, np.maximum(np.diff(variance), 0.0), 0.0)
-    return ScaleDrift(steps.covariance - common, drift)
+    found = _without_scale(
+        np.ascontiguousarray(steps.visual),
+        np.ascontiguousarray(steps.covariance),
+        np.ascontiguousarray(steps.is_visual),
+    )
+    return ScaleDrift(*found)
 
 
-def _bounds(along: Floats, covariance: Floats, is_visual: Bools) -> tuple[Floats, Floats]:
-    """Largest and least variance (n,) of the logarithm of the scale by each motion alone."""
-    most, least = np.full(len(along), np.inf), np.zeros(len(along))
-    squared = (along**2).sum(axis=1)
-    known = is_visual & (np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) > 0.0)
-    known &= squared > 1e-20
-    rows = np.flatnonzero(known)
-    direction, inner = along[rows], covariance[rows]
-    informed = np.linalg.solve(inner, direction[:, :, None])[:, :, 0]
-    most[rows] = 1.0 / (direction * informed).sum(axis=1)
-    unit = direction[:, 3:] / np.sqrt(squared[rows, None])
-    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
-    errors = np.linalg.eigvalsh(across @ inner[:, 3:, 3:] @ across)[:, -1]
-    least[rows] = np.maximum(0.0, most[rows] - errors / squared[rows])
-    return most, least
+@compiled
+def _without_scale(visual, covariance, is_visual):  # type: ignore[no-untyped-def]
+    count = len(visual)
+    along, variance, most = np.zeros((count, 3)), np.zeros(count), np.full(count, np.inf)
+    result, drift = covariance.copy(), np.zeros(count)
+    matrix, lower, inverse = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    scale, unit, across = np.empty(6), np.empty(3), np.empty((3, 3))
+    for n in range(count):
+        squared = trace = 0.0
+        for i in range(3):
+            for j in range(3):
+                along[n, i] += visual[n, j, i] * visual[n, j, 3]
+            squared += along[n, i] * along[n, i]
+            trace += covariance[n, 3 + i, 3 + i]
+        # A motion between two segments has no covariance, and separates two scales.
+        if not is_visual[n] or not trace > 0.0 or squared <= 1e-20:
+            continue
+        for i in range(6):
+            for j in range(6):
+                matrix[i, j] = covariance[n, i, j]
+        if not invert_into(matrix, scale, lower, inverse):
+            continue
+        informed = 0.0
+        for i in range(3):
+            unit[i] = along[n, i] / np.sqrt(squared)
+            for j in range(3):
+                informed += along[n, i] * inverse[3 + i, 3 + j] * along[n, j]
+        most[n] = 1.0 / informed
+        errors = _largest_across(covariance[n], unit, across)
+        variance[n] = max(0.0, most[n] - errors / squared)  # the least
+    for n in range(1, count):
+        if is_visual[n] and is_visual[n - 1]:
+            variance[n] = max(variance[n], variance[n - 1])
+    for n in range(count - 1, -1, -1):
+        if n + 1 < count and is_visual[n] and is_visual[n + 1]:
+            most[n] = min(most[n], most[n + 1])
+        variance[n] = min(variance[n], most[n])
+    for n in range(count):
+        common = (1.0 - _KEPT) * variance[n]
+        for i in range(3):
+            for j in range(3):
+                result[n, 3 + i, 3 + j] -= common * along[n, i] * along[n, j]
+        if n + 1 < count and is_visual[n] and is_visual[n + 1]:
+            drift[n] = max(variance[n + 1] - variance[n], 0.0)
+    return result, drift
+
+
+@compiled(**NO_REFCOUNT)
+def _largest_across(covariance, unit, across):  # type: ignore[no-untyped-def]
+    """Largest eigenvalue of the covariance of a position, across a direction."""
+    for i in range(3):
+        for j in range(3):
+            across[i, j] = 0.0
+            for a in range(3):
+                left = (1.0 if i == a else 0.0) - unit[i] * unit[a]
+                for b in range(3):
+                    right = (1.0 if j == b else 0.0) - unit[j] * unit[b]
+                    across[i, j] += left * covariance[3 + a, 3 + b] * right
+    # The third eigenvalue is 0.
+    half = 0.5 * (across[0, 0] + across[1, 1] + across[2, 2])
+    product = across[0, 0] * across[1, 1] - across[0, 1] * across[1, 0]
+    product += across[0, 0] * across[2, 2] - across[0, 2] * across[2, 0]
+    product += across[1, 1] * across[2, 2] - across[1, 2] * across[2, 1]
+    return half + np.sqrt(max(half * half - product, 0.0))

