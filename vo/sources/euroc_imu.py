@@ -17,7 +17,7 @@ from vo.formats.calibration.kalibr_imu import NOISE_KEYS
 from vo.formats.stamp_units import MAX_STAMP_NS, parse_all_ns, parse_ns
 from vo.geometry.transforms import inverse
 from vo.sources.imu import FileImu, ImuSamples, imu_of, make_samples
-from vo.sources.listing import Line, read_lines
+from vo.sources.listing import read_data
 from vo.types import Floats, ImuNoise
 
 _log = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ def _imu(
 
 def _read(table: Path) -> ImuSamples:
     """Read lines of a stamp in ns, angular rates in rad/s and accelerations in m/s²."""
-    lines = read_lines(table)
+    lines = read_data(table)
     read = _all_at_once(lines) or _one_by_one(lines)
     for count, reason in ((read.unreadable, "cannot be read"), (read.repeated, "repeat a stamp")):
         if count:
@@ -77,22 +77,21 @@ def _read(table: Path) -> ImuSamples:
     return read
 
 
-def _all_at_once(lines: list[Line]) -> ImuSamples | None:
+def _all_at_once(lines: list[str]) -> ImuSamples | None:
     """Samples of lines that are all well-formed, in a third of the time; None if some are not."""
-    texts = [text for _, text in lines]
     try:
-        stamps = parse_all_ns([text.partition(",")[0].strip() for text in texts])
+        stamps = parse_all_ns([text.partition(",")[0].strip() for text in lines])
         columns = range(1, 1 + _COLUMNS)
-        values = np.loadtxt(texts, delimiter=",", comments=None, usecols=columns, ndmin=2)
+        values = np.loadtxt(lines, delimiter=",", comments=None, usecols=columns, ndmin=2)
     except ValueError:
         return None
     return make_samples(stamps, values, 0) if max(stamps) <= MAX_STAMP_NS else None
 
 
-def _one_by_one(lines: list[Line]) -> ImuSamples:
+def _one_by_one(lines: list[str]) -> ImuSamples:
     """Samples of the lines that are well-formed."""
     stamps, values = [], []
-    for _, text in lines:
+    for text in lines:
         fields = text.split(",")
         try:
             stamp = parse_ns(fields[0].strip())

@@ -45,22 +45,40 @@ def read_lines(path: Path) -> list[Line]:
     Raises:
         SourceError: the file is missing, not text, or has no data.
     """
+    texts = [text.strip() for text in _read_text(path).splitlines()]
+    numbered = [(n, text) for n, text in enumerate(texts, start=1) if text and text[0] != "#"]
+    name = str(path)
+    return [Line(f"{name}:{n}", text) for n, text in numbered[_first(path, numbered) :]]
+
+
+def read_data(path: Path) -> list[str]:
+    """The same without the places of the lines, in a fifth of the time.
+
+    Raises:
+        SourceError: as `read_lines`.
+    """
+    texts = [text for text in map(str.strip, _read_text(path).splitlines()) if text]
+    data = [text for text in texts if text[0] != "#"]
+    return data[_first(path, [(0, text) for text in data[:2]]) :]
+
+
+def _read_text(path: Path) -> str:
     try:
-        texts = read_table_text(path).splitlines()
+        return read_table_text(path)
     except FileNotFoundError as error:
         raise SourceError(f"{path} is missing; it should contain the stamps") from error
     except UnicodeDecodeError as error:
         raise SourceError(f"{path} is not text") from error
     except OSError as error:
         raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
-    numbered = ((number, text.strip()) for number, text in enumerate(texts, start=1))
-    name = str(path)  # once: a table may have 100,000 lines
-    lines = [Line(f"{name}:{n}", text) for n, text in numbered if text and text[0] != "#"]
-    if lines and lines[0].text.lower().startswith("timestamp"):
-        lines = lines[1:]
-    if not lines:
+
+
+def _first(path: Path, lines: list[tuple[int, str]]) -> int:
+    """Number of headings of columns before the data."""
+    heading = int(bool(lines) and lines[0][1].lower().startswith("timestamp"))
+    if len(lines) == heading:
         raise SourceError(f"{path} has no data; it must have one line per image")
-    return lines
+    return heading
 
 
 def list_images(folder: Path) -> list[Path]:
