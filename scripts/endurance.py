@@ -2,6 +2,9 @@
 
 The recording is a synthetic walk, rendered once and repeated forwards and backwards, so that the
 motion never jumps. Speed is in CPU time, so that other work on the machine does not matter.
+
+With --laps it is laps through a room, whose end meets their beginning, each frame with noise of its
+own, and loops are closed (`endurance_laps.py`): what is stored must stay bounded, too.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ import time
 from dataclasses import dataclass
 from itertools import chain, cycle, islice
 from pathlib import Path
+
+import endurance_laps
 
 ROOT = Path(__file__).resolve().parent.parent
 VO = Path(sys.executable).with_name("vo")
@@ -40,10 +45,24 @@ def main() -> None:
     options = _options()
     with tempfile.TemporaryDirectory(prefix="vo-endurance-") as name:
         work = Path(name)
-        recording = _repeated(_walk(options.cache), work / "recording", options.frames)
-        samples = _run_and_sample(recording, work / "run", options)
+        samples = _run_and_sample(_command(options, work), work / "run")
         summary = json.loads((work / "run" / "summary.json").read_text(encoding="utf-8"))
+        if options.laps:
+            _print_memory(work / "memory.csv", samples, options.frames)
     _judge(samples, summary, options.frames)
+
+
+def _command(options: argparse.Namespace, work: Path) -> list[str | Path]:
+    """The command that is measured, with results in the folder `run`."""
+    output = work / "run"
+    if options.laps:
+        program = Path(__file__).with_name("endurance_laps.py")
+        laps = endurance_laps.rendered_laps(options.cache)
+        request = (output, str(options.frames), options.config, options.mode, laps)
+        return [sys.executable, program, *request]
+    recording = _repeated(_walk(options.cache), work / "recording", options.frames)
+    choice = ["--config", options.config, "--mode", options.mode]
+    return [VO, "run", recording, "-o", output, "--quiet", *choice]
 
 
 def _options() -> argparse.Namespace:
@@ -54,6 +73,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the walk"
     )
+    parser.add_argument("--laps", action="store_true", help="laps through a room, with loops")
     options = parser.parse_args()
     if options.frames < 2 * EARLY_FRAMES:
         parser.error(f"--frames must be {2 * EARLY_FRAMES} or more")
@@ -82,11 +102,10 @@ def _repeated(walk: Path, folder: Path, frames: int) -> Path:
     return folder
 
 
-def _run_and_sample(recording: Path, output: Path, options: argparse.Namespace) -> list[Sample]:
-    command = [VO, "run", recording, "-o", output, "--config", options.config, "--quiet"]
+def _run_and_sample(command: list[str | Path], output: Path) -> list[Sample]:
     samples: list[Sample] = []
     lines = _LineCounter(output / "frames.csv.partial")
-    with subprocess.Popen([*map(str, command), "--mode", options.mode]) as process:
+    with subprocess.Popen(list(map(str, command))) as process:
         while process.poll() is None:
             time.sleep(POLL_S)
             try:
@@ -146,6 +165,21 @@ def _judge(samples: list[Sample], summary: dict[str, object], frames: int) -> No
     print(f"{late:.2f} in the last: {late / early:.3f} (at least {MIN_SPEED_RATIO})")
     if at_end > MAX_MEMORY_RATIO * at_early or late < MIN_SPEED_RATIO * early:
         raise SystemExit(1)
+
+
+def _print_memory(file: Path, samples: list[Sample], frames: int) -> None:
+    """What memory stores and costs, in each part of the run."""
+    rows = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()[1:]]
+    print(" frames  stored  in database  loops  search, ms  graph poses  MiB  frames per CPU s")
+    for first in range(0, frames, EARLY_FRAMES):
+        last = first + EARLY_FRAMES
+        here = [row for row in rows if first <= int(row[0]) < last]
+        search_ms = 1000.0 * sum(float(row[4]) for row in here) / max(len(here), 1)
+        stored, in_database, loops, poses = (here[-1][n] for n in (1, 2, 3, 5))
+        print(
+            f"{last:7} {stored:>7} {in_database:>12} {loops:>6} {search_ms:11.1f} {poses:>12} "
+            f"{_memory(samples, last):4.0f} {_speed(samples, first, last):17.1f}"
+        )
 
 
 def _memory(samples: list[Sample], frames: int) -> float:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from vo.errors import OutputError
+from vo.memory.search_pauses import SearchPauses
 from vo.places.database import KeyframeDatabase
 from vo.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
 from vo.scheduling import give_way
@@ -30,8 +31,6 @@ SUCCESSION = 3  # newest keyframes that the verifier needs
 _NEIGHBOURS = 6  # keyframes beside a candidate with landmarks in common
 _MIN_SHARED = 15  # landmarks
 _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
-# After so many keyframes in a row with loops, only one is searched in so much time.
-_STEADY, _PAUSE_NS = 3, 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,7 @@ class Recogniser:
         self._localizes = localizes
         self._recent: deque[Place] = deque(maxlen=SUCCESSION)  # newest first, of one segment
         self._doubted: list[PlaceKey] = []  # keyframes before which odometry may be wrong
-        self._in_a_row = 0  # keyframes with loops
-        self._last_found_ns = 0  # time of the last one of them
+        self._pauses = SearchPauses(database)
         self._is_full = False  # whether keyframes could not be kept
         self._pool = ThreadPoolExecutor(1, "places", give_way) if threads > 1 else None
 
@@ -192,19 +190,15 @@ class Recogniser:
     def _recognise(self, place: Place, *, searches: bool) -> Recognised:
         if self._recent and self._recent[0].frame.segment != place.frame.segment:
             self._recent.clear()
-            self._in_a_row = 0
+            self._pauses.begin_segment()
         self._recent.appendleft(place)
         if place.is_doubted:
             self._doubted.append(place.key)
         removed = () if self._localizes else self._database.add(place)
-        stamp_ns = place.frame.stamp_ns
-        pauses = self._in_a_row >= _STEADY and stamp_ns - self._last_found_ns < _PAUSE_NS
-        if not searches or pauses:
+        if not searches or self._pauses.skips(place):
             return Recognised(place, removed)
         found = self._find(list(self._recent))
-        self._in_a_row = self._in_a_row + 1 if found.loops else 0
-        self._last_found_ns = stamp_ns
-        return replace(found, removed=removed)
+        return replace(found, removed=(*removed, *self._pauses.note(place, found.loops)))
 
     def _find(self, later: Sequence[Place]) -> Recognised:
         """Loops of the first of consecutive keyframes, newest first.
