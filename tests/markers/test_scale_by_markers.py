@@ -16,7 +16,7 @@ from vo.cli.app import app
 from vo.formats.trajectory import read_tum
 from vo.geometry.similarity import umeyama
 from vo.geometry.transforms import inverse, make_transform, rotation_angle, se3_exp, so3_exp
-from vo.markers.marker_problem import MarkerView
+from vo.markers.marker_problem import MarkerProblem, MarkerState, MarkerView
 from vo.markers.plane_pose import plane_pose, square_points
 from vo.markers.scale_fit import ScaleFit, fit_scale
 from vo.sources.registry import open_source
@@ -90,9 +90,34 @@ def test_a_wrong_solution_of_some_views_does_not_matter() -> None:
     assert turned < 1e-5
 
 
-@pytest.mark.parametrize("span_m", [1.0, 0.4])
-def test_the_stated_sigma_covers_the_truth(span_m: float) -> None:
-    errors, sigmas = [], []
+def _bound(seed: int, units: float, span_m: float) -> float:
+    """Cramer-Rao bound of the variance of the logarithm of the scale.
+
+    The corners have errors of a standard deviation each, and the poses those of the random walk of
+    `_views`, which adds to the covariance of the corners.
+    """
+    rng = np.random.default_rng(seed)
+    rng.uniform()  # as for the units
+    views, poses, marker = _views(rng, units, 0.05, 0.0, span_m)
+    problem = MarkerProblem(views, poses, [3])
+    state = MarkerState(units, marker[None, :3, :3], units * marker[None, :3, 3])
+    found = problem._linearise(state)
+    assert found is not None
+    steps = np.r_[np.full(3, 3e-4), np.full(3, 8e-4 * units)]
+    walk = np.zeros((len(views), 8, len(views), 6))
+    for k in range(len(views)):
+        walk[k:, :, k] = found.by_camera[k:] * steps
+    by_walk = walk.reshape(len(found.residual), -1)
+    covariance = np.eye(len(by_walk)) + by_walk @ by_walk.T
+    information = found.jacobian.T @ np.linalg.solve(covariance, found.jacobian)
+    return float(np.linalg.inv(information)[-1, -1])
+
+
+@pytest.mark.parametrize(("span_m", "bound"), [(1.0, 0.0046), (0.4, 0.0115)])
+def test_the_stated_sigma_covers_the_truth_and_the_error_is_near_its_bound(
+    span_m: float, bound: float
+) -> None:
+    errors, sigmas, bounds = [], [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         units = float(np.exp(rng.uniform(-1.0, 1.0)))
@@ -100,9 +125,13 @@ def test_the_stated_sigma_covers_the_truth(span_m: float) -> None:
         fit = _fit(views, poses)
         errors.append(np.log(fit.metres_per_unit * units))
         sigmas.append(fit.relative_sigma)
+        bounds.append(_bound(seed, units, span_m))
     covered = np.sum(np.abs(errors) < 1.96 * np.array(sigmas))
     assert covered >= 36
-    assert np.sqrt(np.mean(np.square(errors))) > 0.5 * np.mean(sigmas)  # and is not idle
+    error = float(np.sqrt(np.mean(np.square(errors))))
+    assert error > 0.5 * np.mean(sigmas)  # and is not idle
+    assert np.sqrt(np.mean(bounds)) == pytest.approx(bound, rel=0.05)
+    assert error < 1.3 * bound
 
 
 def test_a_camera_that_stands_still_says_that_it_knows_nothing() -> None:

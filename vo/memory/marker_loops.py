@@ -17,7 +17,6 @@ from vo.places.records import Loop, MarkerVisit, PathKeyframe, PlaceKey
 from vo.types import Floats
 
 _MAX_GAP_NS = 2_000_000_000  # between two keyframes of one visit
-_MAX_USED_NS = 5_000_000_000  # from the begin of a visit, in which the path drifts little
 # Keyframes of a visit, so that a wrong id, or a wrong one of both poses of a square, is noticed.
 # One camera needs three for its scale.
 _MIN_METRIC, _MIN_MONO = 2, 3
@@ -56,9 +55,9 @@ class _Visit(NamedTuple):
 class MarkerLoops:
     """Connects the visits of each marker.
 
-    A visit lasts until a marker is not seen for two seconds, or the segment ends. The keyframes of
-    its first five seconds together give the pose of the marker relative to the first of them, and
-    two visits give the relation of their first keyframes. In a path of one camera a visit must show
+    A visit lasts until a marker is not seen for two seconds, or the segment ends. Its keyframes
+    together give the pose of the marker relative to the first of them, and two visits give the
+    relation of their first keyframes. In a path of one camera a visit must show
     its scale as well: then the marker is a frame in metres for both. Visits of a loaded map are
     earlier ones.
 
