@@ -24,6 +24,7 @@ from vo.config import load_config
 from vo.errors import ConfigError, OutputError, SourceError
 from vo.formats.trajectory import read_tum
 from vo.places.map_file import MapFile, write_map
+from vo.places.records import MarkerVisit
 from vo.run_recording import run
 from vo.types import Floats, Trajectory
 
@@ -176,21 +177,25 @@ def test_two_maps_of_a_place_are_merged_into_one_world(
 ) -> None:
     other, both = tmp_path / "again.map", tmp_path / "both.map"
     _run(second, tmp_path / "out", save_map=other, mode="stereo")
-    done = CliRunner().invoke(
-        app, ["map", "merge", str(first / "room.map"), str(other), "-o", str(both)]
-    )
+    maps = [
+        _with_marker(path, number, tmp_path / f"{number}.map")
+        for number, path in ((7, first / "room.map"), (8, other))
+    ]
+    done = CliRunner().invoke(app, ["map", "merge", *map(str, maps), "-o", str(both)])
     assert done.exit_code == 0, done.output
     assert "keyframes recognised in both maps" in done.stdout
     contents = vo.maps.info(both)
     assert contents["sessions"] == [str(first / "room"), str(second)]
     only = {"world": 0, "keyframes": contents["keyframes"], "length_unit": "m"}
     assert contents["worlds"] == [only]
+    assert [(each["id"], each["world"]) for each in contents["markers"]] == [(7, 0), (8, 0)]
     truth, world_from_map = read_tum(second / "groundtruth.tum"), _world_from_map(first / "room")
     with MapFile(first / "room.map") as old, vo.maps.load(both) as merged:
         poses = dict(zip(merged.placed.keys, merged.placed.world_from_cam, strict=True))
         for key, pose in zip(old.placed.keys, old.placed.world_from_cam, strict=True):
             np.testing.assert_allclose(poses[key], pose, atol=1e-9)
         errors = []
+        assert [each.key.session for each in merged.markers] == [0, 1]
         for key in merged.keys:
             if key.session == 1:
                 row = np.searchsorted(truth.stamps_ns, merged.place(key).frame.stamp_ns)
@@ -202,6 +207,15 @@ def test_two_maps_of_a_place_are_merged_into_one_world(
     again = _run(second, tmp_path / "in", setting, "memory.localize=true", mode="stereo")
     assert again["map"]["met"] == [0]
     assert vo.maps.export(both, tmp_path / "both.ply") > 1000
+
+
+def _with_marker(path: Path, number: int, copy: Path) -> Path:
+    """A copy of a map, with a marker at its first keyframe."""
+    with MapFile(path) as stored:
+        marker = MarkerVisit(stored.keys[0], number, "4X4_50", 0.16, np.eye(4), np.eye(7), 3)
+        keyframes = [(key, stored.encoded(key)) for key in stored.keys]
+        write_map(copy, stored.header, keyframes, stored.placed, stored.loops, [marker])
+    return copy
 
 
 def test_maps_that_share_no_place_are_not_merged(first: Path, second: Path, tmp_path: Path) -> None:
