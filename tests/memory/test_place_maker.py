@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from vo.frontend.orb import OrbExtractor
 from vo.geometry.transforms import adjoint, inverse, so3_exp
 from vo.geometry.transforms import make_transform as transform_of
 from vo.mapping.keyframe import FrameId, Keyframe
-from vo.mapping.keyframe_motion import motion_covariance
+from vo.mapping.keyframe_motion import motion_covariance, motion_covariances
 from vo.mapping.keyframe_store import StoredLandmarks
 from vo.memory.place_maker import PlaceMaker
 from vo.odometry import Odometry
@@ -99,6 +100,22 @@ def test_motion_of_independent_steps_has_the_covariance_of_the_last_step() -> No
         1, before_from_next, moved @ of_before @ moved.T + of_motion, {0: moved @ of_before}
     )
     np.testing.assert_allclose(motion_covariance(before, after), of_motion, rtol=1e-6, atol=1e-9)
+
+
+def test_all_motions_at_once_have_the_covariances_of_each() -> None:
+    rng = np.random.default_rng(1)
+    keyframes = []
+    for number in range(6):
+        pose = transform_of(so3_exp(0.1 * rng.normal(size=3)), rng.normal(size=3))
+        root = rng.normal(size=(6, 6))
+        covariance = None if number == 3 else root @ root.T
+        cross = {} if number == 2 else {number - 1: 0.1 * rng.normal(size=(6, 6))}
+        keyframes.append(_keyframe(number, pose, covariance, cross))
+    frame = replace(keyframes[5].frame, segment=1)
+    keyframes[5] = replace(keyframes[5], frame=frame)
+    expected = [motion_covariance(*pair) for pair in pairwise(keyframes)]
+    np.testing.assert_array_equal(motion_covariances(keyframes), expected)
+    assert motion_covariances(keyframes[:1]) == motion_covariances([]) == []
 
 
 def test_a_keyframe_makes_a_place_if_enough_of_its_landmarks_are_new(store: PlaceStore) -> None:

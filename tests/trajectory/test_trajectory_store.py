@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -228,3 +229,35 @@ def test_frames_by_an_inertial_sensor_have_covariances_among_those_of_keyframes(
     assert [float(np.trace(p.covariance)) for p in poses if p.covariance is not None] == [
         pytest.approx(6 * v) for v in (1e-4, 1e-4, 1e-3, 1e-3, 1e-4)
     ]
+
+
+def test_keyframes_that_are_stored_together_are_as_if_stored_one_by_one() -> None:
+    rng = np.random.default_rng(2)
+    stores = TrajectoryStore(), TrajectoryStore()
+    poses = []
+    for number in range(5):
+        root = rng.normal(size=(6, 6))
+        covariance = None if number == 2 else root @ root.T
+        segment = int(number > 3)
+        poses.append(KeyframePose(number, 100 * number, segment, _pose(number), covariance))
+    moved = [replace(pose, world_from_cam0=pose.world_from_cam0 @ _pose(0.1)) for pose in poses]
+    for store in stores:
+        for number, pose in enumerate(poses[:2]):
+            store.store(number, pose)
+            store.add(number, 100 * number, 0, number, pose.world_from_cam0)
+        store.place(np.array([0]), np.array([0]), _pose(3)[None], np.array([2.0]), np.eye(6)[None])
+        store.take_changes()
+        store.take_moved()
+    stores[0].store_all(range(5), moved)
+    for number, pose in enumerate(moved):
+        stores[1].store(number, pose)
+    assert stores[0].take_changes() == stores[1].take_changes() == (0, 0)
+    for one, other in zip(stores[0].take_moved(), stores[1].take_moved(), strict=True):
+        assert (one.frame_index, one.segment, one.scale) == (
+            *(other.frame_index, other.segment, other.scale),
+        )
+        np.testing.assert_array_equal(one.world_from_cam0, other.world_from_cam0)
+        if one.frame_index == 2:
+            assert one.covariance is other.covariance is None
+        else:
+            np.testing.assert_array_equal(one.covariance, other.covariance)

@@ -90,15 +90,16 @@ class TrajectoryStore:
     def store_all(self, keyframes: Sequence[int], poses: Sequence[KeyframePose]) -> None:
         """Do so with some keyframes, by increasing ids; at least one."""
         self._moved.update(keyframes)
-        at = [self._keyframe_row(keyframe) for keyframe in keyframes]
-        for row, fields in zip(at, keyframe_rows(keyframes, poses, self._anchors), strict=True):
-            if row >= len(self._keyframes):
+        self._changed_keyframe = min(self._changed_keyframe, self._keyframe_row(keyframes[0]))
+        rows = keyframe_rows(keyframes, poses, self._anchors)
+        for keyframe, fields in zip(keyframes, rows, strict=True):
+            row = self._keyframe_row(keyframe)
+            if row == len(self._keyframes):
                 self._keyframes.append(*fields)
             else:
                 self._keyframes.rows[row] = fields
         first = bisect_left(self.frames["keyframe"], keyframes[0])
         self._changed = min(self._changed, self._first_after_tracked(first))
-        self._changed_keyframe = min(self._changed_keyframe, at[0])
 
     def anchor(self, segment: int) -> Anchor | None:
         """The newest keyframe of a segment that was placed, which its newer poses follow."""
