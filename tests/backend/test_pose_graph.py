@@ -386,5 +386,5 @@ def _place(problem: GraphProblem, n: int, session: int, segment: int) -> Place:
         np.empty((0, 32), np.uint8),
         landmarks,
         np.zeros((1, 1), np.uint8),
-        bool(problem.is_doubted[n]),
+        is_doubted=bool(problem.is_doubted[n]),
     )
