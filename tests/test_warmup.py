@@ -99,6 +99,15 @@ def test_run_after_warmup_compiles_nothing(
     assert NOTICE not in done.stderr
 
 
+def test_warmup_compiles_what_recordings_with_loops_need(
+    first_warmup: tuple[Path, str, str],
+) -> None:
+    compiled = {name.split("-")[0] for name in files_in(first_warmup[0])}
+    for name in ("relation._best_of", "covisibility._mark_shared", "inverted_index._add_scores"):
+        assert f"vo.places.{name}" in compiled
+    assert "vo.frontend.hamming_kernels.best_in_groups" in compiled
+
+
 @pytest.mark.parametrize("quiet", [False, True])
 def test_run_compiles_what_is_missing(
     outdated: tuple[Path, Path], synthetic_stereo: Path, tmp_path: Path, quiet: bool

@@ -86,13 +86,14 @@ def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
         _run(make_odometry, rig)
     _use_inertial_samples()
     _use_rolling_shutter()
+    _use_screening()
     _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
     decode_grey(packed.tobytes())
 
 
 def _run(make_odometry: Callable[[Rig, Config], Any], rig: Rig) -> None:
     """Run the odometry, in this process alone."""
-    odometry = make_odometry(rig, load_config(overrides=["threads=1"]))
+    odometry = make_odometry(rig, load_config(overrides=["threads=1", "memory.loops=true"]))
     try:
         for frame in _frames(rig.is_stereo):
             odometry.track(frame)
@@ -138,6 +139,27 @@ def _use_rolling_shutter() -> None:
     rig = replace(rectified_rig(next(_rigs())), readout_s=0.01)
     still = Velocity(np.zeros(3), np.zeros(3))
     disparity_at_middle_row(rig, np.zeros((1, 2)), np.ones(1), still)
+
+
+def _use_screening() -> None:
+    """Call what only a recording with places that look alike needs, with any values."""
+    from vo.mapping.keyframe import FrameId
+    from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
+    from vo.places.screening import Screening
+    from vo.places.vocabulary import DESCRIPTOR_BYTES
+    from vo.places.vocabulary_file import built_in_vocabulary
+
+    random, count = np.random.default_rng(0), 20
+    xyz = random.uniform((-1, -1, 4), (1, 1, 6), (count, 3)).astype(np.float32)
+    descriptor = random.integers(0, 256, (count, DESCRIPTOR_BYTES), dtype=np.uint8)
+    zeros = np.zeros(count, np.float32)
+    landmarks = PlaceLandmarks(
+        *(np.arange(count), xyz, xyz[:, :2], zeros + np.float32(0.01), descriptor),
+        *(np.zeros(count, np.int32), zeros, np.zeros((count, PATCH_PX, PATCH_PX), np.uint8)),
+    )
+    of_path = PlaceKey(0, 0), FrameId(0, 0, 0), True, np.eye(4), np.eye(6)
+    place = Place(*of_path, descriptor, landmarks, _image(_texture(), 0.0))
+    Screening(built_in_vocabulary(), scale_factor=1.44).passes(place, place, next(_rigs()).cam0)
 
 
 def _frames(stereo: bool) -> Iterator[Frame]:

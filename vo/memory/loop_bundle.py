@@ -145,7 +145,7 @@ class LoopBundle:
             fixed=np.arange(len(stored)) == 0,
             points=np.concatenate(xyz)[::-1][last],
             keyframe=np.repeat(np.arange(len(stored)), [len(each.landmark) for each in stored]),
-            point=point[::-1],
+            point=np.ascontiguousarray(point[::-1]),
             xy=np.concatenate([each.xy for each in stored]).astype(np.float64),
             disparity=np.full(len(landmark), np.nan),
             sigma_px=np.concatenate([each.sigma_px for each in stored]).astype(np.float64),
