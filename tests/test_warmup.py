@@ -103,7 +103,7 @@ def test_warmup_compiles_what_recordings_with_loops_need(
     first_warmup: tuple[Path, str, str],
 ) -> None:
     compiled = {name.split("-")[0] for name in files_in(first_warmup[0])}
-    for name in ("relation._best_of", "covisibility._mark_shared", "inverted_index._add_scores"):
+    for name in ("relation._best_of", "covisibility._mark_shared", "inverted_index._score"):
         assert f"vo.places.{name}" in compiled
     assert "vo.frontend.hamming_kernels.best_in_groups" in compiled
 
