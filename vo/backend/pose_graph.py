@@ -51,6 +51,8 @@ class PoseGraph:
 
     def __init__(self, threads: int = 1) -> None:
         self.unconfirmed: Callable[[PlacedKeyframes], Sequence[PlaceKey]] = lambda _: ()
+        # Later graphs place the keyframes beside a motion anew, and less accurately.
+        self._confirmed: set[PlaceKey] = set()  # by images in an earlier graph
         self._threads = threads
         self._nodes: dict[PlaceKey, _Node] = {}
         self._loops: list[Loop] = []
@@ -162,11 +164,12 @@ class PoseGraph:
             raise RuntimeError("no graph was submitted")
         problem = self._submitted
         placed = self._solved(problem)
-        while placed.wrong and (refused := self.unconfirmed(placed)):
+        while refused := set(self.unconfirmed(placed) if placed.wrong else ()) - self._confirmed:
             trusted = [PlaceKey(*key) in refused for key in problem.keys.tolist()]
             problem = replace(problem, is_doubted=problem.is_doubted & ~np.array(trusted))
             self._start(problem)
             placed = self._solved(problem)
+        self._confirmed.update(placed.wrong)
         self._submitted = None
         return placed
 

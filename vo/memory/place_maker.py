@@ -18,7 +18,7 @@ from vo.types import Bytes, Ints, Keypoints
 
 _THUMBNAIL_HEIGHT = 120  # of images by which places are compared
 _MAX_KNOWN = 0.7  # of the landmarks in the last place, so that a keyframe makes another one
-_FIRST = 10  # keyframes of a segment that all make places: short ones have few
+_FIRST = 10  # keyframes of a segment, or after a doubted motion, that all make places
 
 
 class PlaceMaker:
@@ -51,7 +51,7 @@ class PlaceMaker:
         self._last: Keyframe | None = None  # the one before
         self._shown: Ints = np.empty(0, np.int64)  # landmarks in the last place
         self._segment = -1  # ... and its segment
-        self._made = 0  # ... and the number of places in it
+        self._made = 0  # ... and the number of places since it began, or since a doubted motion
 
     def follow(self, keyframe: Keyframe) -> PathKeyframe:
         """A keyframe of the path, which follows that of the last call."""
@@ -69,9 +69,9 @@ class PlaceMaker:
         self, of_path: PathKeyframe, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes
     ) -> Place:
         """The place of a keyframe."""
-        segment = keyframe.frame.segment
-        self._made = self._made + 1 if segment == self._segment else 1
-        self._shown, self._segment = keyframe.landmark, segment
+        is_next = keyframe.frame.segment == self._segment and not keyframe.is_doubted
+        self._made = self._made + 1 if is_next else 1
+        self._shown, self._segment = keyframe.landmark, keyframe.frame.segment
         return self._place(of_path, keyframe, landmarks, image)
 
     def newest(self, local_map: LocalMap, count: int) -> list[Place]:
