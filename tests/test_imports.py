@@ -88,7 +88,7 @@ ALLOWED = {
     "vo.rendering": GROUND | {"vo.report", "vo.sources"},
     "vo.batch": GROUND
     | {"vo", "vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
-    "vo.warmup": GROUND | {"vo", "vo.inertial"},
+    "vo.warmup": GROUND | {"vo", "vo.inertial", "vo.mapping", "vo.places"},
     "vo.run_scale": GROUND | OUTER | {"vo.markers", "vo.trajectory"},
     "vo.run_session": GROUND
     | OUTER
