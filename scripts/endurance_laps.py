@@ -48,7 +48,7 @@ class RepeatedLaps:
     Args:
         recording: folder with the laps.
         frames: how many.
-        mode: `mono` leaves the right images out.
+        mode: with `mono`, only the left images are used.
     """
 
     def __init__(self, recording: Path, frames: int, mode: str) -> None:

@@ -127,7 +127,7 @@ def simulate(
         noise: factor on all errors of odometry and of corners, which are 0.1 pixels.
         cut: keyframe at which a new segment begins, None for one segment.
         moved_at: keyframe from which the second pose holds; 0 for both at any time.
-        length_m: side of markers as the run is told.
+        length_m: side of the markers that the run is given.
         dictionary: theirs.
         before: the session before, whose map is loaded.
     """
