@@ -33,7 +33,7 @@ def test_a_batch_survives_the_death_of_a_node(walks: Path, tmp_path: Path) -> No
             stderr=subprocess.STDOUT,
         )
         end = time.monotonic() + 90.0
-        while len(list((output / ".work").glob("*"))) < 2:  # a task on each node
+        while len(list((output / ".vo-batch-work").glob("*"))) < 2:  # a task on each node
             assert process.poll() is None
             assert time.monotonic() < end
             time.sleep(0.02)

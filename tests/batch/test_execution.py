@@ -151,6 +151,27 @@ def test_one_that_is_killed_is_started_again(walks: Path, tmp_path: Path) -> Non
     assert "SIGKILL" in (result.error or "")
 
 
+@pytest.mark.parametrize("place", ["walk0", "failed/walk0"])
+def test_a_folder_that_is_not_a_result_is_not_replaced(
+    walks: Path, tmp_path: Path, place: str
+) -> None:
+    mine = tmp_path / "out" / place / "mine.txt"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    found = batch(walks, tmp_path / "out")
+    assert [each.status.value for each in found] == ["failed", "done", "done"]
+    assert f"{mine.parent} is not a result of an earlier batch" in (found[0].error or "")
+    assert mine.read_text() == "mine"
+    assert list(mine.parent.iterdir()) == [mine]
+
+
+def test_tables_of_others_are_not_replaced(walks: Path, tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("mine")
+    with pytest.raises(OutputError, match="not a result of an earlier batch"):
+        batch(walks, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+
+
 def test_one_that_needs_too_much_memory_fails_alone(walks: Path, tmp_path: Path) -> None:
     limits = Limits(memory_mb=400, retries=0)
     result = run_job(Job("walk0", str(walks / "walk0"), "fast"), tmp_path / "out", limits)
@@ -165,7 +186,7 @@ def test_a_batch_that_is_killed_goes_on(walks: Path, results: Path, tmp_path: Pa
     for number in range(3):
         process = started(walks, output)
         if number == 0:
-            wait_until((output / ".work").is_dir)
+            wait_until((output / ".vo-batch-work").is_dir)
         else:
             wait_until(lambda count=number: len(finished(output)) >= count)
         process.kill()
@@ -177,7 +198,7 @@ def test_a_batch_that_is_killed_goes_on(walks: Path, results: Path, tmp_path: Pa
     assert process.returncode == 0
     assert known.items() <= finished(output).items()
     assert sorted(finished(output)) == ["walk0", "walk1", "walk2"]
-    assert not (output / ".work").exists()
+    assert not (output / ".vo-batch-work").exists()
     for name in finished(output):
         for file in SAME_BYTES:
             assert (output / name / file).read_bytes() == (results / name / file).read_bytes()
@@ -214,7 +235,7 @@ def test_ctrl_c_keeps_what_is_finished(walks: Path, tmp_path: Path) -> None:
     assert "Traceback" not in errors
     assert [each.status.value for each in read_batch(output)] == ["done", "not run", "not run"]
     assert sorted(finished(output)) == ["walk0"]  # what ran has been ended
-    assert not (output / ".work").exists()
+    assert not (output / ".vo-batch-work").exists()
 
 
 def test_two_batches_in_one_folder_are_refused(walks: Path, tmp_path: Path) -> None:

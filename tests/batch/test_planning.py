@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -70,6 +72,24 @@ def test_no_name_is_that_of_another_file_or_outside(tmp_path: Path, name: str) -
     assert found == Path(found).name
     assert not found.startswith(("-", "."))
     assert found.isascii()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+@pytest.mark.parametrize(
+    "name", ["/etc/vo", "../x", "a/b", "..", ".", "failed", "-o", "a\\b", "a\nb", "~"]
+)
+def test_names_of_a_manifest_are_names_of_folders(tmp_path: Path, name: str, suffix: str) -> None:
+    table = tmp_path / f"table{suffix}"
+    if suffix == ".csv":
+        with table.open("w", newline="") as file:
+            csv.writer(file).writerows([["source", "name"], ["w.mcap", name]])
+    else:
+        table.write_text(json.dumps([{"source": "w.mcap", "name": name}]))
+    planned = plan([], OPTIONS, table)
+    [found] = [job.name for job in planned.jobs]
+    assert re.fullmatch("[A-Za-z0-9_][A-Za-z0-9._-]*", found)
+    assert found != "failed"
+    assert list(planned.renamed) == [found]
 
 
 def test_long_names_are_cut(tmp_path: Path) -> None:

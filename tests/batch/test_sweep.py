@@ -27,7 +27,7 @@ from vo.batch.sweep import (
     split,
 )
 from vo.config import load_config
-from vo.errors import ConfigError, EvaluationError
+from vo.errors import ConfigError, EvaluationError, OutputError
 
 OPTIONS = Job("", "", "fast")
 PLAN = Plan(tuple(Job(f"r{n}", f"r{n}", "fast") for n in range(6)))
@@ -165,6 +165,14 @@ def test_cost_and_lost_frames_count(
 def test_recordings_without_ground_truth_are_one_error(tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match="no recording for the trials has ground truth"):
         run_sweep(PLAN, [Space("seed", ("1",))], tmp_path, FormulaEngine(lambda _: {}))
+
+
+def test_best_settings_of_others_are_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / BEST).write_text("mine")
+    spaces = [Space("features.count", ("800",))]
+    with pytest.raises(OutputError, match="not a result of an earlier sweep"):
+        run_sweep(PLAN, spaces, tmp_path, FormulaEngine(lambda _: {"ate_m": 1.0}))
+    assert (tmp_path / BEST).read_text() == "mine"
 
 
 def test_a_lost_recording_is_never_the_best(tmp_path: Path) -> None:

@@ -172,8 +172,6 @@ def test_each_world_is_a_separate_model(is_merged: bool, tmp_path: Path) -> None
     pytest.importorskip("pycolmap")
     (tmp_path / "sparse" / "7").mkdir(parents=True)
     (tmp_path / "sparse" / "7" / "images.txt").write_text("of an earlier run")
-    (tmp_path / "sparse" / "8").mkdir()
-    (tmp_path / "sparse" / "8" / "mine.txt").write_text("other content")
     recorder = ColmapRecorder(tmp_path)
     recorder.begin("a", RIG, None)
     for frame in range(3):
@@ -190,11 +188,29 @@ def test_each_world_is_a_separate_model(is_merged: bool, tmp_path: Path) -> None
         recorder.set_loops(LoopClosures((), (), exact_run.smoothed(), {1: 0}, {}))
     recorder.finish(exact_run.smoothed(), exact_run.smoothed())
     names = [path.name for path in sorted((tmp_path / "sparse").iterdir())]
-    assert names == (["0", "8"] if is_merged else ["0", "1", "8"])
+    assert names == (["0"] if is_merged else ["0", "1"])
     lines = (tmp_path / "sparse" / "0" / "images.txt").read_text().splitlines()
     after = range(8, exact_run.FRAMES)
     frames = [*range(3), *after] if is_merged else after
     assert [line.split()[-1] for line in lines[::2]] == [f"frame_{n:06d}.png" for n in frames]
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("sparse/0/mine.txt", "notes"),
+        ("sparse/1/cameras.bin", "binary"),
+        ("sparse/0/cameras.txt", "# Camera list with one line of data per camera:\n"),
+        ("images/photo.png", "pixels"),
+    ],
+)
+def test_models_and_images_of_others_are_refused(file: str, content: str, tmp_path: Path) -> None:
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text(content)
+    with pytest.raises(OutputError, match="not of an earlier run"):
+        ColmapRecorder(tmp_path).begin("a", RIG, None)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / file]
+    assert (tmp_path / file).read_text() == content
 
 
 def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:

@@ -25,8 +25,8 @@ from vo.batch.execution import (
 )
 from vo.batch.job import Job, JobResult, JobStatus
 from vo.batch.planning import Plan
-from vo.batch.tables import write_tables
-from vo.errors import OutputError
+from vo.batch.tables import PAGE, SUMMARY, TABLE, read_batch, write_tables
+from vo.errors import OutputError, SourceError
 from vo.scheduling import available_cores
 
 _REFRESH_S = 5.0  # minimum time between tables on the way
@@ -138,10 +138,12 @@ def run_batch(
         progress: observer.
 
     Raises:
-        OutputError: the folder cannot be written, or another batch is writing there.
+        OutputError: the folder cannot be written, another batch is writing there, or it has files
+            of others with the names of results.
     """
     begun = time.monotonic()
     with _locked(output), _observed(progress, len(plan.jobs)) as step:
+        _refuse_foreign_files(output)
         shutil.rmtree(output / WORK, ignore_errors=True)  # of a batch that was killed
         found: dict[str, JobResult] = {}
         complete = [job for job in plan.jobs if not lacks_report(job, output, engine.limits)]
@@ -209,6 +211,20 @@ def _result(job: Job, found: dict[str, JobResult], output: Path) -> JobResult:
         waiting = JobResult(job.name, job.source, JobStatus.NOT_RUN, tags=job.tags)
         return waiting if earlier is None or earlier.source != job.source else earlier
     return result
+
+
+def _refuse_foreign_files(output: Path) -> None:
+    """A batch writes `batch.json` first: other tables without it are not results of one."""
+    found = [output / name for name in (SUMMARY, TABLE, PAGE) if (output / name).exists()]
+    if not found:
+        return
+    try:
+        read_batch(output)
+    except SourceError as error:
+        raise OutputError(
+            f"{found[0]} is not a result of an earlier batch and would be replaced; "
+            "choose another --output"
+        ) from error
 
 
 @contextmanager

@@ -31,7 +31,7 @@ from vo.compiling.processor import use_common_instructions
 from vo.config import load_config
 from vo.errors import OutputError, VoError
 
-FAILED, WORK = "failed", ".work"
+FAILED, WORK = "failed", ".vo-batch-work"
 LOG, REPORT = "log.txt", "report.html"
 _log = logging.getLogger(__name__)
 _POLL_S = 0.25  # until a request to stop is obeyed
@@ -89,6 +89,7 @@ def run_job(
     """Run a job, again after a crash; its results are then in the folder of its name.
 
     What a failed attempt leaves, such as the path until then and a log, is in `failed/NAME`.
+    Folders of these names that are not results of a batch stay as they are: the job fails.
 
     Raises:
         OutputError: nothing can be written to the output folder.
@@ -98,6 +99,13 @@ def run_job(
         if lacks_report(job, output, limits):
             _write_report(output / job.name)
         return kept
+    for folder in (output / job.name, output / FAILED / job.name):
+        if _is_foreign(folder):
+            error = (
+                f"{folder} is not a result of an earlier batch and is not replaced; "
+                "move it away, or choose another --output"
+            )
+            return JobResult(job.name, job.source, JobStatus.FAILED, error, tags=job.tags)
     for attempt in range(1, limits.retries + 2):
         try:
             (output / WORK).mkdir(parents=True, exist_ok=True)
@@ -113,6 +121,13 @@ def run_job(
     if lacks_report(job, output, limits) and result.is_done:
         _write_report(output / job.name)
     return result
+
+
+def _is_foreign(folder: Path) -> bool:
+    """Whether there is something that is neither a result of a job nor an empty folder."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        return False
+    return os.path.lexists(folder) and read_result(folder) is None
 
 
 def lacks_report(job: Job, output: Path, limits: Limits) -> bool:

@@ -25,7 +25,7 @@ from vo.sources.registry import VIDEO_SUFFIXES, detect_format
 MANIFEST_SUFFIXES = (".csv", ".json")
 _RECORDING_SUFFIXES = (".mcap", ".bag", ".db3", *VIDEO_SUFFIXES)
 _MAX_DEPTH = 6  # of recordings below a folder
-_RESERVED = {"failed", "batch.json", "batch.csv", "index.html"}
+_RESERVED = {"failed", "batch.json", "batch.csv", "index.html", "table.md"}
 _NAME_LENGTH = 120
 _MAX_BYTES = 64 << 20
 _TEXTS = ("source", "config", "mode", "calibration", "format", "truth", "name")
@@ -238,14 +238,14 @@ def _with_names(jobs: Sequence[Job]) -> tuple[list[Job], dict[str, str]]:
             name, number = f"{base}_{number}", number + 1
         taken.add(name.lower())
         named.append(replace(job, name=name))
-        if name != _joined(own, 1):
+        if name != (job.name or _joined(own, 1)):
             renamed[name] = job.source
     return named, renamed
 
 
 def _parts(job: Job) -> list[str]:
     if job.name:
-        return [job.name]
+        return [_safe(job.name)]
     if is_url(job.source):
         path = PurePosixPath(job.source.partition("://")[2])
     else:

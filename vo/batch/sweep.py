@@ -23,7 +23,7 @@ from vo.batch.comparison import Comparison, compare
 from vo.batch.job import Job, JobResult
 from vo.batch.planning import Plan
 from vo.config import dump_config, load_config
-from vo.errors import ConfigError, EvaluationError
+from vo.errors import ConfigError, EvaluationError, OutputError
 from vo.extras import require
 from vo.results.folder import write_atomically
 
@@ -208,8 +208,14 @@ def run_sweep(
         ConfigError: a setting or option is wrong.
         EvaluationError: no recording has ground truth.
         MissingExtraError: Optuna is not installed.
+        OutputError: `best.yaml` in the folder is not that of an earlier sweep.
         KeyboardInterrupt: a batch was stopped.
     """
+    if (output / BEST).exists() and not (output / SUMMARY).exists():
+        raise OutputError(
+            f"{output / BEST} is not a result of an earlier sweep and would be replaced; "
+            "choose another --output"
+        )
     training, others = split(plan.jobs, options.held_out, options.seed)
 
     def batch(name: str, jobs: Sequence[Job], settings: Mapping[str, str]) -> list[JobResult]:

@@ -36,7 +36,8 @@ class ColmapRecorder:
     undistorted if COLMAP does not support the lens.
 
     Args:
-        folder: created if it is missing; models of an earlier run in it are removed.
+        folder: created if it is missing; models of an earlier run in it are removed, those of others
+            refused.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -54,10 +55,11 @@ class ColmapRecorder:
         """Create the folder.
 
         Raises:
-            OutputError: the folder cannot be written to.
+            OutputError: the folder cannot be written to, or it has models or images of others.
         """
         self._is_rectified = rectified_rig(rig).maps[0] is not None
         try:
+            self._refuse_foreign_files()
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
             self._reconstruction = Reconstruction(self._folder)
             self._remove_models(from_number=0)
@@ -131,12 +133,26 @@ class ColmapRecorder:
                 raise
         self._remove_models(from_number=len(written))
 
+    def _models(self) -> list[Path]:
+        """Folders of models of this run, or of an earlier one."""
+        folders = (self._folder / _MODELS).glob("*")
+        return [each for each in folders if _number(each).isdecimal()]
+
+    def _refuse_foreign_files(self) -> None:
+        models, images = self._models(), self._folder / _IMAGES
+        foreign = [each for each in models if not _is_own_model(each)]
+        if not models and images.is_dir() and any(images.iterdir()):
+            foreign = [images]
+        if foreign:
+            raise OutputError(
+                f"{foreign[0]} is not of an earlier run and would be replaced; "
+                "choose another --colmap"
+            )
+
     def _remove_models(self, from_number: int) -> None:
-        """Remove models of an earlier run or moment, but no folder with other files."""
-        for old in (self._folder / _MODELS).glob("[0-9]*"):
-            is_model = {each.name for each in old.iterdir()} <= set(MODEL_FILES)
-            number = int(old.name) if old.name.isdecimal() else 0
-            if is_model and number >= from_number:
+        """Remove models of an earlier run or moment."""
+        for old in self._models():
+            if int(_number(old)) >= from_number and _is_own_model(old):
                 shutil.rmtree(old)
 
     def _write(self, folder: Path, model: Model) -> None:
@@ -153,6 +169,18 @@ class ColmapRecorder:
                 writer.add_image(image.keyframe, self._names[frame], pose, xy, image.point)
                 if points is not None:
                     writer.add_points(ModelPoints(*points))
+
+
+def _number(folder: Path) -> str:
+    return folder.name.removesuffix(_PARTIAL_SUFFIX)
+
+
+def _is_own_model(folder: Path) -> bool:
+    """Whether a model was written here: text files, without the comment that COLMAP begins with."""
+    if not {each.name for each in folder.iterdir()} <= set(MODEL_FILES):
+        return False
+    cameras_file = folder / MODEL_FILES[0]
+    return not cameras_file.is_file() or not cameras_file.read_bytes().startswith(b"#")
 
 
 def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None]:
