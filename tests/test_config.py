@@ -14,7 +14,7 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
-from vo.config import Config, dump_config, load_config, preset_names
+from vo.config import Config, SmoothingConfig, dump_config, load_config, preset_names
 from vo.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -188,7 +188,18 @@ def test_preset_default_is_the_defaults() -> None:
 def test_presets_go_the_way_their_names_say() -> None:
     fast, default, accurate = (load_config(name) for name in ("fast", "default", "accurate"))
     assert fast.features.count < default.features.count < accurate.features.count
-    assert fast.smoothing.window < default.smoothing.window < accurate.smoothing.window
+    for is_metric in (False, True):
+        smaller, usual = (each.smoothing.size(is_metric=is_metric) for each in (fast, default))
+        assert all(a < b for a, b in zip(smaller, usual, strict=True))
+    usual, larger = (each.smoothing.size(is_metric=True) for each in (default, accurate))
+    assert all(a < b for a, b in zip(usual, larger, strict=True))
+
+
+def test_one_camera_has_a_larger_window_unless_it_is_set() -> None:
+    mono, stereo = (SmoothingConfig().size(is_metric=metric) for metric in (False, True))
+    assert all(a > b for a, b in zip(mono, stereo, strict=True))
+    given = SmoothingConfig(window=5, fixed=3, max_landmarks=300)
+    assert given.size(is_metric=False) == given.size(is_metric=True) == (5, 3, 300)
 
 
 def test_the_wheel_brings_the_presets(tmp_path: Path) -> None:

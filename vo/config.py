@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import yaml
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -165,12 +165,29 @@ class MappingConfig(Section):
     )
 
 
+class WindowSize(NamedTuple):
+    """Size of the sliding window: keyframes that are optimised, fixed ones, and landmarks."""
+
+    free: int
+    fixed: int
+    landmarks: int
+
+
+_METRIC_WINDOW, _MONO_WINDOW = WindowSize(6, 4, 1000), WindowSize(8, 16, 1600)
+
+
 class SmoothingConfig(Section):
     """Sliding-window bundle adjustment with GTSAM."""
 
-    window: int = Field(6, ge=2, le=100, description="keyframes whose poses are optimised")
-    fixed: int = Field(4, ge=1, le=100, description="older keyframes kept fixed in the window")
-    max_landmarks: int = Field(1000, ge=50, description="maximum landmarks in the window")
+    window: int | None = Field(
+        None, ge=2, le=100, description="keyframes whose poses are optimised; null: 6, mono 8"
+    )
+    fixed: int | None = Field(
+        None, ge=1, le=100, description="older keyframes kept fixed in the window; null: 4, mono 16"
+    )
+    max_landmarks: int | None = Field(
+        None, ge=50, description="maximum landmarks in the window; null: 1000, mono 1600"
+    )
     iterations: int = Field(8, ge=1, description="maximum Levenberg-Marquardt iterations")
     relative_error_tolerance: float = expert(
         1e-3, gt=0, description="relative decrease of the cost below which iterations stop"
@@ -182,6 +199,16 @@ class SmoothingConfig(Section):
     covariance_scale: float = expert(
         14.0, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
     )
+
+    def size(self, *, is_metric: bool) -> WindowSize:
+        """Size of the window with two cameras or depth, or else with one camera.
+
+        The scale of one camera drifts from window to window, the less the longer the part of the
+        path is that is kept fixed (docs/experiments/window-size.md).
+        """
+        usual = _METRIC_WINDOW if is_metric else _MONO_WINDOW
+        given = (self.window, self.fixed, self.max_landmarks)
+        return WindowSize(*(u if g is None else g for g, u in zip(given, usual, strict=True)))
 
 
 class RefinementConfig(Section):

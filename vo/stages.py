@@ -235,7 +235,8 @@ def _local_map(
     stores: Sequence[KeyframeStore],
     config: Config,
 ) -> LocalMap:
-    capacity = config.smoothing.window + config.smoothing.fixed
+    size = config.smoothing.size(is_metric=rectified.is_stereo)
+    capacity = size.free + size.fixed
     return LocalMap(rectified, capacity, descriptors, stores, config.stereo.sigma_disparity_px)
 
 

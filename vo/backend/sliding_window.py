@@ -99,6 +99,7 @@ class SlidingWindow:
         self._sigma_disparity_px = sigma_disparity_px
         self._config = config
         self._factor_sources = factor_sources
+        self._size = config.size(is_metric=local_map.rig.is_stereo)
         self._latency = _LATENCY_STEREO if local_map.rig.is_stereo else _LATENCY_MONO
         self._pending: Window | None = None
         self._frames_since = 0  # the last submission
@@ -112,7 +113,7 @@ class SlidingWindow:
     def submit(self, *, calibration_weight: int) -> None:
         """Submit the newest keyframes; the result before must have been applied."""
         keyframes = self._map.keyframes
-        free = min(self._config.window, len(keyframes) - 1)
+        free = min(self._size.free, len(keyframes) - 1)
         self._submit(free, calibration_weight)
         self.submitted += self._pending is not None
 
@@ -149,7 +150,7 @@ class SlidingWindow:
             return None
         fixed = np.arange(len(keyframes)) < len(keyframes) - free
         whole = self._map_problem(fixed)
-        chosen = choose_landmarks(whole, self._config.max_landmarks)
+        chosen = choose_landmarks(whole, self._size.landmarks)
         problem, rows = _restricted(whole, chosen)
         factors = [f for source in self._factor_sources for f in source.factors(keyframes)]
         problem = replace(
