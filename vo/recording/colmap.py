@@ -36,8 +36,8 @@ class ColmapRecorder:
     undistorted if COLMAP does not support the lens.
 
     Args:
-        folder: created if it is missing; models of an earlier run in it are removed, those of others
-            refused.
+        folder: created if it is missing; models of an earlier run in it are removed, those of
+            others are refused.
     """
 
     def __init__(self, folder: Path) -> None:
