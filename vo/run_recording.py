@@ -171,7 +171,7 @@ def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:
     if memory.loops != "auto":
         return config
     is_wanted = memory.map != "" or options.get("save_map") is not None
-    is_orb = features.detector == "orb" and features.descriptor in ("auto", "orb")
+    is_orb = features.detector == "orb" and features.descriptor in ("auto", "rbrief")
     loops = is_wanted or (is_orb and not is_live)
     return config.model_copy(update={"memory": memory.model_copy(update={"loops": loops})})
 

@@ -23,6 +23,7 @@ from vo.odometry import Odometry
 from vo.places.database import KeyframeDatabase
 from vo.places.map_file import MapFile
 from vo.recording import entities
+from vo.run_recording import _with_loops
 from vo.sources.registry import open_source
 from vo.types import Floats
 
@@ -179,3 +180,15 @@ def test_loops_of_frames_that_are_tracked_anew_are_forgotten(rounds: Path) -> No
         odometry.placement.forget_from(first)
         odometry.placement.finish(odometry._map)
         assert [loop.frame for loop in odometry.placement.closed_loops] == [first - 1]
+
+
+@pytest.mark.parametrize(
+    ("settings", "has_loops"),
+    [([], True), (["features.descriptor=rbrief"], True), (["features.descriptor=sift"], False)],
+)
+def test_loops_are_closed_by_default_with_orb_however_it_is_named(
+    settings: list[str], has_loops: bool
+) -> None:
+    config = load_config(overrides=settings)
+    assert _with_loops(config, {}, is_live=False).memory.loops is has_loops
+    assert _with_loops(config, {}, is_live=True).memory.loops is False
