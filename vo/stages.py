@@ -79,6 +79,9 @@ class Components(NamedTuple):
 
 BUILT_IN = Components()
 
+# With one camera, fixed keyframes that do not go to stores yet: places must be known early.
+_SETTLING = 2
+
 
 class Stages(NamedTuple):
     """All parts of an odometry."""
@@ -237,7 +240,9 @@ def _local_map(
 ) -> LocalMap:
     size = config.smoothing.size(is_metric=rectified.is_stereo)
     capacity = size.free + size.fixed
-    return LocalMap(rectified, capacity, descriptors, stores, config.stereo.sigma_disparity_px)
+    newest = capacity if rectified.is_stereo else size.free + min(size.fixed, _SETTLING)
+    sigma_px = config.stereo.sigma_disparity_px
+    return LocalMap(rectified, capacity, descriptors, stores, sigma_px, newest)
 
 
 def _policy(config: Config, *, is_metric: bool) -> KeyframePolicy:

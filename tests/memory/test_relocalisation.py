@@ -156,11 +156,21 @@ def test_a_camera_in_a_foreign_place_is_not_found_and_back_again_it_is(
     assert found["loops"] >= 3 and found["inliers"] >= 25
 
 
+def test_after_a_cut_to_a_place_of_the_local_map_nothing_is_lost(
+    rounds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _changes_frames(monkeypatch, _cut)
+    summary = run_rounds(rounds, tmp_path / "out")
+    assert (summary["lost"], summary["relocalisations"]) == (0, [])
+    assert ate(tmp_path / "out", rounds) < 0.02
+
+
 def test_after_a_cut_the_old_world_goes_on_from_the_frame_that_is_named(
     rounds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _changes_frames(monkeypatch, _cut)
-    summary = run_rounds(rounds, tmp_path / "out", "memory.loops=true")
+    small = ("smoothing.window=6", "smoothing.fixed=4")  # the place has left the local map
+    summary = run_rounds(rounds, tmp_path / "out", "memory.loops=true", *small)
     (found,) = summary["relocalisations"]
     assert found["segment"] == 1 and summary["segments"][0]["last_frame"] == 189
     # Three keyframes are evidence enough; two results are used three and five frames later.
@@ -186,7 +196,7 @@ def test_after_a_cut_the_old_world_goes_on_from_the_frame_that_is_named(
     row = f'<th scope="row">{found["frame"]}</th><td>1</td><td>{found["earlier_frame"]}</td>'
     assert row in page.read_text(encoding="utf-8")
 
-    again = run_rounds(rounds, tmp_path / "again", "memory.loops=true", "threads=1")
+    again = run_rounds(rounds, tmp_path / "again", "memory.loops=true", "threads=1", *small)
     for name in FILES:
         first_bytes = (tmp_path / "out" / name).read_bytes()
         assert (tmp_path / "again" / name).read_bytes() == first_bytes

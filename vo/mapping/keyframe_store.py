@@ -1,6 +1,6 @@
-"""Contract of a receiver of keyframes that are removed from the local map.
+"""Contract of a receiver of keyframes that the window does not move any more.
 
-A keyframe is handed over as it leaves: with its features and their descriptors, its observations,
+A keyframe is handed over as it is then: with its features and their descriptors, its observations,
 its covariance, the landmarks that it observes, and its image. Place recognition and loop closure
 build on it.
 """
@@ -41,7 +41,7 @@ class StoredLandmarks(NamedTuple):
 
 
 class KeyframeStore(Protocol):
-    """Receives keyframes, in the order of their ids, when they leave the map or at `close`.
+    """Receives keyframes, in the order of their ids, when the window has left them or at `close`.
 
     With `features.rescue`, their descriptors are of the kind that the map has at that time.
     """
@@ -52,7 +52,7 @@ class KeyframeStore(Protocol):
         """Take over a keyframe.
 
         Args:
-            keyframe: it is not changed any more.
+            keyframe: its pose is changed only where the calibration is corrected.
             landmarks: returns copies of the landmarks that it observes; to be called before this
                 call ends.
             image: (H, W) its rectified image of camera 0, overwritten after the call.

@@ -48,8 +48,10 @@ class LocalMap:
         rig: the rectified cameras.
         capacity: maximum number of keyframes.
         descriptors: layout of the descriptors of the first kind.
-        stores: receive the keyframes that leave the map.
+        stores: receive keyframes, see `newest`.
         sigma_disparity_px: standard deviation of a disparity.
+        newest: number of newest keyframes that stay with the map alone; older ones, which the
+            window does not move, go to the stores. By default those that leave the map do.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class LocalMap:
         descriptors: DescriptorFormat,
         stores: Sequence[KeyframeStore] = (),
         sigma_disparity_px: float = 0.4,
+        newest: int | None = None,
     ) -> None:
         self.rig = rig
         self.keyframes: list[Keyframe] = []
@@ -66,6 +69,8 @@ class LocalMap:
         self._capacity = capacity
         self._descriptors = descriptors
         self._stores = tuple(stores)
+        self._newest = capacity if newest is None else newest
+        self._stored = 0  # number of oldest keyframes that the stores have
         self._sigma_disparity_px = sigma_disparity_px
         self._next_landmark = 0
         self._next_keyframe = 0
@@ -111,12 +116,12 @@ class LocalMap:
     def clear(self) -> None:
         """Remove all keyframes and landmarks; ids go on."""
         self.hand_over(self._stores)
-        self.keyframes = []
+        self.keyframes, self._stored = [], 0
         self._remove_landmarks()
 
     def hand_over(self, stores: Sequence[KeyframeStore]) -> None:
-        """Hand all keyframes to stores, as they are now; they stay in the map."""
-        for keyframe in self.keyframes:
+        """Hand the newest keyframes to stores, as they are now; they stay in the map."""
+        for keyframe in self.keyframes[self._stored :]:
             self._hand_over(keyframe, stores)
 
     def add_keyframe(
@@ -136,6 +141,9 @@ class LocalMap:
             keypoints: its N features.
             free: (N,) features without a landmark.
         """
+        if len(self.keyframes) - self._stored == self._newest:
+            self._hand_over(self.keyframes[self._stored], self._stores)
+            self._stored += 1
         if len(self.keyframes) == self._capacity:
             self._remove_oldest()
         slot = min(set(range(self._capacity)) - {k.slot for k in self.keyframes})
@@ -289,7 +297,6 @@ class LocalMap:
 
     def _remove_oldest(self) -> None:
         oldest = self.keyframes[0]
-        self._hand_over(oldest, self._stores)
         number, row = self.observation_rows()
         image_xy = np.concatenate([k.image_xy for k in self.keyframes])
         orphaned = (self.reference[row] == oldest.id) & (number > 0)
@@ -298,6 +305,7 @@ class LocalMap:
         self.reference[row[observed]] = oldest.id + number[observed]
         self.reference_xy[row[observed]] = image_xy[observed]
         del self.keyframes[0]
+        self._stored -= 1
         self.keep_landmarks(self.reference != oldest.id)
 
     def landmarks_of(self, keyframe: Keyframe) -> StoredLandmarks:
