@@ -20,6 +20,7 @@ BASE = {
         *("closed_loops", "seen_markers", "feature_settings", "metric_scale", "inertial_use"),
         "placed_frames",
         *("config", "settings", "image_areas", "scheduling", "stopwatch"),
+        *("noise_classes", "version"),
     )
 }
 GROUND = BASE | {"vo.compiling", "vo.geometry", "vo.formats"}
@@ -77,7 +78,7 @@ ALLOWED = {
     "vo.odometry": GROUND | _below(len(FLOORS) - 1) | {"vo.warmup"},
     **{room: GROUND for room in OUTER},
     "vo.scaling": GROUND | {"vo.markers", "vo.sources"},
-    "vo.results": GROUND | {"vo"},
+    "vo.results": GROUND,
     "vo.calibrating": GROUND,
     "vo.markers": GROUND | {"vo.calibrating"},
     "vo.inspection": GROUND | {"vo.sources", "vo.frontend"},
@@ -87,8 +88,8 @@ ALLOWED = {
     "vo.report": GROUND | {"vo.evaluation", "vo.results"},
     "vo.rendering": GROUND | {"vo.report", "vo.sources"},
     "vo.batch": GROUND
-    | {"vo", "vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
-    "vo.warmup": GROUND | {"vo", "vo.inertial", "vo.mapping", "vo.places"},
+    | {"vo.evaluation", "vo.report", "vo.results", "vo.run_recording", "vo.sources"},
+    "vo.warmup": GROUND | {"vo.inertial", "vo.mapping", "vo.places"},
     "vo.run_scale": GROUND | OUTER | {"vo.markers", "vo.trajectory"},
     "vo.run_session": GROUND
     | OUTER
@@ -112,7 +113,7 @@ ALLOWED = {
     }
     | {"data_synth"},
     "vo.__main__": {"vo.cli"},
-    "data_synth": {"vo", "vo.errors", "vo.extras", "vo.types", "vo.settings"}
+    "data_synth": {"vo.version", "vo.errors", "vo.extras", "vo.types", "vo.settings"}
     | {"vo.compiling", "vo.geometry", "vo.formats"},
 }
 ONLY_IN = {"gtsam": "vo.backend", "rerun": "vo.recording", "typer": "vo.cli"}

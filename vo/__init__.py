@@ -10,8 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from vo.compiling.processor import use_common_instructions
-
-__version__ = "0.2.0"
+from vo.version import __version__
 
 if TYPE_CHECKING:
     from vo import features

@@ -13,7 +13,6 @@ from vo.backend.sliding_window import SlidingWindow
 from vo.backend.window_problem import FactorSource
 from vo.config import Config
 from vo.errors import ConfigError
-from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.frontend.contracts import DescriptorFormat, FeatureExtractor, Matcher
 from vo.frontend.frontend import Frontend, make_frontend
 from vo.frontend.orb import OrbExtractor
@@ -31,6 +30,7 @@ from vo.map_updater import MapUpdater
 from vo.mapping.keyframe_store import KeyframeStore
 from vo.mapping.local_map import LocalMap
 from vo.mapping.local_mapper import LocalMapper
+from vo.noise_classes import NOISE_CLASSES
 from vo.placement import Placement
 from vo.refinement.calibration_refiner import CalibrationRefiner
 from vo.scheduling import available_cores

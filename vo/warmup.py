@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vo import __version__
 from vo.compiling import machine_code, store
 from vo.compiling.function import announce_compilation, compiled_here
 from vo.config import Config, load_config
@@ -20,6 +19,7 @@ from vo.formats.png import decode_grey
 from vo.geometry.rectification import rectified_rig
 from vo.geometry.rolling_shutter import Velocity, disparity_at_middle_row
 from vo.types import Bytes, Camera, Frame, ImuNoise, Rig
+from vo.version import __version__
 
 _PACKAGE = Path(__file__).parent
 _ROOMS_WITH_KERNELS = (

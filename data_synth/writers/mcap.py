@@ -18,9 +18,9 @@ from mcap.writer import CompressionType, Writer
 from data_synth.records import Recording, Shot
 from data_synth.writers.encoding import encoded_shots
 from data_synth.writers.mcap_streams import messages_of
-from vo import __version__
 from vo.formats.foxglove import FOXGLOVE
 from vo.formats.messages import Dialect, Message
+from vo.version import __version__
 
 
 def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:

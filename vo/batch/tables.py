@@ -12,7 +12,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from vo import __version__
 from vo.batch.datasets import table_of
 from vo.batch.job import JobResult, JobStatus
 from vo.batch.planning import Plan
@@ -20,6 +19,7 @@ from vo.bounded_documents import load_json
 from vo.bounded_files import read_text
 from vo.errors import SourceError
 from vo.results.folder import write_atomically
+from vo.version import __version__
 
 SUMMARY, TABLE, PAGE = "batch.json", "batch.csv", "index.html"
 DATASET_TABLE = "table.md"

@@ -108,7 +108,7 @@ app = typer.Typer(
 
 def _print_version(is_given: bool) -> None:
     if is_given:
-        from vo import __version__
+        from vo.version import __version__
 
         echo(f"vo {__version__}")
         raise typer.Exit()

@@ -10,7 +10,7 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from vo import __version__
+from vo.version import __version__
 
 _PACKAGES = {
     "opencv": "opencv-python-headless",

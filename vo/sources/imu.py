@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from vo.formats.calibration import Calibration, ImuCalibration
-from vo.formats.calibration.imu import NOISE_CLASSES
+from vo.noise_classes import NOISE_CLASSES
 from vo.types import Floats, ImuNoise, Ints
 
 _MIN_NOISE = (1e-6, 1e-8, 1e-5, 1e-7)

@@ -12,8 +12,8 @@ import numpy as np
 from vo.errors import SourceError, VoError
 from vo.formats.calibration import Calibration, ImageSize, kitti_raw
 from vo.formats.calibration.document import load_document
-from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.geometry.transforms import inverse
+from vo.noise_classes import NOISE_CLASSES
 from vo.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.sources.images import ImageFile
 from vo.sources.imu import FileImu, ImuSamples, imu_of

@@ -18,8 +18,8 @@ from vo.formats.calibration import (
     read_calibration,
     write_calibration,
 )
-from vo.formats.calibration.imu import NOISE_CLASSES
 from vo.geometry.transforms import inverse, se3_exp
+from vo.noise_classes import NOISE_CLASSES
 from vo.sources.imu import FileImu, ImuSamples, usable_noise
 from vo.types import ImuNoise
 

@@ -26,8 +26,9 @@ from vo.formats.calibration.document import (
     ImuCalibration,
     shortened,
 )
-from vo.formats.calibration.imu import NOISE_CLASSES, make_noise, make_time_offset
+from vo.formats.calibration.imu import make_noise, make_time_offset
 from vo.geometry.transforms import make_transform as rigid
+from vo.noise_classes import NOISE_CLASSES
 from vo.types import Camera, Floats, Rig
 
 _TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
